@@ -1,0 +1,54 @@
+# Everything runs in .venv, made on first use: `make demo` in a fresh clone installs what it needs by itself.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# The package itself imports its backend, which `python -m` would otherwise remark upon.
+DOCTOR := $(BIN)/python -W ignore::RuntimeWarning:runpy -m scenecaptum.backend
+
+.PHONY: help demo test test-long lint clean
+
+help:
+	@echo "make demo       render a small scene, attribute a metric to it, write figures to out/"
+	@echo "make test       lint, then every test that takes seconds"
+	@echo "make test-long  the tests that take minutes"
+	@echo "make lint       ruff and mypy"
+	@echo "make clean      remove outputs and caches (not .venv)"
+	@echo
+	@echo "PYTHON=python3.12 chooses the Python that .venv is made with (3.10 or newer)."
+
+demo: .venv/.llvm
+	$(BIN)/scenecaptum demo --out out
+
+test: lint .venv/.llvm
+	$(BIN)/python -m pytest
+
+test-long: .venv/.test .venv/.llvm
+	$(BIN)/python -m pytest -m long
+
+lint: .venv/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf out build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info
+	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "scenecaptum needs Python 3.10 or newer; try make PYTHON=python3.11")'
+	$(PYTHON) -m venv .venv
+
+# Stamps: a step is repeated when what it was made from has changed.
+.venv/.base: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e .
+	@touch $@
+
+.venv/.test: .venv/.base
+	$(PIP) -e '.[test]'
+	@touch $@
+
+.venv/.llvm: .venv/.base scripts/provide-llvm
+	@$(DOCTOR) >/dev/null 2>&1 || scripts/provide-llvm .venv
+	$(DOCTOR)
+	@touch $@

@@ -1,0 +1,14 @@
+"""Captum for 3D scenes: attribute any metric of a rendered image to the parameters of the scene.
+
+Importing this package is cheap: Mitsuba, matplotlib and kornia load when they are first needed.
+"""
+
+__version__ = "0.1.0"
+
+from . import metrics as metrics
+from .attr import SceneAttribution as SceneAttribution
+from .attr import VanillaSceneGradient as VanillaSceneGradient
+from .backend import activate as activate
+from .errors import BackendError as BackendError
+from .errors import SceneCaptumError as SceneCaptumError
+from .rendering import SceneRenderer as SceneRenderer

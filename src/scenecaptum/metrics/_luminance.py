@@ -1,0 +1,76 @@
+"""Luminance of a linear-radiance picture."""
+
+from __future__ import annotations
+
+import torch
+
+from ..errors import SceneCaptumError
+
+
+def luminance(image: torch.Tensor) -> torch.Tensor:
+    """Return the relative luminance of each pixel: Y of CIE XYZ for Rec. 709 primaries.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, 3)`` linear radiance.
+
+    Returns
+    -------
+    Tensor
+        ``(H, W)``.
+    """
+    if image.ndim != 3 or image.shape[-1] != 3:
+        raise SceneCaptumError(
+            f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
+        )
+    from kornia.color import rgb_to_xyz
+
+    y: torch.Tensor = rgb_to_xyz(image.movedim(-1, 0))[1]
+    return y
+
+
+class MeanLuminance(torch.nn.Module):
+    """Mean luminance of a picture, ``mean(efficacy · (0.2127 R + 0.7152 G + 0.0722 B))``.
+
+    Example
+    -------
+    >>> MeanLuminance()(torch.ones(4, 8, 3)).item()  # doctest: +ELLIPSIS
+    1.000...
+
+    Parameters
+    ----------
+    efficacy
+        Luminous efficacy in lm/W: 1 gives the relative luminance of the render, 179 gives cd/m² as in Radiance.
+    mask
+        ``(H, W)``, the pixels that count (bool, or weights that are not negative); all of them by default.
+
+    Notes
+    -----
+    Weights of Rec. ITU-R BT.709 (the Y row of kornia's ``rgb_to_xyz``).
+    """
+
+    mask: torch.Tensor | None
+
+    def __init__(self, efficacy: float = 1.0, mask: torch.Tensor | None = None) -> None:
+        super().__init__()
+        if mask is not None and not mask.sum() > 0:
+            raise SceneCaptumError("mask selects no pixel: its sum must be positive.")
+        self.efficacy = efficacy
+        self.register_buffer("mask", mask)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the mean, a 0-d tensor, in the image's unit times ``efficacy``."""
+        y = luminance(image)
+        if self.mask is None:
+            return self.efficacy * y.mean()
+        if self.mask.shape != y.shape:
+            raise SceneCaptumError(
+                f"mask has shape {tuple(self.mask.shape)}; the image is {tuple(y.shape)} (height, width)."
+            )
+        weight = self.mask.to(y)
+        return self.efficacy * (weight * y).sum() / weight.sum()
+
+    def extra_repr(self) -> str:
+        """Show the efficacy and whether a mask is set."""
+        return f"efficacy={self.efficacy:g}" + ("" if self.mask is None else ", masked")

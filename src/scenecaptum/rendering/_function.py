@@ -1,0 +1,137 @@
+"""The renderer as a ``torch.autograd.Function``: reverse mode, forward mode, and ``torch.func`` transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch.autograd import forward_ad
+
+from ..errors import SceneCaptumError
+
+if TYPE_CHECKING:
+    from ._engine import Engine
+
+
+@dataclass(frozen=True)
+class RenderCall:
+    """One call of the renderer: everything that its forward and backward passes need beside the values."""
+
+    engine: Engine
+    names: tuple[str, ...]
+    seed: int
+    seed_grad: int
+    spp: int
+    check: Callable[[dict[str, torch.Tensor]], None]
+
+    def values(self, tensors: tuple[torch.Tensor, ...]) -> dict[str, torch.Tensor]:
+        """Name the tensors and cut them off torch's graph, dual numbers included."""
+        plain = (forward_ad.unpack_dual(tensor).primal.detach() for tensor in tensors)
+        return dict(zip(self.names, plain, strict=True))
+
+
+class Render(torch.autograd.Function):
+    """θ → image: ``render(call, *tensors)``, the tensors in the order of ``call.names``."""
+
+    @staticmethod
+    def forward(call: RenderCall, *tensors: torch.Tensor) -> torch.Tensor:
+        values = call.values(tensors)
+        call.check(values)
+        return call.engine.primal(values, call.seed, call.spp)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        call, *tensors = inputs
+        ctx.call = call
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
+
+    @staticmethod
+    def backward(ctx: Any, adjoint: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        if torch._C._functorch.is_legacy_batchedtensor(adjoint):
+            raise SceneCaptumError(
+                "is_grads_batched=True and functional.jacobian(vectorize=True) use torch's old batching, which "
+                "cannot call a renderer. Use torch.func.jacrev, or vectorize=False: the cost is the same."
+            )
+        needed = ctx.needs_input_grad[1:]
+        tracked = tuple(name for name, need in zip(ctx.call.names, needed, strict=True) if need)
+        gradients = iter(_adjoint(ctx.call, tracked, adjoint, *ctx.saved_tensors))
+        return None, *(next(gradients) if need else None for need in needed)
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *tangents: torch.Tensor | None) -> torch.Tensor:
+        given = zip(ctx.call.names, tangents, strict=True)
+        moving = {name: tangent for name, tangent in given if tangent is not None}
+        return _tangent(ctx.call, tuple(moving), *moving.values(), *ctx.saved_tensors)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:
+        return _one_by_one(Render, info, in_dims, inputs), 0
+
+
+class _Derivative(torch.autograd.Function):
+    """A first derivative of ``Render``, itself a function so that it can be batched; it has none of its own."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        raise SceneCaptumError(
+            "A render can be differentiated once, not twice: path replay has no second derivatives. For "
+            "Hessian-vector products take differences of gradients with a shared seed; drop create_graph=True "
+            "where only first derivatives are wanted."
+        )
+
+    jvp = backward
+
+
+class Adjoint(_Derivative):
+    """The vector–Jacobian product: a gradient for each name in ``tracked``."""
+
+    @staticmethod
+    def forward(
+        call: RenderCall, tracked: tuple[str, ...], adjoint: torch.Tensor, *tensors: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
+        return call.engine.adjoint(call.values(tensors), tracked, adjoint, call.seed_grad, call.spp)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[Any, Any]:
+        gradients = _one_by_one(Adjoint, info, in_dims, inputs)
+        return gradients, (0,) * len(gradients)
+
+
+class Tangent(_Derivative):
+    """The Jacobian–vector product along one tangent for each name in ``moving``, then all the values."""
+
+    @staticmethod
+    def forward(call: RenderCall, moving: tuple[str, ...], *tensors: torch.Tensor) -> torch.Tensor:
+        tangents = dict(zip(moving, tensors, strict=False))
+        values = call.values(tensors[len(moving) :])
+        return call.engine.tangent(values, tangents, call.seed_grad, call.spp)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:
+        return _one_by_one(Tangent, info, in_dims, inputs), 0
+
+
+render: Callable[..., torch.Tensor] = Render.apply
+_adjoint: Callable[..., tuple[torch.Tensor, ...]] = Adjoint.apply
+_tangent: Callable[..., torch.Tensor] = Tangent.apply
+
+
+def _one_by_one(function: Any, info: Any, in_dims: tuple[Any, ...], inputs: tuple[Any, ...]) -> Any:
+    """Apply a function to each element of a batch in turn, and stack what comes out."""
+    results = []
+    for index in range(info.batch_size):
+        element = (
+            value.select(dim, index) if isinstance(value, torch.Tensor) and dim is not None else value
+            for value, dim in zip(inputs, in_dims, strict=True)
+        )
+        results.append(function.apply(*element))
+    if isinstance(results[0], tuple):
+        return tuple(torch.stack(column) for column in zip(*results, strict=True))
+    return torch.stack(results)

@@ -1,0 +1,117 @@
+"""Which integrator, depth and derivatives a scene requires, each decision with its reason."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from ..backend import activate
+from ..scene import SceneParameters
+from ..scene._graph import SceneGraph
+
+# Up to this depth every path is traced to its end: the cost of the last bounces is small, and without
+# random termination the rendered number is a smooth function of the parameters.
+FULL_PATH_DEPTH = 16
+DEFAULT_DEPTH = 6
+
+
+@dataclass(frozen=True)
+class RenderPlan:
+    """How a scene is rendered and differentiated; prints one decision a line, with its reason.
+
+    Attributes
+    ----------
+    integrator
+        The Mitsuba integrator plugin.
+    max_depth
+        Longest path, in segments; -1 for no limit.
+    rr_depth
+        Depth from which Russian roulette may end a path.
+    hide_emitters
+        Whether the camera does not see lights directly.
+    reasons
+        ``(decision, reason)`` pairs.
+    cautions
+        ``(parameter, what is known to be wrong with its derivative)`` pairs.
+    """
+
+    integrator: str
+    max_depth: int
+    rr_depth: int
+    hide_emitters: bool
+    reasons: tuple[tuple[str, str], ...]
+    cautions: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        """Write one decision a line."""
+        width = max(len(decision) for decision, _ in self.reasons)
+        lines = [f"{decision.ljust(width)}  {reason}" for decision, reason in self.reasons]
+        lines += [f"caution: {name}: {caution}" for name, caution in self.cautions]
+        return "\n".join(lines)
+
+    def create_integrator(self) -> Any:
+        """Instantiate the Mitsuba integrator."""
+        return activate().load_dict(
+            {
+                "type": self.integrator,
+                "max_depth": self.max_depth,
+                "rr_depth": self.rr_depth,
+                "hide_emitters": self.hide_emitters,
+            }
+        )
+
+
+def make_plan(
+    graph: SceneGraph, parameters: SceneParameters, inputs: tuple[str, ...], max_depth: int | None
+) -> RenderPlan:
+    """Choose the integrator and its settings for a scene and the inputs that are asked for."""
+    mi = activate()
+    own = graph.scene.integrator()
+    reasons: list[tuple[str, str]] = []
+
+    if graph.has(mi.Medium):
+        integrator = "prbvolpath"
+        reasons.append((f"integrator {integrator}", "the scene has a participating medium"))
+    else:
+        integrator = "prb"
+        reasons.append((f"integrator {integrator}", "path replay; no medium in the scene"))
+
+    depth, reason = _depth(own, max_depth)
+    reasons.append((f"max_depth {'unlimited' if depth == -1 else depth}", reason))
+
+    if 0 < depth <= FULL_PATH_DEPTH:
+        rr_depth = depth + 1
+        reasons.append(
+            ("no Russian roulette", f"paths of at most {FULL_PATH_DEPTH} segments are traced whole")
+        )
+    else:
+        rr_depth = _setting(own, "rr_depth") or 5
+        reasons.append((f"Russian roulette from depth {rr_depth}", "deeper paths end at random, unbiased"))
+
+    hide_emitters = bool(getattr(own, "hide_emitters", False))
+    if hide_emitters:
+        reasons.append(("lights hidden from the camera", "as the scene's integrator says"))
+
+    left_out = sum(not p.problem for p in parameters.values()) - len(inputs)
+    reasons.append(
+        (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters stay detached")
+    )
+    cautions = tuple((name, c) for name in inputs if (c := parameters[name].caution) is not None)
+    return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), cautions)
+
+
+def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
+    if max_depth is not None:
+        return max_depth, "as asked"
+    depth = _setting(own, "max_depth")
+    if depth is None:
+        return DEFAULT_DEPTH, "the scene names no depth"
+    # Mitsuba keeps "no limit" as the largest unsigned integer.
+    return (-1 if depth >= 2**31 else depth), "as the scene's integrator says"
+
+
+def _setting(integrator: Any, name: str) -> int | None:
+    """Read a setting of an integrator from its description; C++ integrators do not expose it otherwise."""
+    found = re.search(rf"{name} = (\d+)", str(integrator))
+    return int(found.group(1)) if found else None

@@ -1,0 +1,258 @@
+"""``SceneRenderer``: a scene as a differentiable torch module."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, NoReturn
+
+import torch
+
+from ..backend import activate, device
+from ..errors import SceneCaptumError, near_misses
+from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
+from ..scene._graph import SceneGraph
+from ..scene._loading import SceneLike, describe
+from ..scene._selection import Selection
+from ._function import RenderCall, render
+from ._plan import make_plan
+
+
+class SceneRenderer(torch.nn.Module):
+    """A scene as a torch function from named parameters to an image.
+
+    Example
+    -------
+    >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(32, 32), spp=4)
+    >>> x = renderer.leaves()
+    >>> image = renderer(x, seed=1)
+    >>> image.shape
+    torch.Size([32, 32, 3])
+    >>> image.mean().backward()
+    >>> x["left_wall.brdf_0.reflectance.value"].grad.shape
+    torch.Size([3])
+
+    Every call is pure: it carries its own values into its backward pass and leaves a scene that was handed in
+    as it found it. Any number of renders may live in one graph, and a graph may be differentiated any number
+    of times, but only to first order.
+
+    Parameters
+    ----------
+    scene
+        A path to a Mitsuba XML file, the name of a bundled scene, a Mitsuba dict, or an ``mi.Scene``.
+    inputs
+        What is differentiated: a kind (``"materials"``, ``"reflectance"``, ``"roughness"``, ``"ior"``,
+        ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"all"``), a glob over parameter names, an
+        exact name, or a list of these.
+    resolution
+        ``(width, height)`` in pixels; the scene's own by default.
+    spp
+        Samples per pixel; the scene's own by default.
+    max_depth
+        Longest path in segments (-1: no limit); the scene's own by default.
+    sensor
+        Index of the sensor.
+
+    Attributes
+    ----------
+    inputs : dict of str to Tensor
+        The selected parameters with the scene's own values: float32, a scalar 0-d, a colour ``(3,)``, a
+        texture ``(H, W, C)``.
+    plan : RenderPlan
+        Which integrator, depth and derivatives were chosen, and why.
+    resolution : tuple of int
+        ``(width, height)``.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the scene cannot be loaded, or ``inputs`` selects nothing that can be differentiated.
+    """
+
+    def __init__(
+        self,
+        scene: SceneLike,
+        inputs: Selection = "materials",
+        *,
+        resolution: tuple[int, int] | None = None,
+        spp: int | None = None,
+        max_depth: int | None = None,
+        sensor: int = 0,
+    ) -> None:
+        super().__init__()
+        mi = activate()
+        # Loaded only now: these modules need an active variant.
+        from ._engine import Engine
+
+        self.name = describe(scene)
+        loaded = load_scene(scene)
+        self._graph = SceneGraph(loaded)
+        self._table = discover(self._graph)
+        self._names = select(self._table, inputs)
+        self._sensor = _sensor(loaded, sensor)
+        self.resolution = _resolution(self._sensor, resolution)
+        self.spp = _count("spp", self._sensor.sampler().sample_count() if spp is None else spp)
+        if max_depth is not None and max_depth != -1:
+            _count("max_depth", max_depth)
+        self.plan = make_plan(self._graph, self._table, self._names, max_depth)
+        differentiable = [name for name, p in self._table.items() if not p.problem]
+        borrowed = isinstance(scene, mi.Scene)
+        self._engine = Engine(
+            loaded, self._sensor, differentiable, self.plan, self.resolution, borrowed=borrowed
+        )
+
+    @property
+    def inputs(self) -> dict[str, torch.Tensor]:
+        """The selected parameters with the scene's own values, detached copies made afresh at each access."""
+        return {name: self._engine.original[name].clone().to(device()) for name in self._names}
+
+    def leaves(self) -> dict[str, torch.Tensor]:
+        """Return ``inputs`` again as leaves that require grad."""
+        return {name: value.requires_grad_() for name, value in self.inputs.items()}
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """The physical bounds of each input, infinite where there are none."""
+        return {n: (self._table[n].bounds.low, self._table[n].bounds.high) for n in self._names}
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """A readable name for each input."""
+        return {name: self._table[name].label for name in self._names}
+
+    def parameters_table(self) -> SceneParameters:
+        """Return every parameter of the scene with kind, shape, bounds, owner and status; prints as a table."""
+        return self._table
+
+    @cached_property
+    def surfaces(self) -> SurfaceMap:
+        """Which objects each pixel shows; traced once, since nothing that can be an input moves geometry."""
+        from ._visibility import trace_surfaces
+
+        return trace_surfaces(self._graph, self._table, self._sensor, self.resolution)
+
+    def forward(
+        self,
+        inputs: Mapping[str, torch.Tensor] | None = None,
+        *,
+        seed: int = 0,
+        spp: int | None = None,
+        seed_grad: int | None = None,
+    ) -> torch.Tensor:
+        """Render the scene.
+
+        Parameters
+        ----------
+        inputs
+            Values by parameter name; a parameter that is not named keeps the scene's value.
+        seed
+            Seed of the samples.
+        spp
+            Samples per pixel, if not the renderer's.
+        seed_grad
+            Seed of the samples of the backward pass. By default the same samples are replayed, so that the
+            gradient is that of the very image that was rendered.
+
+        Returns
+        -------
+        Tensor
+            ``(H, W, 3)`` linear radiance, float32.
+
+        Raises
+        ------
+        SceneCaptumError
+            Before anything is rendered, where a name is unknown, a shape wrong or a value unphysical.
+        """
+        given = dict(inputs or {})
+        for name, value in given.items():
+            self._check_tensor(name, value)
+        seed = _seed("seed", seed)
+        call = RenderCall(
+            engine=self._engine,
+            names=tuple(given),
+            seed=seed,
+            seed_grad=seed if seed_grad is None else _seed("seed_grad", seed_grad),
+            spp=self.spp if spp is None else _count("spp", spp),
+            check=self._check_values,
+        )
+        tensors = [value.to(device(), torch.float32) for value in given.values()]
+        return render(call, *tensors)
+
+    def _check_tensor(self, name: str, value: torch.Tensor) -> None:
+        """Refuse what can be refused without looking at the numbers, which a transform may hide."""
+        if name not in self._engine.original:
+            if name in self._table:
+                raise SceneCaptumError(f"{name!r} cannot be set: {self._table[name].problem}.")
+            raise SceneCaptumError(
+                f"The scene has no parameter {name!r}.{near_misses(name, self._engine.original)}"
+            )
+        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+            came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
+            raise SceneCaptumError(f"{name!r} must be a floating point tensor, not {came}.")
+        expected = self._engine.original[name].shape
+        if value.shape != expected:
+            raise SceneCaptumError(
+                f"{name!r} has shape {tuple(value.shape)}; the scene expects {tuple(expected)}."
+            )
+
+    def _check_values(self, values: Mapping[str, torch.Tensor]) -> None:
+        for name, value in values.items():
+            low, high = value.min().item(), value.max().item()
+            bounds = self._table[name].bounds
+            if not torch.isfinite(value).all():
+                raise SceneCaptumError(f"{name!r} holds a value that is not finite.")
+            if low < bounds.low or high > bounds.high or (bounds.open_low and low == bounds.low):
+                worst = high if high > bounds.high else low
+                raise SceneCaptumError(
+                    f"{name!r} is {worst:.6g}, outside the physical range {bounds} of its kind "
+                    f"({self._table[name].kind}). Clamp it before rendering."
+                )
+
+    def extra_repr(self) -> str:
+        """Show the scene, the size of the picture and the number of inputs."""
+        width, height = self.resolution
+        return f"{self.name!r}, {len(self._names)} inputs, {width}×{height}, {self.spp} spp"
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        raise SceneCaptumError(
+            "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Build it again "
+            "from its scene file, in the worker process where there are several (spawn, not fork)."
+        )
+
+
+def _sensor(scene: Any, index: int) -> Any:
+    sensors = scene.sensors()
+    if not 0 <= index < len(sensors):
+        raise SceneCaptumError(
+            f"sensor={index}, but the scene has {len(sensors)}: give 0 to {len(sensors) - 1}."
+        )
+    return sensors[index]
+
+
+def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, int]:
+    film = sensor.film()
+    width, height = (int(n) for n in film.crop_size())
+    if resolution is None:
+        return width, height
+    if list(film.crop_size()) != list(film.size()):
+        raise SceneCaptumError(
+            f"The film shows a crop of {width}×{height} pixels, so resolution= would be ambiguous: "
+            "leave it out, or take the crop out of the scene."
+        )
+    try:
+        width, height = resolution
+    except (TypeError, ValueError):
+        raise SceneCaptumError(f"resolution must be (width, height) in pixels, not {resolution!r}.") from None
+    return _count("the width", width), _count("the height", height)
+
+
+def _count(name: str, value: int) -> int:
+    if isinstance(value, bool) or int(value) != value or value < 1:
+        raise SceneCaptumError(f"{name} must be a whole number of at least 1, not {value!r}.")
+    return int(value)
+
+
+def _seed(name: str, value: int) -> int:
+    if isinstance(value, bool) or int(value) != value or not 0 <= value < 2**32:
+        raise SceneCaptumError(f"{name} must be a whole number from 0 to 2**32 - 1, not {value!r}.")
+    return int(value)

@@ -1,0 +1,120 @@
+"""The values that a live Mitsuba scene holds: reading, writing, tracking and restoring them.
+
+Imported only once a variant is active (see ``SceneRenderer``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import torch
+
+
+class SceneState:
+    """Writes parameter values into a scene, and only those that differ from what it holds.
+
+    A write is not free (a rough plastic recomputes its tables, 60 ms each), so a scene of our own keeps the
+    last values until others are asked for. A scene that the caller handed in is restored after every use.
+
+    Parameters
+    ----------
+    scene
+        The live ``mi.Scene``.
+    names
+        The parameters that may be written.
+    borrowed
+        Whether the scene belongs to the caller.
+    """
+
+    def __init__(self, scene: Any, names: Sequence[str], *, borrowed: bool) -> None:
+        self._params = mi.traverse(scene)
+        self._params.properties = {n: p for n, p in self._params.properties.items() if n in set(names)}
+        self._types = {name: type(self._params[name]) for name in names}
+        self._borrowed = borrowed
+        self._found = {name: self._types[name](self._params[name]) for name in names}
+        self.original = {name: _to_torch(value) for name, value in self._found.items()}
+        self._held = dict(self.original)
+        self.leaves: dict[str, Any] = {}
+
+    def stale(self, values: Mapping[str, torch.Tensor], tracked: Collection[str]) -> dict[str, torch.Tensor]:
+        """Return copies of what must be written so that the scene holds ``values`` and tracks ``tracked``.
+
+        They are copies because Dr.Jit borrows torch's memory, which the caller may change at any time.
+        """
+        return {
+            name: tensor.clone()
+            for name, tensor in {**self.original, **values}.items()
+            if (name in tracked) != (name in self.leaves) or not self._holds(name, tensor)
+        }
+
+    def write(
+        self, stale: Mapping[str, torch.Tensor], arrays: Sequence[Any], tracked: Collection[str]
+    ) -> None:
+        """Put ``arrays``, the ``stale`` tensors as Dr.Jit sees them, into the scene."""
+        leaves = {name: leaf for name, leaf in self.leaves.items() if name not in stale}
+        for name, array in zip(stale, arrays, strict=True):
+            # Until the write has gone through, nothing is known of what the scene holds.
+            self._held.pop(name, None)
+            self.leaves.pop(name, None)
+            value = _from_tensor(self._types[name], array)
+            if name in tracked:
+                dr.enable_grad(value)
+                # The scene may derive its own array from this one (a padded environment map), so the gradient
+                # is read here, not from the scene.
+                leaves[name] = value
+            self._params[name] = value
+        if stale:
+            self._params.update()
+        self._held.update(stale)
+        self.leaves = leaves
+        dr.clear_grad(list(leaves.values()))
+
+    def restore(self) -> None:
+        """Leave a borrowed scene as it was found."""
+        untouched = not self.leaves and all(self._holds(name, t) for name, t in self.original.items())
+        if not self._borrowed or untouched:
+            return
+        self.leaves = {}
+        for name, value in self._found.items():
+            self._params[name] = self._types[name](value)
+        self._params.update()
+        self._held = dict(self.original)
+
+    def set_tangents(self, tangents: Mapping[str, Any]) -> None:
+        """Give the leaves their tangents and carry them to the arrays that the scene derives from the leaves."""
+        for name, tangent in tangents.items():
+            leaf = self.leaves[name]
+            dr.set_grad(leaf, _from_tensor(type(leaf), tangent))
+            dr.enqueue(dr.ADMode.Forward, leaf)
+        dr.traverse(dr.ADMode.Forward, flags=dr.ADFlag.ClearEdges)
+        # That used up the edges between leaves and scene: the next write starts afresh.
+        self._held.clear()
+
+    def _holds(self, name: str, tensor: torch.Tensor) -> bool:
+        held = self._held.get(name)
+        return held is not None and torch.equal(held, tensor)
+
+
+def flat(value: Any) -> Any:
+    """Return a scalar, colour or tensor of Dr.Jit as the tensor that stands for it in torch."""
+    if dr.is_tensor_v(value):
+        return value
+    if dr.depth_v(value) > 1:
+        return mi.TensorXf(dr.ravel(value), shape=(dr.size_v(value),))
+    width = dr.width(value)
+    return mi.TensorXf(value, shape=() if width == 1 else (width,))
+
+
+def _to_torch(value: Any) -> torch.Tensor:
+    tensor: torch.Tensor = flat(dr.detach(value)).torch()
+    return tensor.to(torch.float32).clone()
+
+
+def _from_tensor(kind: type, tensor: Any) -> Any:
+    if dr.is_tensor_v(kind):
+        return kind(tensor)
+    # A vector built from a flat array would be broadcast (a colour becomes 3×3), so it is unravelled.
+    return dr.unravel(kind, tensor.array) if dr.depth_v(kind) > 1 else kind(tensor.array)

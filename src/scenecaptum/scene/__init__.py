@@ -1,0 +1,9 @@
+"""What is in a scene: loading it, its parameters with kind, bounds and owner, and the bundled rooms."""
+
+from ._loading import load_scene as load_scene
+from ._parameters import Parameter as Parameter
+from ._parameters import SceneParameters as SceneParameters
+from ._parameters import discover as discover
+from ._selection import select as select
+from ._surfaces import SurfaceMap as SurfaceMap
+from .bundled import BUNDLED as BUNDLED

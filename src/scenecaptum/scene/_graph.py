@@ -1,0 +1,142 @@
+"""The scene as a graph of objects: who holds whom, and which parameters each visible object shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from ..backend import activate
+
+
+class SceneGraph:
+    """Edges between the objects of a scene.
+
+    ``mi.traverse`` visits an object once, under its first holder. Materials are shared, nested and used from
+    two sides, so painting a parameter onto every surface that shows it needs all the holders.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        self.scene = scene
+        self._children: dict[Any, list[tuple[str, Any]]] = {}
+        self._holders: dict[Any, list[tuple[Any, str]]] = {}
+        self._walk(scene)
+
+    def _walk(self, node: Any) -> None:
+        children = self._children[node] = _children(node)
+        for name, child in children:
+            self._holders.setdefault(child, []).append((node, name))
+            if child not in self._children:
+                self._walk(child)
+
+    def role(self, node: Any, attribute: str) -> tuple[Any, str]:
+        """Return the material, light, medium, shape or sensor that uses a value, and what it uses it as.
+
+        The value of a texture has the role that its holder gives the texture: ``reflectance``, say.
+        """
+        mi = activate()
+        while isinstance(node, (mi.Texture, mi.Volume)) and self._holders.get(node):
+            node, attribute = self._holders[node][0]
+        return node, attribute
+
+    def owners(self, node: Any) -> tuple[str, ...]:
+        """Names of the outermost materials, lights and media through which a value reaches the picture."""
+        mi = activate()
+        found: dict[str, None] = {}
+        pending = [node]
+        while pending:
+            current = pending.pop()
+            holders = self._holders.get(current, [])
+            # A material is outermost where a shape wears it; a light or medium belongs to its shape.
+            worn = [holder for holder, _ in holders if isinstance(holder, mi.Shape)]
+            if isinstance(current, mi.BSDF) and (worn or not _held_by_material(holders)):
+                found[_name(current, worn)] = None
+            elif isinstance(current, (mi.Emitter, mi.Medium)):
+                found[_name(worn[0], []) if worn else _name(current, [])] = None
+            elif isinstance(current, (mi.Shape, mi.Sensor)):
+                found[_name(current, [])] = None
+            pending += [
+                holder for holder, _ in holders if isinstance(holder, (mi.BSDF, mi.Texture, mi.Volume))
+            ]
+            if isinstance(current, (mi.Texture, mi.Volume, mi.PhaseFunction, mi.Film, mi.Sampler)):
+                pending += [h for h, _ in holders if isinstance(h, (mi.Emitter, mi.Medium, mi.Sensor))]
+        return tuple(found)
+
+    def shapes(self) -> list[tuple[str, Any, set[Any]]]:
+        """Every shape with its name and the set of objects that its appearance depends on directly."""
+        shapes = list(self.scene.shapes())
+        names = _unique([shape.id() or f"shape_{i}" for i, shape in enumerate(shapes)])
+        return [(name, shape, set(self._below(shape))) for name, shape in zip(names, shapes, strict=True)]
+
+    def background(self) -> set[Any]:
+        """Return the objects that a ray which leaves the scene shows: the environment and what it holds."""
+        environment = self.scene.environment()
+        return set(self._below(environment)) if environment is not None else set()
+
+    def has(self, object_class: type) -> bool:
+        """Whether any object of the scene is of that Mitsuba class."""
+        return any(isinstance(node, object_class) for node in self._children)
+
+    def _below(self, node: Any) -> Iterator[Any]:
+        seen, pending = {node}, [node]
+        while pending:
+            current = pending.pop()
+            yield current
+            fresh = [child for _, child in self._children.get(current, []) if child not in seen]
+            seen.update(fresh)
+            pending += fresh
+
+
+def _children(node: Any) -> list[tuple[str, Any]]:
+    """Objects that a Mitsuba object reports when it is traversed, by the name it gives them."""
+    found: list[tuple[str, Any]] = []
+    node.traverse(_collector()(found))
+    return found
+
+
+@cache
+def _collector() -> Any:
+    """Make the callback class that collects child objects (its base exists only once a variant is chosen)."""
+    mi = activate()
+
+    base: Any = mi.TraversalCallback
+
+    class Collector(base):
+        def __init__(self, found: list[tuple[str, Any]]) -> None:
+            base.__init__(self)
+            self.found = found
+
+        def put(self, name: str, value: Any, flags: int, cpptype: Any = None) -> None:
+            if isinstance(value, mi.Object):
+                self.put_object(name, value, flags)
+
+        def put_value(self, name: str, value: Any, flags: int, cpptype: Any = None) -> None:
+            pass
+
+        def put_object(self, name: str, value: Any, flags: int) -> None:
+            if value is not None:
+                self.found.append((name, value))
+
+    return Collector
+
+
+def _held_by_material(holders: list[tuple[Any, str]]) -> bool:
+    mi = activate()
+    return any(isinstance(holder, mi.BSDF) for holder, _ in holders)
+
+
+def _name(node: Any, wearers: list[Any]) -> str:
+    """Return an object's id; a material written inside its only shape goes by the shape's name."""
+    identifier = node.id()
+    if wearers and identifier in ("", "bsdf"):
+        identifier = wearers[0].id()
+    return str(identifier or node.class_name())
+
+
+def _unique(names: list[str]) -> list[str]:
+    seen: dict[str, int] = {}
+    result = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        result.append(name if seen[name] == 1 else f"{name}_{seen[name] - 1}")
+    return result

@@ -1,0 +1,129 @@
+"""From a path, a Mitsuba dict, a bundled name or an ``mi.Scene`` to a scene that can be differentiated."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from ..backend import activate
+from ..errors import SceneCaptumError, near_misses
+from .bundled import BUNDLED
+
+SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
+
+
+def load_scene(scene: SceneLike) -> Any:
+    """Return an ``mi.Scene`` in which every object keeps its own name and every bitmap carries derivatives.
+
+    Parameters
+    ----------
+    scene
+        A path to a Mitsuba XML file, a Mitsuba scene dict, the name of a bundled scene (``"office"``,
+        ``"cornell-box"``) or an ``mi.Scene``, which is returned as it is.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the file is missing or cannot be parsed, a plugin refuses its properties, or there is no sensor.
+    """
+    mi = activate()
+    if isinstance(scene, mi.Scene):
+        loaded = scene
+    elif isinstance(scene, Mapping):
+        loaded = _instantiate("the scene dict", lambda config: mi.parser.parse_dict(config, dict(scene)))
+    elif isinstance(scene, (str, os.PathLike)):
+        loaded = _load_named(scene)
+    else:
+        raise SceneCaptumError(
+            f"scene must be a path, a Mitsuba scene dict, the name of a bundled scene or an mi.Scene, "
+            f"not {type(scene).__name__}."
+        )
+    if not loaded.sensors():
+        raise SceneCaptumError(
+            f"{describe(scene)} has no sensor, so there is nothing to render it with. "
+            'Add one, for example <sensor type="perspective">…</sensor>.'
+        )
+    return loaded
+
+
+def describe(scene: SceneLike) -> str:
+    """Name a scene in an error message or a result: its file or bundled name, else what it is."""
+    if isinstance(scene, (str, os.PathLike)):
+        return os.fspath(scene)
+    return "the scene dict" if isinstance(scene, Mapping) else "the mi.Scene"
+
+
+def _load_named(scene: str | os.PathLike[str]) -> Any:
+    mi = activate()
+    path = Path(scene)
+    if path.is_file():
+        # Textures and meshes are named relative to the file.
+        with _search_path(path.resolve().parent):
+            return _instantiate(str(path), lambda config: mi.parser.parse_file(config, str(path)))
+    name = os.fspath(scene)
+    if name in BUNDLED:
+        return _instantiate(name, lambda config: mi.parser.parse_dict(config, BUNDLED[name]()))
+    if path.is_dir():
+        raise SceneCaptumError(f"{path} is a folder, not a scene file.{_xml_inside(path)}")
+    raise SceneCaptumError(
+        f"There is no scene file {name!r}, and no bundled scene of that name "
+        f"(bundled: {', '.join(BUNDLED)}).{near_misses(name, BUNDLED)}"
+    )
+
+
+def _xml_inside(folder: Path) -> str:
+    inside = sorted(folder.glob("*.xml"))
+    return f" Did you mean {inside[0]}?" if inside else " It holds no .xml file either."
+
+
+@contextlib.contextmanager
+def _search_path(folder: Path) -> Iterator[None]:
+    """Let Mitsuba find the files a scene names beside ``folder``, and forget the folder afterwards."""
+    mi = activate()
+    previous = mi.file_resolver()
+    resolver = mi.FileResolver(previous)
+    resolver.prepend(str(folder))
+    mi.set_file_resolver(resolver)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(previous)
+
+
+def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
+    mi = activate()
+    config = mi.parser.ParserConfig(mi.variant())
+    # Merging would rename shapes to object_<address> and fuse materials that the user tells apart.
+    config.merge_equivalent = False
+    config.merge_meshes = False
+    try:
+        state = parse(config)
+        mi.parser.transform_all(config, state)
+        for node in state.nodes:
+            _keep_texels_differentiable(node)
+        loaded = mi.parser.instantiate(config, state)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise SceneCaptumError(f"{name} cannot be loaded: {_reason(error)}") from error
+    if isinstance(loaded, list) and len(loaded) == 1:
+        loaded = loaded[0]
+    if not isinstance(loaded, mi.Scene):
+        raise SceneCaptumError(
+            f"{name} describes {type(loaded).__name__}, not a scene. Wrap it in a scene: "
+            '<scene version="3.0.0">…</scene>, or {"type": "scene", …}.'
+        )
+    return loaded
+
+
+def _keep_texels_differentiable(node: Any) -> None:
+    """Store a bitmap in the variant's floating point type: 8-bit texels carry no derivatives."""
+    if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
+        node.props["format"] = "variant"
+
+
+def _reason(error: Exception) -> str:
+    """Mitsuba's message on one line, without the position in its own source."""
+    text = " ".join(str(error).split())
+    return text.split("] ", 1)[1] if text.startswith("[") and "] " in text else text

@@ -1,0 +1,315 @@
+"""Every parameter of a scene: its kind, shape, physical bounds, owner, and whether it can be differentiated."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..backend import activate
+from ..errors import SceneCaptumError, near_misses
+from ._graph import SceneGraph
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The physically meaningful interval of a parameter; ``open_low`` leaves its lower end out."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+
+    def __str__(self) -> str:
+        """Write the interval as mathematics does: ``(0, 1]``."""
+        left = "(" if self.open_low or math.isinf(self.low) else "["
+        right = ")" if math.isinf(self.high) else "]"
+        return f"{left}{_number(self.low)}, {_number(self.high)}{right}"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a scene.
+
+    Attributes
+    ----------
+    name
+        Its ``mi.traverse`` key under ``optimize=False``, which is its name everywhere.
+    label
+        A readable name for tables and figures.
+    kind
+        ``"reflectance"``, ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"`` (any other property of a
+        material), ``"emitters"``, ``"media"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
+    plugin
+        The Mitsuba class that holds it.
+    shape
+        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture.
+    bounds
+        The values that are physically meaningful.
+    owners
+        The materials, lights or media that it belongs to.
+    problem
+        Why it cannot be differentiated, or None.
+    caution
+        What is known to be wrong with its derivative, or None.
+    """
+
+    name: str
+    label: str
+    kind: str
+    plugin: str
+    shape: tuple[int, ...]
+    bounds: Bounds
+    owners: tuple[str, ...]
+    problem: str | None = None
+    caution: str | None = None
+
+    @property
+    def is_texture(self) -> bool:
+        """Whether its value varies over a surface."""
+        return len(self.shape) == 3 and self.kind in SURFACE_KINDS
+
+    @property
+    def status(self) -> str:
+        """One line: differentiable, differentiable with a caution, or why not."""
+        if self.problem:
+            return f"not differentiable: {self.problem}"
+        return f"differentiable, but {self.caution}" if self.caution else "differentiable"
+
+
+class SceneParameters(Mapping[str, Parameter]):
+    """The parameters of a scene by name, in the scene's order; prints as a table."""
+
+    def __init__(self, parameters: Iterable[Parameter]) -> None:
+        self._by_name = {parameter.name: parameter for parameter in parameters}
+
+    def __getitem__(self, name: str) -> Parameter:
+        try:
+            return self._by_name[name]
+        except KeyError:
+            raise SceneCaptumError(
+                f"The scene has no parameter {name!r}.{near_misses(name, self._by_name)}"
+            ) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._by_name
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def __str__(self) -> str:
+        """Lay out name, kind, shape, bounds, owner and status in columns."""
+        rows = [("name", "kind", "shape", "bounds", "owner", "status")]
+        rows += [
+            (p.name, p.kind, _shape_text(p.shape), str(p.bounds), ", ".join(p.owners), p.status)
+            for p in self.values()
+        ]
+        widths = [max(len(row[column]) for row in rows) for column in range(5)]
+        lines = (
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)) + "  " + row[5]
+            for row in rows
+        )
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+SURFACE_KINDS = ("reflectance", "roughness", "ior", "opacity", "surface")
+
+_UNIT = Bounds(0.0, 1.0)
+_POSITIVE_UNIT = Bounds(0.0, 1.0, open_low=True)
+_NON_NEGATIVE = Bounds(0.0)
+_POSITIVE = Bounds(0.0, open_low=True)
+
+# What a property of a material means, by its name in Mitsuba's plugins.
+_SURFACE_ROLES: dict[str, tuple[str, Bounds]] = {
+    **dict.fromkeys(
+        (
+            "reflectance",
+            "diffuse_reflectance",
+            "specular_reflectance",
+            "specular_transmittance",
+            "diffuse_transmittance",
+            "base_color",
+        ),
+        ("reflectance", _UNIT),
+    ),
+    **dict.fromkeys(
+        ("alpha", "alpha_u", "alpha_v", "roughness", "longitudinal_roughness", "azimuthal_roughness"),
+        ("roughness", _POSITIVE_UNIT),
+    ),
+    "eta": ("ior", _POSITIVE),
+    "k": ("ior", _NON_NEGATIVE),
+    "specular": ("ior", _UNIT),
+    "opacity": ("opacity", _UNIT),
+    "weight": ("opacity", _UNIT),
+    "diff_trans": ("surface", Bounds(0.0, 2.0)),
+    **dict.fromkeys(("eumelanin", "pheomelanin", "sigma_a"), ("surface", _NON_NEGATIVE)),
+    **dict.fromkeys(
+        (
+            "metallic",
+            "anisotropic",
+            "spec_tint",
+            "sheen",
+            "sheen_tint",
+            "clearcoat",
+            "clearcoat_gloss",
+            "spec_trans",
+            "flatness",
+            "normalmap",
+        ),
+        ("surface", _UNIT),
+    ),
+}
+
+_EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width"), Bounds(0.0, 180.0))
+
+_MEDIUM_ROLES: dict[str, Bounds] = {"albedo": _UNIT, "g": Bounds(-1.0, 1.0)}
+
+# What stock path replay gets wrong, each against a finite difference (see the table of derivatives).
+_CAUTIONS: dict[tuple[str, str | None], str] = {
+    ("SmoothConductor", None): "path replay finds no derivative through a perfect mirror: it reads as 0",
+    ("SmoothDielectric", None): "path replay finds no derivative through smooth glass: it reads as 0",
+    ("ThinDielectric", None): "path replay finds no derivative through smooth glass: it reads as 0",
+    ("SmoothPlastic", None): "path replay overstates it where the smooth coat is sampled",
+    ("RoughPlastic", "alpha"): "the plugin's tables are outside the derivative graph: its size is off",
+    ("RoughPlastic", "eta"): "the plugin's tables are outside the derivative graph: even its sign can be off",
+    ("MaskBSDF", "opacity"): "path replay gets its sign wrong",
+    ("Principled", "specular"): "path replay finds no derivative for it: it reads as 0",
+}
+
+_DROPPED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
+
+
+def discover(graph: SceneGraph) -> SceneParameters:
+    """Describe every parameter that ``mi.traverse`` finds in the scene.
+
+    Example
+    -------
+    >>> discover(SceneGraph(load_scene("office")))["desk.brdf_0.base_color.value"].kind  # doctest: +SKIP
+    'reflectance'
+    """
+    mi = activate()
+    # Writing is none of its business, but reading through mi.traverse is what fixes the names.
+    properties = mi.traverse(graph.scene).properties
+    labels = _labels(properties)
+    return SceneParameters(
+        _describe(graph, name, labels[name], node, _value(pointer, cpptype, node), flags)
+        for name, (pointer, cpptype, node, flags) in properties.items()
+    )
+
+
+def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
+    mi = activate()
+    return pointer if cpptype is None else mi.get_property(pointer, cpptype, node)
+
+
+def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int) -> Parameter:
+    holder, role = graph.role(node, name.rsplit(".", 1)[-1])
+    kind, bounds = _kind_and_bounds(holder, role)
+    problem = _problem(kind, role, node, value, flags)
+    plugin = holder.class_name()
+    caution = _CAUTIONS.get((plugin, role)) or _CAUTIONS.get((plugin, None))
+    return Parameter(
+        name=name,
+        label=label,
+        kind=kind,
+        plugin=node.class_name(),
+        shape=_shape(value),
+        bounds=bounds,
+        owners=graph.owners(node),
+        problem=problem,
+        caution=None if problem else caution,
+    )
+
+
+def _kind_and_bounds(holder: Any, role: str) -> tuple[str, Bounds]:
+    mi = activate()
+    if isinstance(holder, mi.BSDF):
+        # A perfect mirror without a named metal has eta = 0, k = 1.
+        if role == "eta" and "Conductor" in holder.class_name():
+            return "ior", _NON_NEGATIVE
+        return _SURFACE_ROLES.get(role, ("surface", Bounds()))
+    if isinstance(holder, mi.Emitter):
+        return "emitters", _EMITTER_ROLES.get(role, _NON_NEGATIVE)
+    if isinstance(holder, (mi.Medium, mi.PhaseFunction)):
+        return "media", _MEDIUM_ROLES.get(role, _NON_NEGATIVE)
+    if isinstance(holder, mi.Shape):
+        # What a mesh carries beside its geometry are attributes that a material looks up.
+        attribute = role.startswith(("vertex_", "face_")) and role not in _GEOMETRY_BUFFERS
+        return ("surface", Bounds()) if attribute else ("geometry", Bounds())
+    if isinstance(holder, (mi.Sensor, mi.Film, mi.Sampler)):
+        return "camera", Bounds()
+    return "scene", Bounds()
+
+
+_GEOMETRY_BUFFERS = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
+
+
+def _problem(kind: str, role: str, node: Any, value: Any, flags: int) -> str | None:
+    """Why the parameter cannot be differentiated, or None where it can."""
+    mi = activate()
+    type_name = type(value).__name__
+    if kind == "geometry" and ("position" in role or "to_world" in role):
+        return "it moves visibility, and a gradient without the boundary term would be silently wrong"
+    if kind == "geometry":
+        return "it belongs to the geometry, whose derivatives have no verified route"
+    if kind == "camera":
+        return "it belongs to the camera, which Mitsuba does not differentiate"
+    if type_name == "TensorXu8":
+        return (
+            "its texels are stored in 8 bits, which carry no derivatives; load the scene from its file or "
+            'dict, or give the bitmap format="variant"'
+        )
+    if role == "sampling_weight" or role.endswith("_sampling_rate"):
+        return "it changes how samples are drawn, not what is rendered"
+    if "Transform" in type_name:
+        return "it is a transformation; only materials, lights and media are differentiated"
+    if not _is_float(value):
+        return f"it is a {type_name}, not a continuous quantity that Mitsuba tracks"
+    if flags & (mi.ParamFlags.NonDifferentiable.value | mi.ParamFlags.ReadOnly.value):
+        return f"Mitsuba's {node.class_name()} keeps it outside the derivative graph"
+    return None
+
+
+def _is_float(value: Any) -> bool:
+    """Whether it is an array, colour, vector or tensor of floats that Dr.Jit can track."""
+    import drjit as dr
+
+    return bool(dr.is_jit_v(value) and dr.is_float_v(value))
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """Shape as a torch tensor: Dr.Jit gives a scalar shape (1,) and a uniform colour (3, 1)."""
+    if not hasattr(value, "shape"):
+        return ()
+    shape = tuple(int(n) for n in value.shape)
+    return shape if "Tensor" in type(value).__name__ or shape[-1:] != (1,) else shape[:-1]
+
+
+def _labels(names: Iterable[str]) -> dict[str, str]:
+    """Readable names: the owner, then what it is; the full name where two would read the same."""
+    names = list(names)
+    labels = {name: _label(name) for name in names}
+    counts = Counter(labels.values())
+    return {name: label if counts[label] == 1 else name for name, label in labels.items()}
+
+
+def _label(name: str) -> str:
+    owner, *rest = name.split(".")
+    words = [segment.replace("_", " ") for segment in rest if segment not in _DROPPED_SEGMENTS]
+    if rest and rest[-1] == "data":
+        words.append("texture" if words else "map")
+    return f"{owner}: {' '.join(words)}" if words else owner
+
+
+def _shape_text(shape: tuple[int, ...]) -> str:
+    return "×".join(map(str, shape)) or "scalar"
+
+
+def _number(value: float) -> str:
+    return "∞" if value == math.inf else "−∞" if value == -math.inf else f"{value:g}"

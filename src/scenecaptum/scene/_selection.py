@@ -1,0 +1,76 @@
+"""From ``inputs=`` to the names of the parameters that are differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import TypeAlias
+
+from ..errors import SceneCaptumError, near_misses
+from ._parameters import SURFACE_KINDS, Parameter, SceneParameters
+
+Selection: TypeAlias = "str | Sequence[str]"
+
+KINDS = ("materials", "reflectance", "roughness", "ior", "opacity", "textures", "emitters", "media", "all")
+
+
+def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
+    """Return the differentiable parameters that ``inputs`` selects, in the scene's order.
+
+    Parameters
+    ----------
+    parameters
+        The scene's parameters.
+    inputs
+        A kind (``"materials"``, ``"reflectance"``, …, ``"all"``), a glob (``"*.reflectance.*"``), an exact
+        name, or a list of these. Kinds and globs pass over what cannot be differentiated.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where a selection matches nothing, or an exact name cannot be differentiated.
+    """
+    wanted = [inputs] if isinstance(inputs, str) else list(inputs)
+    if not wanted:
+        raise SceneCaptumError(f"inputs selects nothing: give a kind ({', '.join(KINDS)}), a glob or a name.")
+    chosen = {name for item in wanted for name in _matches(parameters, item)}
+    return tuple(name for name in parameters if name in chosen)
+
+
+def _matches(parameters: SceneParameters, item: str) -> list[str]:
+    if not isinstance(item, str):
+        raise SceneCaptumError(f"inputs must hold names, globs or kinds, not {type(item).__name__}.")
+    if item in parameters:
+        if parameters[item].problem:
+            raise SceneCaptumError(f"{item!r} cannot be differentiated: {parameters[item].problem}.")
+        return [item]
+    if item in KINDS:
+        matched = [p for p in parameters.values() if _is_of_kind(p, item)]
+    else:
+        matched = [p for p in parameters.values() if fnmatchcase(p.name, item)]
+    differentiable = [p.name for p in matched if not p.problem]
+    if not differentiable:
+        raise SceneCaptumError(_nothing(parameters, item, matched))
+    return differentiable
+
+
+def _is_of_kind(parameter: Parameter, kind: str) -> bool:
+    if kind == "all":
+        return True
+    if kind == "materials":
+        return parameter.kind in SURFACE_KINDS
+    return parameter.is_texture if kind == "textures" else parameter.kind == kind
+
+
+def _nothing(parameters: SceneParameters, item: str, matched: list[Parameter]) -> str:
+    if matched:
+        first = matched[0]
+        return (
+            f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
+            f"{first.name}, for one: {first.problem}."
+        )
+    known = [*KINDS, *(name for name, p in parameters.items() if not p.problem)]
+    return (
+        f"inputs={item!r} matches no parameter of the scene.{near_misses(item, known)} "
+        f"Kinds are {', '.join(KINDS)}; parameters_table() lists every name."
+    )

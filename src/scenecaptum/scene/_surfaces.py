@@ -1,0 +1,35 @@
+"""Which object each pixel shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """The objects that each pixel shows, with the fraction of the pixel that each covers.
+
+    It is a sparse matrix in coordinate form: entry ``k`` says that object ``object_index[k]`` covers the
+    fraction ``fraction[k]`` of pixel ``pixel[k]`` (row-major). The fractions of a pixel sum to 1.
+
+    Attributes
+    ----------
+    shape
+        ``(H, W)`` of the picture.
+    pixel, object_index, fraction
+        ``(K,)`` arrays of int32, int32 and float32.
+    objects
+        The name of every object of the scene, visible or not; the last is what a ray that hits nothing sees.
+    parameters
+        For each object the names of the scene parameters that its appearance depends on directly.
+    """
+
+    shape: tuple[int, int]
+    pixel: NDArray[np.int32]
+    object_index: NDArray[np.int32]
+    fraction: NDArray[np.float32]
+    objects: tuple[str, ...]
+    parameters: tuple[tuple[str, ...], ...]
