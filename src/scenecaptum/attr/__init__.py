@@ -1,1 +1,6 @@
-"""The attribution methods and their result."""
+"""The attribution methods, named after Captum's, and the result that they return."""
+
+from ._attribution import Ranked as Ranked
+from ._attribution import SceneAttribution as SceneAttribution
+from ._interruption import AttributionInterrupted as AttributionInterrupted
+from ._vanilla import VanillaSceneGradient as VanillaSceneGradient

@@ -120,6 +120,18 @@ class SceneRenderer(torch.nn.Module):
         """A readable name for each input."""
         return {name: self._table[name].label for name in self._names}
 
+    @property
+    def info(self) -> dict[str, Any]:
+        """How this renderer renders, in plain values, for the record of a result."""
+        return {
+            "scene": self.name,
+            "resolution": list(self.resolution),
+            "integrator": self.plan.integrator,
+            "max_depth": self.plan.max_depth,
+            "variant": activate().variant(),
+            "cautions": dict(self.plan.cautions),
+        }
+
     def parameters_table(self) -> SceneParameters:
         """Return every parameter of the scene with kind, shape, bounds, owner and status; prints as a table."""
         return self._table

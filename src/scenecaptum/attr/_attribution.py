@@ -1,0 +1,279 @@
+"""``SceneAttribution``: what an attribution method returns."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+
+from ..errors import SceneCaptumError, near_misses
+from ..scene import SurfaceMap
+from ._passes import Adjoints, Spread, channel_totals, covariance_of_mean
+from ._student import student_t
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Tensors = Mapping[str, torch.Tensor]
+
+
+class Ranked(NamedTuple):
+    """One row of a ranking; ``total`` and ``total_error`` have one element per channel."""
+
+    rank: int
+    name: str
+    label: str
+    saliency: float
+    saliency_error: float | None
+    total: tuple[float, ...]
+    total_error: tuple[float, ...] | None
+
+
+@dataclass(frozen=True, repr=False)
+class SceneAttribution(Mapping[str, torch.Tensor]):
+    """Signed attributions by parameter name, each with the shape of its parameter; prints as a ranked table.
+
+    Attributes
+    ----------
+    attributions
+        The tensors by name; ``attribution[name]`` is the same.
+    standard_error
+        Standard errors of the same shapes, or None where there were fewer than two passes.
+    bias
+        The jackknife's estimate of what the image's noise put into each gradient by way of a non-linear metric;
+        the attributions are free of it (to first order). None where there were fewer than two passes.
+    replicates
+        For each parameter a ``(passes, C)`` tensor: its channel totals in every pass.
+    covariance
+        For each parameter a ``(C, C)`` tensor: the covariance of its channel totals, or None like the errors.
+    metric_value, metric_standard_error
+        The metric at the rendered image, and its standard error where there is one.
+    convergence_delta
+        For methods that have one: what the attributions miss of the difference that they explain.
+    labels
+        A readable name for each parameter.
+    image
+        The rendered image, ``(H, W, 3)`` linear radiance.
+    surfaces
+        Which objects each pixel shows, where the renderer knows.
+    info
+        How it was computed: method, metric, seed, samples, integrator, seconds, versions.
+    """
+
+    attributions: Tensors
+    standard_error: Tensors | None
+    metric_value: float
+    metric_standard_error: float | None = None
+    convergence_delta: float | None = None
+    bias: Tensors | None = None
+    replicates: Tensors = field(default_factory=dict)
+    covariance: Tensors | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    image: torch.Tensor | None = None
+    surfaces: SurfaceMap | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> torch.Tensor:
+        try:
+            return self.attributions[name]
+        except KeyError:
+            raise SceneCaptumError(
+                f"There is no attribution to {name!r}.{near_misses(name, self.attributions)}"
+            ) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.attributions
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.attributions)
+
+    def __len__(self) -> int:
+        return len(self.attributions)
+
+    def saliency(self) -> dict[str, float]:
+        """Return each parameter's magnitude: the ℓ2 norm over its channels.
+
+        A texture is first summed over its texels: its saliency is that of raising all of them alike, so that a
+        texture of one colour ranks like that colour.
+        """
+        return {name: channel_totals(value).norm().item() for name, value in self.items()}
+
+    def saliency_error(self) -> dict[str, float] | None:
+        """Return the standard error of each saliency, from the covariance of the channels over the passes."""
+        if self.covariance is None:
+            return None
+        return {name: _norm_error(channel_totals(self[name]), self.covariance[name]) for name in self}
+
+    def ranking(self, top: int | None = None) -> list[Ranked]:
+        """Return the parameters by falling saliency, all of them or the ``top`` first."""
+        saliency, errors = self.saliency(), self.saliency_error()
+        order = sorted(self, key=lambda name: -saliency[name])
+        return [
+            Ranked(
+                rank=rank,
+                name=name,
+                label=self.labels.get(name, name),
+                saliency=saliency[name],
+                saliency_error=None if errors is None else errors[name],
+                total=tuple(channel_totals(self[name]).tolist()),
+                total_error=self._total_error(name),
+            )
+            for rank, name in enumerate(order[:top], start=1)
+        ]
+
+    def _total_error(self, name: str) -> tuple[float, ...] | None:
+        if self.covariance is None:
+            return None
+        return tuple(self.covariance[name].diagonal().sqrt().tolist())
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        """Return for each parameter the lower and upper ends of a confidence interval (Student's t).
+
+        Raises
+        ------
+        SceneCaptumError
+            Where there is no standard error, or ``level`` is not between 0 and 1.
+        """
+        if self.standard_error is None:
+            raise SceneCaptumError(
+                "There are no error bars: they take at least two passes. Call attribute(replicates=8)."
+            )
+        if not 0 < level < 1:
+            raise SceneCaptumError(f"level must lie between 0 and 1, not {level!r}.")
+        width = student_t(level, self.info["passes"] - 1)
+        return {
+            name: (value - width * self.standard_error[name], value + width * self.standard_error[name])
+            for name, value in self.items()
+        }
+
+    def __sub__(self, other: SceneAttribution) -> SceneAttribution:
+        """Compare two metrics or two designs: this attribution minus ``other``, parameter by parameter.
+
+        Two results of the same seed and samples share their noise, so the errors of their totals come from the
+        pass-by-pass differences; otherwise, and for the texels of a texture, they are taken as independent.
+        """
+        if not isinstance(other, SceneAttribution):
+            return NotImplemented
+        if set(self) != set(other) or any(self[name].shape != other[name].shape for name in self):
+            odd = sorted(set(self) ^ set(other))
+            raise SceneCaptumError(
+                "Only attributions to the same parameters can be subtracted; these differ in "
+                f"{', '.join(odd[:3]) or 'the shape of a parameter'}{' …' if len(odd) > 3 else ''}."
+            )
+        from ._difference import subtract
+
+        return subtract(self, other)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the ranking as a pandas DataFrame (needs pandas: ``pip install 'scenecaptum[frames]'``)."""
+        try:
+            import pandas
+        except ImportError as error:
+            raise SceneCaptumError(
+                "to_dataframe() needs pandas: pip install 'scenecaptum[frames]'"
+            ) from error
+        return pandas.DataFrame([row._asdict() for row in self.ranking()]).set_index("rank")
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything to one file (numpy's ``.npz``, no pickle), from which ``load`` restores it."""
+        from ._storage import save
+
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> SceneAttribution:
+        """Read what ``save`` wrote.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where the file is missing, truncated, or something else.
+        """
+        from ._storage import load
+
+        return load(path)
+
+    def heatmap(self) -> torch.Tensor:
+        """Return an ``(H, W)`` tensor in [0, 1]: each pixel has the saliency of what it shows."""
+        from ..projection import heatmap
+
+        return heatmap(self)
+
+    def plot_heatmap(self) -> Figure:
+        """Draw the heatmap beside the render."""
+        from ..visualization import plot_heatmap
+
+        return plot_heatmap(self)
+
+    def plot_bars(self, top: int | None = 15, ax: Axes | None = None) -> Figure:
+        """Draw the ranking as bars with their standard errors."""
+        from ..visualization import plot_bars
+
+        return plot_bars(self, top=top, ax=ax)
+
+    def __str__(self) -> str:
+        from ..visualization import table_text
+
+        return table_text(self)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from ..visualization import table_html
+
+        return table_html(self)
+
+
+def make_attribution(
+    renderer: Any,
+    spreads: Mapping[str, Spread],
+    adjoints: Adjoints,
+    bias: dict[str, torch.Tensor] | None,
+    *,
+    image: torch.Tensor,
+    info: dict[str, Any],
+) -> SceneAttribution:
+    """Put a result together from the passes, and ask the renderer for what it knows of itself."""
+    passes = min(len(spread.totals) for spread in spreads.values())
+    replicates = {name: torch.stack(spread.totals) for name, spread in spreads.items()}
+    barred = passes > 1
+    return SceneAttribution(
+        attributions={name: spread.mean for name, spread in spreads.items()},
+        standard_error={n: spread.standard_error() for n, spread in spreads.items()} if barred else None,
+        metric_value=adjoints.value,
+        metric_standard_error=adjoints.standard_error,
+        bias=bias,
+        replicates=replicates,
+        covariance={n: covariance_of_mean(one) for n, one in replicates.items()} if barred else None,
+        labels=dict(getattr(renderer, "labels", {})),
+        image=image,
+        surfaces=getattr(renderer, "surfaces", None),
+        info={
+            **info,
+            "passes": passes,
+            "metric_bias": adjoints.bias,
+            **getattr(renderer, "info", {}),
+            "versions": _versions(),
+        },
+    )
+
+
+def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:
+    """Return the standard error of a norm, to first order: the spread along the vector's direction."""
+    norm = total.norm()
+    if norm == 0:
+        return float(covariance.diagonal().sum().sqrt())
+    direction = total / norm
+    return float((direction @ covariance @ direction).clamp_min(0).sqrt())
+
+
+def _versions() -> dict[str, str]:
+    packages = ("scenecaptum", "torch", "mitsuba", "drjit")
+    return {"python": platform.python_version(), **{p: importlib.metadata.version(p) for p in packages}}

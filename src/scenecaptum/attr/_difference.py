@@ -1,0 +1,58 @@
+"""The difference of two attributions, with its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import torch
+
+from ._attribution import SceneAttribution
+from ._passes import covariance_of_mean
+
+
+def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
+    """Return ``a - b`` for attributions to the same parameters."""
+    replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _share_noise(a, b) else {}
+    return dataclasses.replace(
+        a,
+        attributions={name: a[name] - b[name] for name in a},
+        standard_error=_errors(a, b, replicates),
+        bias=None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a},
+        replicates=replicates,
+        covariance=_covariance(a, b, replicates),
+        metric_value=a.metric_value - b.metric_value,
+        metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error),
+        info={**a.info, "metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)},
+    )
+
+
+def _share_noise(a: SceneAttribution, b: SceneAttribution) -> bool:
+    same = all(a.info.get(key) == b.info.get(key) for key in ("seed", "spp", "passes", "resolution"))
+    return same and bool(a.replicates) and bool(b.replicates)
+
+
+def _covariance(
+    a: SceneAttribution, b: SceneAttribution, replicates: dict[str, torch.Tensor]
+) -> dict[str, torch.Tensor] | None:
+    if a.covariance is None or b.covariance is None:
+        return None
+    if replicates:
+        return {name: covariance_of_mean(passes) for name, passes in replicates.items()}
+    return {name: a.covariance[name] + b.covariance[name] for name in a}
+
+
+def _errors(
+    a: SceneAttribution, b: SceneAttribution, replicates: dict[str, torch.Tensor]
+) -> dict[str, torch.Tensor] | None:
+    if a.standard_error is None or b.standard_error is None:
+        return None
+    errors = {name: torch.hypot(a.standard_error[name], b.standard_error[name]) for name in a}
+    for name, passes in replicates.items():
+        if a[name].ndim < 3:  # its channel totals are its elements
+            errors[name] = covariance_of_mean(passes).diagonal().sqrt().reshape(a[name].shape)
+    return errors
+
+
+def _hypot(a: float | None, b: float | None) -> float | None:
+    return None if a is None or b is None else math.hypot(a, b)

@@ -1,0 +1,86 @@
+"""Evaluating a metric and its adjoint image, and saying clearly what is wrong with one that cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import torch
+
+from ..errors import SceneCaptumError
+
+Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
+Target: TypeAlias = "int | tuple[int, ...] | None"
+
+
+@dataclass(frozen=True)
+class TargetedMetric:
+    """A metric together with the element of its output that is attributed."""
+
+    metric: Metric
+    target: Target = None
+
+    @property
+    def name(self) -> str:
+        """What the metric is called, in tables and figures."""
+        name = getattr(self.metric, "__name__", type(self.metric).__name__)
+        return name if self.target is None else f"{name}[{self.target}]"
+
+    def value_and_adjoint(self, image: torch.Tensor) -> tuple[float, torch.Tensor]:
+        """Return the metric's value at an image and its derivative with respect to every pixel.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where the metric does not return a finite scalar that depends on the image.
+        """
+        leaf = image.detach().requires_grad_()
+        with torch.enable_grad():
+            value = self._scalar(self.metric(leaf))
+        if not value.requires_grad:
+            raise SceneCaptumError(self._does_not_depend())
+        (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
+        if adjoint is None:
+            raise SceneCaptumError(self._does_not_depend())
+        if not torch.isfinite(value):
+            raise SceneCaptumError(f"The metric {self.name} is {value.item()} on the rendered image.")
+        if not torch.isfinite(adjoint).all():
+            bad = int((~torch.isfinite(adjoint)).any(-1).sum())
+            raise SceneCaptumError(
+                f"The metric {self.name} has a derivative that is not finite on {bad} of "
+                f"{adjoint[..., 0].numel()} pixels. A square root or logarithm of 0 is the usual cause: "
+                "add a small constant inside it."
+            )
+        return value.item(), adjoint
+
+    def _scalar(self, output: Any) -> torch.Tensor:
+        if not isinstance(output, torch.Tensor):
+            raise SceneCaptumError(
+                f"The metric {self.name} must return a torch tensor, not {type(output).__name__}. "
+                "Write it in torch operations, without .item(), float() or numpy."
+            )
+        if self.target is not None:
+            output = self._at_target(output)
+        if output.numel() != 1:
+            raise SceneCaptumError(
+                f"The metric {self.name} must return a scalar; it returned shape {tuple(output.shape)}. "
+                "Say which element is meant with target=, or reduce it, for example with .mean()."
+            )
+        scalar: torch.Tensor = output.reshape(())
+        return scalar
+
+    def _at_target(self, output: torch.Tensor) -> torch.Tensor:
+        try:
+            chosen: torch.Tensor = output[self.target]
+        except (IndexError, TypeError) as error:
+            raise SceneCaptumError(
+                f"target={self.target!r} does not index the metric's output of shape {tuple(output.shape)}."
+            ) from error
+        return chosen
+
+    def _does_not_depend(self) -> str:
+        return (
+            f"The metric {self.name} does not depend on the image through differentiable torch operations: "
+            "look for .detach(), torch.no_grad(), rounding, comparisons or an integer result."
+        )

@@ -1,0 +1,151 @@
+"""Splitting a sample budget into independent passes, and what their spread says about the error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from ..errors import SceneCaptumError
+from ._metric import TargetedMetric
+
+DEFAULT_PASSES = 8
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How samples are split: ``len(seeds)`` passes of ``spp`` samples per pixel, with seeds of their own.
+
+    Attributes
+    ----------
+    spp
+        Samples per pixel in each pass, or None where the renderer decides.
+    seeds, gradient_seeds
+        A seed for each primal and each backward pass, independent of each other: if the backward pass replayed
+        the primal's samples, their common noise would bias the gradient of a non-linear metric.
+    """
+
+    spp: int | None
+    seeds: tuple[int, ...]
+    gradient_seeds: tuple[int, ...]
+
+    @classmethod
+    def split(cls, spp: int | None, passes: int, seed: int) -> Budget:
+        """Split ``spp`` samples per pixel into at least ``passes`` passes of equal size.
+
+        The number of passes is the smallest from ``passes`` to ``2·passes`` that divides ``spp``; where none
+        does, the samples of each pass are rounded up. Fewer samples than passes give one pass a sample.
+        """
+        if isinstance(passes, bool) or int(passes) != passes or passes < 1:
+            raise SceneCaptumError(f"replicates must be a whole number of at least 1, not {passes!r}.")
+        if spp is not None and passes > 1:
+            passes = next((n for n in range(passes, 2 * passes + 1) if spp % n == 0), min(passes, spp))
+        states = np.random.SeedSequence(seed).generate_state(2 * passes)
+        drawn = tuple(int(state) for state in states)
+        return cls(None if spp is None else math.ceil(spp / passes), drawn[:passes], drawn[passes:])
+
+
+@dataclass(frozen=True)
+class Adjoints:
+    """What the metric makes of the primal passes.
+
+    Attributes
+    ----------
+    value, standard_error, bias
+        The metric at the mean image, and the jackknife's estimates of its standard error and of the bias that
+        the image's noise puts into it (None for a single pass).
+    passes
+        The adjoint image to be propagated by each backward pass.
+    bias_adjoint
+        What the noise of the image puts into the adjoint on average, or None where the metric is linear.
+    """
+
+    value: float
+    standard_error: float | None
+    bias: float | None
+    passes: tuple[torch.Tensor, ...]
+    bias_adjoint: torch.Tensor | None
+
+
+def jackknife(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> Adjoints:
+    """Evaluate a metric on the mean image, and on the mean of all images but one, for each one.
+
+    Backward pass ``r`` gets the pseudo-value ``R·a(mean) − (R − 1)·a(mean without r)`` of the adjoint image
+    ``a = ∂M/∂I``. To first order it is ``a + H (image r − mean)`` with ``H`` the metric's Hessian, so the spread
+    of the propagated gradients contains the noise of the image at its full size (propagating ``a(mean without
+    r)`` itself would show only the fraction ``1/(R − 1)`` of it), and their mean is free of the bias of order
+    ``1/R`` that a noisy image puts into the adjoint of a non-linear metric.
+
+    References
+    ----------
+    Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+    """
+    count = len(images)
+    total = torch.stack(tuple(images)).sum(0)
+    value, adjoint = metric.value_and_adjoint(total / count)
+    if count == 1:
+        return Adjoints(value, None, None, (adjoint,), None)
+
+    values, adjoints = zip(
+        *(metric.value_and_adjoint((total - image) / (count - 1)) for image in images), strict=True
+    )
+    mean_value = sum(values) / count
+    spread = sum((one - mean_value) ** 2 for one in values)
+    bias_adjoint = (count - 1) * (torch.stack(adjoints).mean(0) - adjoint)
+    # A linear metric leaves rounding errors here, which are not worth a pass.
+    linear = bias_adjoint.norm() <= 1e-5 * adjoint.norm()
+    return Adjoints(
+        value=value,
+        standard_error=math.sqrt((count - 1) / count * spread),
+        bias=(count - 1) * (mean_value - value),
+        passes=tuple(count * adjoint - (count - 1) * one for one in adjoints),
+        bias_adjoint=None if linear else bias_adjoint,
+    )
+
+
+@dataclass
+class Spread:
+    """Running mean and variance of one parameter's gradient over the passes (Welford's algorithm).
+
+    The channel totals of every pass are kept as well: the error of a norm or of a difference of two results
+    needs their covariance.
+    """
+
+    mean: torch.Tensor
+    squares: torch.Tensor = field(init=False)
+    totals: list[torch.Tensor] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.mean = torch.zeros_like(self.mean)
+        self.squares = torch.zeros_like(self.mean)
+
+    def add(self, gradient: torch.Tensor) -> None:
+        """Take in the gradient of one more pass."""
+        self.totals.append(channel_totals(gradient))
+        step = gradient - self.mean
+        self.mean = self.mean + step / len(self.totals)
+        self.squares = self.squares + step * (gradient - self.mean)
+
+    def standard_error(self) -> torch.Tensor:
+        """Return the standard error of the mean, elementwise; it takes two passes."""
+        count = len(self.totals)
+        return (self.squares / (count * (count - 1))).sqrt()
+
+
+def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
+    """Return what a parameter's attribution amounts to, a ``(C,)`` vector.
+
+    A scalar, vector or matrix is itself, flattened. A texture ``(H, W, C)`` or a grid is summed over its texels:
+    the effect of raising all of them alike, so that a texture of one colour counts like that colour.
+    """
+    return tensor.reshape(-1) if tensor.ndim < 3 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
+
+
+def covariance_of_mean(replicates: torch.Tensor) -> torch.Tensor:
+    """Return the ``(C, C)`` covariance of the mean of ``(passes, C)`` independent replicates."""
+    deviations = replicates - replicates.mean(0)
+    count = len(replicates)
+    return deviations.T @ deviations / (count * (count - 1))

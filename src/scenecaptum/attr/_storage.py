@@ -1,0 +1,100 @@
+"""Saving and loading attributions: numpy's ``.npz`` with a JSON header, never pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..errors import SceneCaptumError
+from ..scene import SurfaceMap
+from ._attribution import SceneAttribution
+
+FORMAT = "scenecaptum attribution 1"
+
+_TENSOR_FIELDS = ("attributions", "standard_error", "bias", "replicates", "covariance")
+_SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta")
+
+
+def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
+    """Write an attribution to a file, which appears whole or not at all."""
+    names = list(attribution)
+    header: dict[str, Any] = {
+        "format": FORMAT,
+        "names": names,
+        "fields": [field for field in _TENSOR_FIELDS if getattr(attribution, field)],
+        "labels": dict(attribution.labels),
+        "info": dict(attribution.info),
+        **{field: getattr(attribution, field) for field in _SCALAR_FIELDS},
+    }
+    arrays = {
+        f"{field}/{index}": getattr(attribution, field)[name].numpy(force=True)
+        for field in header["fields"]
+        for index, name in enumerate(names)
+    }
+    if attribution.image is not None:
+        arrays["image"] = attribution.image.numpy(force=True)
+    if (surfaces := attribution.surfaces) is not None:
+        header["surfaces"] = {
+            "shape": surfaces.shape,
+            "objects": surfaces.objects,
+            "parameters": surfaces.parameters,
+        }
+        for field in ("pixel", "object_index", "fraction"):
+            arrays[f"surfaces/{field}"] = getattr(surfaces, field)
+    _write(Path(path), header, arrays)
+
+
+def load(path: str | os.PathLike[str]) -> SceneAttribution:
+    """Read an attribution that ``save`` wrote."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = json.loads(str(file["header"]))
+            if header["format"] != FORMAT:
+                raise SceneCaptumError(f"{path} is a {header['format']!r}, not a {FORMAT!r}.")
+            return _restore(header, file)
+    except FileNotFoundError:
+        raise SceneCaptumError(f"There is no saved attribution at {path}.") from None
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise SceneCaptumError(
+            f"{path} is not a saved attribution, or it is damaged ({type(error).__name__}: {error}). "
+            "Save it again with SceneAttribution.save."
+        ) from error
+
+
+def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
+    def tensors(field: str) -> dict[str, torch.Tensor]:
+        return {name: torch.from_numpy(file[f"{field}/{i}"]) for i, name in enumerate(header["names"])}
+
+    fields: dict[str, Any] = {"standard_error": None, **{f: tensors(f) for f in header["fields"]}}
+    if "image" in file:
+        fields["image"] = torch.from_numpy(file["image"])
+    if described := header.get("surfaces"):
+        fields["surfaces"] = SurfaceMap(
+            shape=tuple(described["shape"]),
+            objects=tuple(described["objects"]),
+            parameters=tuple(map(tuple, described["parameters"])),
+            **{field: file[f"surfaces/{field}"] for field in ("pixel", "object_index", "fraction")},
+        )
+    scalars = {field: header[field] for field in _SCALAR_FIELDS}
+    return SceneAttribution(**fields, **scalars, labels=header["labels"], info=header["info"])
+
+
+def _write(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            try:
+                np.savez_compressed(file, header=json.dumps(header), **arrays)
+            except BaseException:
+                os.unlink(file.name)
+                raise
+        os.replace(file.name, path)
+    except OSError as error:
+        raise SceneCaptumError(f"{path} cannot be written: {error.strerror or error}.") from error
