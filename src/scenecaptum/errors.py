@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from numbers import Real
 
 
 class SceneCaptumError(Exception):
@@ -23,3 +24,17 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
     by_folded = {candidate.lower(): candidate for candidate in candidates}
     close = difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)
     return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else ""
+
+
+def whole_number(name: str, value: int, low: int = 1, high: int | None = None) -> int:
+    """Return ``value`` as an int, or say what is wrong with the setting called ``name``."""
+    whole = isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer()
+    if not whole or value < low or (high is not None and value > high):
+        span = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise SceneCaptumError(f"{name} must be a whole number {span}, not {value!r}.")
+    return int(value)
+
+
+def check_seed(name: str, value: int) -> int:
+    """Return a seed as an int: Mitsuba takes 32 bits."""
+    return whole_number(name, value, 0, 2**32 - 1)

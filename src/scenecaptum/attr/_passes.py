@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from ..errors import SceneCaptumError
+from ..errors import check_seed, whole_number
 from ._metric import TargetedMetric
 
 DEFAULT_PASSES = 8
@@ -39,11 +39,11 @@ class Budget:
         The number of passes is the smallest from ``passes`` to ``2·passes`` that divides ``spp``; where none
         does, the samples of each pass are rounded up. Fewer samples than passes give one pass a sample.
         """
-        if isinstance(passes, bool) or int(passes) != passes or passes < 1:
-            raise SceneCaptumError(f"replicates must be a whole number of at least 1, not {passes!r}.")
+        passes = whole_number("replicates", passes)
+        spp = None if spp is None else whole_number("spp", spp)
         if spp is not None and passes > 1:
             passes = next((n for n in range(passes, 2 * passes + 1) if spp % n == 0), min(passes, spp))
-        states = np.random.SeedSequence(seed).generate_state(2 * passes)
+        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(2 * passes)
         drawn = tuple(int(state) for state in states)
         return cls(None if spp is None else math.ceil(spp / passes), drawn[:passes], drawn[passes:])
 

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import torch
 
 from ..backend import activate, device
-from ..errors import SceneCaptumError, near_misses
+from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
 from ..scene._graph import SceneGraph
 from ..scene._loading import SceneLike, describe
@@ -91,9 +91,9 @@ class SceneRenderer(torch.nn.Module):
         self._names = select(self._table, inputs)
         self._sensor = _sensor(loaded, sensor)
         self.resolution = _resolution(self._sensor, resolution)
-        self.spp = _count("spp", self._sensor.sampler().sample_count() if spp is None else spp)
+        self.spp = whole_number("spp", self._sensor.sampler().sample_count() if spp is None else spp)
         if max_depth is not None and max_depth != -1:
-            _count("max_depth", max_depth)
+            whole_number("max_depth", max_depth)
         self.plan = make_plan(self._graph, self._table, self._names, max_depth)
         differentiable = [name for name, p in self._table.items() if not p.problem]
         borrowed = isinstance(scene, mi.Scene)
@@ -178,13 +178,13 @@ class SceneRenderer(torch.nn.Module):
         given = dict(inputs or {})
         for name, value in given.items():
             self._check_tensor(name, value)
-        seed = _seed("seed", seed)
+        seed = check_seed("seed", seed)
         call = RenderCall(
             engine=self._engine,
             names=tuple(given),
             seed=seed,
-            seed_grad=seed if seed_grad is None else _seed("seed_grad", seed_grad),
-            spp=self.spp if spp is None else _count("spp", spp),
+            seed_grad=seed if seed_grad is None else check_seed("seed_grad", seed_grad),
+            spp=self.spp if spp is None else whole_number("spp", spp),
             check=self._check_values,
         )
         tensors = [value.to(device(), torch.float32) for value in given.values()]
@@ -255,16 +255,4 @@ def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, i
         width, height = resolution
     except (TypeError, ValueError):
         raise SceneCaptumError(f"resolution must be (width, height) in pixels, not {resolution!r}.") from None
-    return _count("the width", width), _count("the height", height)
-
-
-def _count(name: str, value: int) -> int:
-    if isinstance(value, bool) or int(value) != value or value < 1:
-        raise SceneCaptumError(f"{name} must be a whole number of at least 1, not {value!r}.")
-    return int(value)
-
-
-def _seed(name: str, value: int) -> int:
-    if isinstance(value, bool) or int(value) != value or not 0 <= value < 2**32:
-        raise SceneCaptumError(f"{name} must be a whole number from 0 to 2**32 - 1, not {value!r}.")
-    return int(value)
+    return whole_number("the width", width), whole_number("the height", height)

@@ -1,0 +1,13 @@
+"""Tables and figures of an attribution: they read results and compute nothing.
+
+Importing this package loads neither matplotlib nor kornia; a figure loads them when it is drawn. Figures are
+drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: save one with
+``figure.savefig(path)``; a notebook shows it by itself.
+"""
+
+from ._figures import plot_bars as plot_bars
+from ._figures import plot_heatmap as plot_heatmap
+from ._table import table_html as table_html
+from ._table import table_text as table_text
+from ._tonemap import display_image as display_image
+from ._tonemap import save_render as save_render

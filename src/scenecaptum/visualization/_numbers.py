@@ -1,0 +1,121 @@
+"""Writing numbers with as many digits as their errors support, and names that fit."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+# Plain decimals compare best down a column, but not when most of them are zeros.
+_MOST_DECIMALS = 6
+_LEAST_SCIENTIFIC = 1e6
+
+
+class Format(NamedTuple):
+    """How the numbers of one row are written: to which decimal place, and with which common power of ten.
+
+    Attributes
+    ----------
+    place
+        The last digit's place, counted to the right of the decimal point.
+    exponent
+        The power of ten that is taken out; 0 for plain decimals.
+    """
+
+    place: int
+    exponent: int
+
+    @classmethod
+    def of(cls, value: float, error: float | None, *, digits: int | None = None) -> Format:
+        """Choose the format of a value with an error, or four significant digits where there is none.
+
+        Parameters
+        ----------
+        digits
+            Significant digits of the error; by default one or two, as the Particle Data Group rounds: two where
+            they begin with less than 355, so that rounding never changes an error by more than a sixth.
+        """
+        size = max(abs(value), error or 0.0)
+        if size == 0 or not math.isfinite(size):
+            return cls(0, 0)
+        place = _last_place(error, digits) if error else 3 - _exponent(value)
+        plain = place <= _MOST_DECIMALS and size < _LEAST_SCIENTIFIC
+        return cls(place, 0 if plain else _exponent(size))
+
+    def at_most(self, digits: int, size: float) -> Format:
+        """Keep no more than so many significant digits of a number of this size."""
+        if size == 0 or not math.isfinite(size):
+            return self
+        return self._replace(place=min(self.place, digits - 1 - _exponent(size)))
+
+    def write(self, number: float) -> str:
+        """Write a number; zero has neither digits nor a sign."""
+        if number == 0 or not math.isfinite(number):
+            return f"{number + 0.0:g}"
+        decimals = self.place + self.exponent
+        scaled = round(number / 10.0**self.exponent, decimals) + 0.0  # adding zero takes the sign off −0.0
+        text = f"{scaled:.{max(decimals, 0)}f}"
+        return f"{text}e{self.exponent}" if self.exponent else text
+
+    def write_signed(self, number: float) -> str:
+        """Write a number with its sign, which what rounds to zero has not."""
+        text = self.write(number)
+        positive = number > 0 and re.search("[1-9]", text.partition("e")[0])
+        return f"+{text}" if positive else text
+
+
+def with_error(value: float, error: float | None, *, digits: int | None = None) -> tuple[str, str]:
+    """Write a value and its error to the same decimal place, ``('0.0978', '0.0008')``.
+
+    The error is an empty string where there is none. ``digits`` is that of ``Format.of``.
+    """
+    style = Format.of(value, error, digits=digits)
+    return style.write(value), "" if error is None else style.write(error)
+
+
+def align_decimals(numbers: Sequence[str]) -> list[str]:
+    """Pad numbers so that their decimal points stand in one column."""
+    heads = [re.split(r"[.e]", number, maxsplit=1)[0] for number in numbers]
+    tails = [number[len(head) :] for number, head in zip(numbers, heads, strict=True)]
+    left, right = max(map(len, heads), default=0), max(map(len, tails), default=0)
+    return [head.rjust(left) + tail.ljust(right) for head, tail in zip(heads, tails, strict=True)]
+
+
+def shorten(names: Sequence[str], width: int) -> list[str]:
+    """Shorten names in the middle, where they say least, and replace what cannot be printed.
+
+    Where two different names would then read alike, they are cut elsewhere.
+    """
+    names = ["".join(c if c.isprintable() else "�" for c in name) for name in names]
+    middle = max(width - 1, 0) // 2
+    shortened = [_cut(name, width, middle) for name in names]
+    for tail in sorted(range(width), key=lambda tail: abs(tail - middle)):
+        meant: dict[str, set[str]] = {}
+        for name, short in zip(names, shortened, strict=True):
+            meant.setdefault(short, set()).add(name)
+        if all(len(candidates) == 1 for candidates in meant.values()):
+            break
+        shortened = [
+            short if len(meant[short]) == 1 else _cut(name, width, tail)
+            for name, short in zip(names, shortened, strict=True)
+        ]
+    return shortened
+
+
+def _cut(name: str, width: int, tail: int) -> str:
+    """Leave out what precedes the last ``tail`` characters, so that ``width`` remain."""
+    if len(name) <= width:
+        return name
+    return f"{name[: max(width - 1 - tail, 0)]}…{name[len(name) - tail :]}"[:width]
+
+
+def _exponent(number: float) -> int:
+    return math.floor(math.log10(abs(number)))
+
+
+def _last_place(error: float, digits: int | None) -> int:
+    exponent = _exponent(error)
+    if digits is None:
+        digits = 2 if error < 3.55 * 10.0**exponent else 1
+    return digits - 1 - exponent

@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from scenecaptum import SceneAttribution, VanillaSceneGradient, cli
+from scenecaptum.attr import AttributionInterrupted
+
+SMALL = ["--resolution", "24x24", "--spp", "16", "--max-depth", "3", "--no-progress"]
+
+USER_METRICS = """
+import torch
+
+def brightness(image):
+    return image.mean()
+
+def per_channel(image):
+    return image.mean((0, 1))
+
+def blind(image):
+    return torch.ones((), requires_grad=True) * 2
+
+def number(image):
+    return float(image.mean())
+
+not_a_function = 3
+"""
+
+
+@pytest.fixture
+def user_metrics(tmp_path) -> Path:
+    path = tmp_path / "my_metrics.py"
+    path.write_text(USER_METRICS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, str]:
+    """One real run: the folder it wrote and what it printed."""
+    out = tmp_path_factory.mktemp("cli") / "deep" / "out"
+    command = [sys.executable, "-m", "scenecaptum.cli", "attribute", "cornell-box", *SMALL, "--out", str(out)]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return out, run.stdout
+
+
+def test_attribute_writes_every_file_and_says_so(finished):
+    out, printed = finished
+    assert sorted(path.name for path in out.iterdir()) == sorted(cli.CONTENTS)
+    for name in cli.CONTENTS:
+        assert str(out / name) in printed
+
+
+def test_numbers_agree_between_the_files(finished):
+    out, printed = finished
+    numbers = json.loads((out / "attribution.json").read_text())
+    rows = list(csv.DictReader((out / "attribution.csv").open()))
+    loaded = SceneAttribution.load(out / "attribution.npz")
+    assert [row["name"] for row in rows] == [row["name"] for row in numbers["ranking"]]
+    assert [row.name for row in loaded.ranking()] == [row["name"] for row in rows]
+    assert float(rows[0]["saliency"]) == numbers["ranking"][0]["saliency"] > 0
+    assert float(rows[0]["gradient_1"]) == numbers["ranking"][0]["total"][0]
+    assert numbers["metric"]["value"] == loaded.metric_value
+    assert numbers["info"]["passes"] == 8
+    assert loaded.ranking()[0].label in printed
+
+
+def test_pictures_are_pictures(finished):
+    out, _ = finished
+    for name in ("render.png", "heatmap.png", "bars.png"):
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_is_all_that_is_printed(tmp_path, capsys, user_metrics):
+    arguments = ["attribute", "cornell-box", *SMALL, "--json", "--out", str(tmp_path / "out")]
+    assert cli.main([*arguments, "--metric", f"{user_metrics}:brightness", "--inputs", "emitters"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["metric"]["name"] == "brightness"
+    assert [row["name"] for row in numbers["ranking"]] == ["light.emitter.radiance.value"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.xml"], ["nowhere.xml", "no scene file"]),
+        (["ofice"], ["'ofice'", "Did you mean 'office'"]),
+        (["broken.xml"], ["broken.xml", "cannot be loaded"]),
+        (["blind.xml"], ["blind.xml", "no sensor"]),
+        (["cornell-box", "--inputs", "reflectence"], ["'reflectence'", "Did you mean 'reflectance'"]),
+        (["cornell-box", "--inputs", "light.to_world"], ["'light.to_world'", "moves visibility"]),
+        (["cornell-box", "--metric", "luminence"], ["'luminence'", "Did you mean 'luminance'"]),
+        (["cornell-box", "--metric", "my_metrics.py:per_channel"], ["(3,)", "target="]),
+        (["cornell-box", "--metric", "my_metrics.py:blind"], ["blind", "does not depend on the image"]),
+        (["cornell-box", "--metric", "my_metrics.py:number"], ["number", "torch tensor, not float"]),
+        (
+            ["cornell-box", "--metric", "my_metrics.py:nothing"],
+            ["my_metrics.py:nothing", "cannot be imported"],
+        ),
+        (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
+        (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
+        (["cornell-box", "--spp", "0"], ["spp", "at least 1"]),
+        (["cornell-box", "--resolution", "0x10"], ["width", "at least 1"]),
+        (["cornell-box", "--seed", "-1"], ["seed"]),
+        (["cornell-box", "--replicates", "0"], ["replicates"]),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_leaves_nothing(
+    arguments, words, tmp_path, monkeypatch, capsys, user_metrics
+):
+    monkeypatch.chdir(tmp_path)
+    Path("broken.xml").write_text("<scene version='3.0.0'><shape></scene>")
+    Path("blind.xml").write_text("<scene version='3.0.0'><shape type='sphere'/></scene>")
+    before = sorted(tmp_path.iterdir())
+    scene, *options = arguments
+    status = cli.main(["attribute", scene, *SMALL, *options, "--out", "out"])
+    printed = capsys.readouterr()
+    assert status == 2
+    assert printed.out == ""
+    assert printed.err.startswith("scenecaptum: error: ")
+    assert printed.err.count("\n") == 1, printed.err
+    for word in words:
+        assert word in printed.err
+    left = [path for path in sorted(tmp_path.iterdir()) if path.name != "__pycache__"]
+    assert left == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["attribute"], ["fly"], ["attribute", "office", "--resolution", "big"]]
+)
+def test_bad_usage_exits_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(arguments)
+    assert caught.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+def unwritable_folders(tmp_path: Path) -> list[Path]:
+    (tmp_path / "file").write_text("")
+    folders = [tmp_path / "file", tmp_path / "file" / "out"]
+    if Path("/proc/self").exists():
+        folders.append(Path("/proc/scenecaptum"))  # refuses even root
+    if os.geteuid() != 0:
+        (tmp_path / "locked").mkdir(mode=0o555)
+        folders.append(tmp_path / "locked")
+    return folders
+
+
+def test_an_output_folder_that_cannot_be_written_is_refused_before_rendering(tmp_path, capsys, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("the scene was loaded although its results could not be kept")
+
+    monkeypatch.setattr(cli, "SceneRenderer", fail)
+    for folder in unwritable_folders(tmp_path):
+        assert cli.main(["attribute", "cornell-box", "--out", str(folder)]) == 2
+        error = capsys.readouterr().err
+        assert "cannot be written" in error
+        assert str(folder) in error
+        assert error.count("\n") == 1
+
+
+def test_interruption_leaves_finished_and_partial_results(tmp_path, capsys, monkeypatch, user_metrics):
+    out = tmp_path / "out"
+    attribute = VanillaSceneGradient.attribute
+
+    def interrupted_at_the_second_metric(self, *arguments, **options):
+        result = attribute(self, *arguments, **options)
+        if result.info["metric"] == "brightness":
+            raise AttributionInterrupted(result)
+        return result
+
+    monkeypatch.setattr(VanillaSceneGradient, "attribute", interrupted_at_the_second_metric)
+    metrics = ["--metric", "luminance", "--metric", f"{user_metrics}:brightness"]
+    status = cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *metrics])
+    assert status == 130
+    assert "interrupted" in capsys.readouterr().err
+    folders = sorted(out.iterdir())
+    assert len(folders) == 2
+    for folder in folders:
+        assert sorted(path.name for path in folder.iterdir()) == sorted(cli.CONTENTS)
+
+
+def test_ctrl_c_before_anything_is_finished_leaves_no_folder(tmp_path, capsys, monkeypatch):
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(VanillaSceneGradient, "attribute", interrupt)
+    assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(tmp_path / "out")]) == 130
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", [[], ["attribute"], ["demo"], ["doctor"]])
+def test_every_command_has_help(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        cli.main([*command, "--help"])
+    assert caught.value.code == 0
+    assert "usage: scenecaptum" in capsys.readouterr().out
