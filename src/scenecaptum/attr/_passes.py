@@ -123,16 +123,16 @@ class Spread:
         self.squares = torch.zeros_like(self.mean)
 
     def add(self, gradient: torch.Tensor) -> None:
-        """Take in the gradient of one more pass."""
+        """Take in the gradient of one more pass, in place: a texture's gradient is large."""
         self.totals.append(channel_totals(gradient))
         step = gradient - self.mean
-        self.mean = self.mean + step / len(self.totals)
-        self.squares = self.squares + step * (gradient - self.mean)
+        self.mean.add_(step, alpha=1 / len(self.totals))
+        self.squares.addcmul_(step, gradient - self.mean)
 
     def standard_error(self) -> torch.Tensor:
         """Return the standard error of the mean, elementwise; it takes two passes."""
         count = len(self.totals)
-        return (self.squares / (count * (count - 1))).sqrt()
+        return (self.squares / (count * (count - 1))).sqrt_()
 
 
 def channel_totals(tensor: torch.Tensor) -> torch.Tensor:

@@ -92,7 +92,7 @@ class VanillaSceneGradient:
         metric = TargetedMetric(self.metric, target)
         total = getattr(self.renderer, "spp", None) if spp is None else spp
         budget = Budget.split(total, replicates, seed)
-        leaves = {name: value.detach().clone().requires_grad_() for name, value in values.items()}
+        leaves = {name: value.detach().requires_grad_() for name, value in values.items()}
         spreads = {name: Spread(value) for name, value in values.items()}
         bias: dict[str, torch.Tensor] | None = None
         interrupted = False
@@ -183,5 +183,5 @@ def _bias(
     if adjoints.bias is None:
         return None
     if adjoints.bias_adjoint is None:
-        return {name: torch.zeros_like(leaf) for name, leaf in leaves.items()}
+        return {name: leaf.new_zeros(()).expand_as(leaf) for name, leaf in leaves.items()}
     return _pull_back(graph, leaves, adjoints.bias_adjoint)

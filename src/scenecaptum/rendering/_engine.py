@@ -59,6 +59,8 @@ class Engine:
         self._found_resolution = _film_size(sensor)
         self._borrowed = borrowed
         self._state = SceneState(scene, names, borrowed=borrowed)
+        # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
+        dr.flush_malloc_cache()
         # Tracing a room with dozens of materials takes 0.2 s, the same for every pass: it is done once.
         self._frozen_render = dr.freeze(self._render, warn_after=1000)
         self._frozen_backward = dr.freeze(self._backward, warn_after=1000)

@@ -33,19 +33,19 @@ class SceneState:
         self._params = mi.traverse(scene)
         self._params.properties = {n: p for n, p in self._params.properties.items() if n in set(names)}
         self._types = {name: type(self._params[name]) for name in names}
-        self._borrowed = borrowed
-        self._found = {name: self._types[name](self._params[name]) for name in names}
-        self.original = {name: _to_torch(value) for name, value in self._found.items()}
+        # The very arrays that a caller's scene holds, to be put back.
+        self._found = {name: self._types[name](self._params[name]) for name in names} if borrowed else {}
+        self.original = {name: _to_torch(self._params[name]) for name in names}
         self._held = dict(self.original)
         self.leaves: dict[str, Any] = {}
 
     def stale(self, values: Mapping[str, torch.Tensor], tracked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return copies of what must be written so that the scene holds ``values`` and tracks ``tracked``.
+        """Return what must be written so that the scene holds ``values`` and tracks ``tracked``.
 
-        They are copies because Dr.Jit borrows torch's memory, which the caller may change at any time.
+        Values of the caller's are copied: Dr.Jit borrows torch's memory, which the caller may change at any time.
         """
         return {
-            name: tensor.clone()
+            name: self.original[name] if torch.equal(tensor, self.original[name]) else tensor.clone()
             for name, tensor in {**self.original, **values}.items()
             if (name in tracked) != (name in self.leaves) or not self._holds(name, tensor)
         }
@@ -74,8 +74,7 @@ class SceneState:
 
     def restore(self) -> None:
         """Leave a borrowed scene as it was found."""
-        untouched = not self.leaves and all(self._holds(name, t) for name, t in self.original.items())
-        if not self._borrowed or untouched:
+        if not self._found or (not self.leaves and all(map(self._holds, self.original, self.original.values()))):
             return
         self.leaves = {}
         for name, value in self._found.items():

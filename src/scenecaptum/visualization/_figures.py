@@ -8,8 +8,6 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import torch
-
 from ..errors import SceneCaptumError
 from ._numbers import shorten, with_error
 from ._tonemap import display_image
@@ -40,14 +38,14 @@ _SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 _HATCH = "////"
 
 _NAME_WIDTH = 36
-_NOTE_WIDTH = 88
+_NOTE_WIDTH = 90
 
 
 def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | None = None) -> Figure:
     """Draw the ranking as horizontal bars of saliency with their standard errors, the most salient on top.
 
-    A bar's colour, and the sign at its end, say whether raising the parameter raises or lowers the metric. It is
-    neutral where the channels of a colour disagree, or where no channel is two standard errors from zero.
+    A bar's colour, and the sign at its end, say whether raising the parameter raises or lowers the metric. It
+    is neutral where the channels of a colour disagree, or where no channel is two standard errors from zero.
 
     Parameters
     ----------
@@ -62,7 +60,7 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
         raise SceneCaptumError(f"top must be at least 1, or None for all parameters, not {top!r}.")
     rows = attribution.ranking(top)
     if ax is None:
-        ax = _figure(8.0, 2.2 + 0.29 * len(rows)).add_subplot()
+        ax = _figure(8.5, 2.4 + 0.29 * len(rows)).add_subplot()
     colours = [_colour(row) for row in rows]
     cautions = caution_groups(attribution, (row.name for row in rows))
     doubtful = [any(row.name in names for names in cautions.values()) for row in rows]
@@ -71,8 +69,8 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
     _label_bars(ax, attribution, rows, doubtful)
     _head(ax, attribution, colours, any(doubtful))
     _annotate(ax, [*_remarks(attribution, len(rows)), *_caution_remarks(attribution, cautions)])
-    figure: Any = ax.figure
-    return figure.figure  # type: ignore[no-any-return]  # the whole figure, where the axes lie in a part of one
+    part: Any = ax.figure  # of a figure, where the axes are those of a subfigure
+    return part.figure  # type: ignore[no-any-return]
 
 
 def plot_heatmap(attribution: SceneAttribution) -> Figure:
@@ -91,18 +89,14 @@ def plot_heatmap(attribution: SceneAttribution) -> Figure:
     render = display_image(attribution.image).cpu()
 
     height, width = heat.shape
-    figure, left, right, bar = _panels(
-        height, width, title=_title(attribution), caption=_caption(attribution)
-    )
+    figure, left, right, bar = _panels(attribution, height, width)
     left.imshow(render.numpy())
     left.set_title("render", fontsize=10)
-    right.set_title("saliency of what each pixel shows", fontsize=10)
+    right.set_title("saliency relative to the strongest (√ scale)", fontsize=10)
     # Saliencies spread over orders of magnitude: on a linear scale all but a lamp or two would be black.
     mapped = right.imshow(heat.cpu().numpy(), cmap="inferno", norm=PowerNorm(0.5, 0, 1))
     ticks = [0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1]
-    figure.colorbar(mapped, cax=bar, ticks=ticks, format="%g").set_label(
-        "relative to the most salient", fontsize=9
-    )
+    figure.colorbar(mapped, cax=bar, ticks=ticks, format="%g")
     bar.tick_params(labelsize=8)
     return figure
 
@@ -182,10 +176,8 @@ def _head(ax: Axes, attribution: SceneAttribution, colours: Iterable[str], doubt
         entries.append(
             Patch(facecolor=UNCLEAR, edgecolor="white", hatch=_HATCH, label="! known to be off: see below")
         )
-    columns = 2 if len(entries) > 2 else max(len(entries), 1)
     ax.legend(
         handles=entries,
-        ncols=columns,
         loc="lower left",
         bbox_to_anchor=(0, 1),
         borderaxespad=0.2,
@@ -193,13 +185,13 @@ def _head(ax: Axes, attribution: SceneAttribution, colours: Iterable[str], doubt
         fontsize=9,
         frameon=False,
     )
-    rows = -(-len(entries) // columns)
-    ax.set_title(_title(attribution), loc="left", fontsize=11, pad=8 + 14 * rows, parse_math=False)
+    above = 10 + 13.5 * len(entries)
+    ax.set_title(_title(attribution, 56), loc="left", fontsize=11, pad=above, parse_math=False)
 
 
-def _title(attribution: SceneAttribution) -> str:
-    line = f"{metric_line(attribution)}   ({method_name(attribution)})"
-    return textwrap.fill(line, 76, drop_whitespace=True)
+def _title(attribution: SceneAttribution, width: int) -> str:
+    value, method = metric_line(attribution), method_name(attribution)
+    return f"{value}   ({method})" if len(value) + len(method) + 5 <= width else f"{value}\n({method})"
 
 
 def _remarks(attribution: SceneAttribution, shown: int) -> list[str]:
@@ -234,18 +226,20 @@ def _annotate(ax: Axes, lines: Sequence[str]) -> None:
     )
 
 
-def _panels(height: int, width: int, *, title: str, caption: str) -> tuple[Figure, Axes, Axes, Axes]:
+def _panels(attribution: SceneAttribution, height: int, width: int) -> tuple[Figure, Axes, Axes, Axes]:
     """Place two pictures of one size and a colour bar as tall as they are; lengths are in inches."""
     scale = min(4.8 / width, 4.0 / height)
     w, h = width * scale, height * scale
-    margin, gap, top, bar, ticks = 0.15, 0.12, 0.68, 0.14, 0.6
+    margin, gap, bar, ticks = 0.15, 0.12, 0.14, 0.45
     across = 2 * margin + 2 * w + 2 * gap + bar + ticks
-    lines = textwrap.wrap(caption, int(across * 14))
-    bottom = 0.12 + 0.18 * len(lines)
+    title = _title(attribution, int(across * 11))
+    caption = textwrap.wrap(_caption(attribution), int(across * 13))
+    bottom, top = 0.12 + 0.18 * len(caption), 0.48 + 0.2 * len(title.splitlines())
     down = bottom + h + top
     figure = _figure(across, down, layout="none")
     figure.text(margin / across, 1 - 0.12 / down, title, va="top", fontsize=11, parse_math=False)
-    figure.text(margin / across, 0.08 / down, "\n".join(lines), va="bottom", fontsize=9, parse_math=False)
+    small: dict[str, Any] = {"va": "bottom", "fontsize": 9, "parse_math": False}
+    figure.text(margin / across, 0.08 / down, "\n".join(caption), **small)
 
     def place(x: float, extent: float) -> Axes:
         return figure.add_axes((x / across, bottom / down, extent / across, h / down))
@@ -264,6 +258,6 @@ def _caption(attribution: SceneAttribution) -> str:
     seen = {name for index in set(surfaces.object_index.tolist()) for name in surfaces.parameters[index]}
     for row in attribution.ranking(3):
         if row.name not in seen and row.saliency > 0:
-            value, error = with_error(row.saliency, row.saliency_error)
-            return f"not in the picture: {row.label}, saliency {value}{f' ± {error}' if error else ''} (#{row.rank})"
+            saliency = " ± ".join(filter(None, with_error(row.saliency, row.saliency_error)))
+            return f"not in the picture: {row.label}, #{row.rank} with a saliency of {saliency}"
     return ""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 # Plain decimals compare best down a column, but not when most of them are zeros.
 _MOST_DECIMALS = 6
 _LEAST_SCIENTIFIC = 1e6
+_MOST_DIGITS = 8  # all that single precision has
 
 
 class Format(NamedTuple):
@@ -33,13 +34,15 @@ class Format(NamedTuple):
         Parameters
         ----------
         digits
-            Significant digits of the error; by default one or two, as the Particle Data Group rounds: two where
-            they begin with less than 355, so that rounding never changes an error by more than a sixth.
+            Significant digits of the error; by default one or two, as the Particle Data Group rounds: two
+            where they begin with less than 355, so that rounding changes no error by more than a sixth.
         """
-        size = max(abs(value), error or 0.0)
-        if size == 0 or not math.isfinite(size):
+        error = error if error is not None and math.isfinite(error) else 0.0
+        size = max(abs(value) if math.isfinite(value) else 0.0, error)
+        if size == 0:
             return cls(0, 0)
-        place = _last_place(error, digits) if error else 3 - _exponent(value)
+        place = _last_place(error, digits) if error else 3 - _exponent(size)
+        place = min(place, _MOST_DIGITS - 1 - _exponent(size))
         plain = place <= _MOST_DECIMALS and size < _LEAST_SCIENTIFIC
         return cls(place, 0 if plain else _exponent(size))
 
@@ -111,7 +114,8 @@ def _cut(name: str, width: int, tail: int) -> str:
 
 
 def _exponent(number: float) -> int:
-    return math.floor(math.log10(abs(number)))
+    """Return the power of ten that a number has once it is rounded: 0.99999 counts as 1."""
+    return int(f"{number:.3e}".partition("e")[2])
 
 
 def _last_place(error: float, digits: int | None) -> int:

@@ -82,7 +82,8 @@ def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
     return (
         f'<div class="scenecaptum">\n{_STYLE}\n'
         f"<div><b>{metric}</b>{''.join(f' · {part}' for part in rest)}</div>\n"
-        f"<table>\n<thead><tr>{_cells(table.columns, 'th')}</tr></thead>\n<tbody>\n{rows}\n</tbody>\n</table>\n"
+        f"<table>\n<thead><tr>{_cells(table.columns, 'th')}</tr></thead>\n"
+        f"<tbody>\n{rows}\n</tbody>\n</table>\n"
         f'<div class="notes">{notes}</div>\n</div>'
     )
 
@@ -187,7 +188,7 @@ def _gradients(rows: Sequence[Ranked]) -> list[str]:
 
 
 def _channels(row: Ranked) -> list[str]:
-    """Write the channels like the saliency, as none is known better; three digits do where no error follows."""
+    """Write the channels to the saliency's place; three digits are enough where no error stands beside them."""
     style = Format.of(row.saliency, row.saliency_error).at_most(3, row.saliency)
     return [style.write_signed(value) for value in row.total]
 

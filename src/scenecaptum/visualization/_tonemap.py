@@ -22,8 +22,8 @@ _KNEE = 0.6
 def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.Tensor:
     """Turn linear radiance into sRGB for display; finite for any input.
 
-    Values up to a knee are shown linearly; above it a shoulder approaches white without reaching it. It acts on
-    the largest of the three channels and scales the others alike, so a lamp or window keeps its hue.
+    Values up to a knee are shown linearly; above it a shoulder approaches full brightness. It acts on the
+    largest of the three channels and scales the others alike, so a lamp or window keeps its hue.
 
     Parameters
     ----------
