@@ -3,8 +3,6 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
-# The package itself imports its backend, which `python -m` would otherwise remark upon.
-DOCTOR := $(BIN)/python -W ignore::RuntimeWarning:runpy -m scenecaptum.backend
 
 .PHONY: help demo test test-long lint clean
 
@@ -49,6 +47,6 @@ $(BIN)/python:
 	@touch $@
 
 .venv/.llvm: .venv/.base scripts/provide-llvm
-	@$(DOCTOR) >/dev/null 2>&1 || scripts/provide-llvm .venv
-	$(DOCTOR)
+	@$(BIN)/scenecaptum doctor >/dev/null 2>&1 || scripts/provide-llvm .venv
+	$(BIN)/scenecaptum doctor
 	@touch $@

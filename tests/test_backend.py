@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from scenecaptum import backend
-from scenecaptum.backend import LLVMLibrary
+from scenecaptum import _diagnosis, _llvm, backend
+from scenecaptum._llvm import LLVMLibrary
 
 SOURCE = Path(backend.__file__).parent
 
@@ -35,7 +35,7 @@ def no_trials(monkeypatch):
     def refuse(variant, library=None):
         raise AssertionError(f"a trial of {library} was not needed")
 
-    monkeypatch.setattr(backend, "trial_failure", refuse)
+    monkeypatch.setattr(_llvm, "trial_failure", refuse)
 
 
 def run(code, **environment):
@@ -45,12 +45,17 @@ def run(code, **environment):
         from pathlib import Path
         package = sys.modules["scenecaptum"] = types.ModuleType("scenecaptum")
         package.__path__ = [{str(SOURCE)!r}]
-        from scenecaptum import backend
+        from scenecaptum import _llvm, backend
         from scenecaptum.backend import activate
         from scenecaptum.errors import BackendError
     """
+    return python("-c", textwrap.dedent(preamble) + textwrap.dedent(code), **environment)
+
+
+def python(*arguments, **environment):
+    """Run another Python."""
     return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(preamble) + textwrap.dedent(code)],
+        [sys.executable, *arguments],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
@@ -70,7 +75,7 @@ def chosen_untold():
     """Return the library chosen when DRJIT_LIBLLVM_PATH names none, as in most of these tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-        return backend.choose_llvm()
+        return _llvm.choose_llvm()
 
 
 needs_llvm = pytest.mark.skipif(chosen_untold() is None, reason="no usable LLVM where it is looked for")
@@ -90,11 +95,11 @@ needs_llvm = pytest.mark.skipif(chosen_untold() is None, reason="no usable LLVM 
     ],
 )
 def test_a_version_is_read_from_the_file(library, content, version):
-    assert backend._read_version(library(content)) == version
+    assert _llvm._read_version(library(content)) == version
 
 
 def test_real_libraries_state_the_version_in_their_name():
-    named = [one for one in backend.llvm_libraries() if one.path.name.startswith(("libLLVM-", "libLLVM.so."))]
+    named = [one for one in _llvm.llvm_libraries() if one.path.name.startswith(("libLLVM-", "libLLVM.so."))]
     if not named:
         pytest.skip("no LLVM library on this machine names its version")
     for one in named:
@@ -105,7 +110,7 @@ def test_real_libraries_state_the_version_in_their_name():
 
 def test_reading_a_version_loads_nothing():
     loaded = answer("""
-        backend.llvm_libraries()
+        _llvm.llvm_libraries()
         maps = Path("/proc/self/maps")
         print(json.dumps("libLLVM" in maps.read_text() if maps.exists() else False))
     """)
@@ -113,12 +118,12 @@ def test_reading_a_version_loads_nothing():
 
 
 def test_each_bad_file_gets_its_reason(library, tmp_path):
-    assert "too old" in backend._inspect(library(b"libLLVM-16.so.1", "old.so")).problem
-    assert backend._inspect(library(b"", "none.so")).problem == "not an LLVM library"
-    assert backend._inspect(tmp_path / "absent.so").problem.startswith("unreadable")
+    assert "too old" in _llvm._inspect(library(b"libLLVM-16.so.1", "old.so")).problem
+    assert _llvm._inspect(library(b"", "none.so")).problem == "not an LLVM library"
+    assert _llvm._inspect(tmp_path / "absent.so").problem.startswith("unreadable")
     (tmp_path / "empty.so").touch()
-    assert backend._inspect(tmp_path / "empty.so").problem == "not an LLVM library"
-    assert backend._inspect(library(b"libLLVM-17.so.1", "new.so")).problem is None
+    assert _llvm._inspect(tmp_path / "empty.so").problem == "not an LLVM library"
+    assert _llvm._inspect(library(b"libLLVM-17.so.1", "new.so")).problem is None
 
 
 @pytest.mark.skipif(
@@ -128,10 +133,10 @@ def test_a_library_for_another_processor_is_passed_over(tmp_path):
     header = bytearray(Path(sys.executable).read_bytes()[:64])
     path = tmp_path / "libLLVM.so"
     path.write_bytes(bytes(header) + b"libLLVM.so.19.1")
-    assert backend._inspect(path).problem is None
+    assert _llvm._inspect(path).problem is None
     header[18] ^= 1
     path.write_bytes(bytes(header) + b"libLLVM.so.19.1")
-    assert backend._inspect(path).problem == "built for another processor"
+    assert _llvm._inspect(path).problem == "built for another processor"
 
 
 @pytest.mark.parametrize(
@@ -148,14 +153,14 @@ def test_a_library_for_another_processor_is_passed_over(tmp_path):
 )
 def test_only_whole_llvm_libraries_are_looked_at(tmp_path, name, expected):
     (tmp_path / name).touch()
-    assert bool(backend._libraries_in(tmp_path)) is expected
+    assert bool(_llvm._libraries_in(tmp_path)) is expected
 
 
 def test_links_to_one_library_count_once(library, monkeypatch, tmp_path):
     real, link = library(b"libLLVM.so.19.1"), tmp_path / "libLLVM-19.so"
     link.symlink_to(real)
-    monkeypatch.setattr(backend, "_library_files", lambda: [link, real, link])
-    assert backend.llvm_libraries() == [LLVMLibrary(Path(os.path.realpath(real)), 19)]
+    monkeypatch.setattr(_llvm, "_library_files", lambda: [link, real, link])
+    assert _llvm.llvm_libraries() == [LLVMLibrary(Path(os.path.realpath(real)), 19)]
 
 
 def test_conda_and_the_environments_own_folders_are_searched(tmp_path, monkeypatch):
@@ -166,7 +171,7 @@ def test_conda_and_the_environments_own_folders_are_searched(tmp_path, monkeypat
         (folder / "libLLVM.so.19.1").write_bytes(b"libLLVM.so.19.1")
     monkeypatch.setenv("CONDA_PREFIX", str(conda))
     monkeypatch.setattr(sys, "prefix", str(prefix))
-    found = list(backend._library_files())
+    found = list(_llvm._library_files())
     assert conda / "lib" / "libLLVM.so.19.1" in found
     assert unpacked / "libLLVM.so.19.1" in found
 
@@ -176,44 +181,44 @@ def test_conda_and_the_environments_own_folders_are_searched(tmp_path, monkeypat
 
 def test_the_newest_measured_version_is_chosen(no_trials):
     libraries = [LLVMLibrary(Path(f"/{version}"), version) for version in (17, 19, 22, 21, 30)]
-    assert backend.choose_llvm(libraries).version == 22
+    assert _llvm.choose_llvm(libraries).version == 22
 
 
 def test_unmeasured_versions_are_tried_newest_first(monkeypatch):
-    monkeypatch.setattr(backend, "trial_failure", lambda _, one: "aborts" if one.version == 30 else None)
+    monkeypatch.setattr(_llvm, "trial_failure", lambda _, one: "aborts" if one.version == 30 else None)
     libraries = [LLVMLibrary(Path(f"/{version}"), version) for version in (17, 18, 30)]
-    assert backend.choose_llvm(libraries).version == 18
+    assert _llvm.choose_llvm(libraries).version == 18
 
 
 def test_an_explicit_usable_library_wins(monkeypatch, no_trials):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/19")
     libraries = [LLVMLibrary(Path(f"/{version}"), version) for version in (22, 19)]
-    assert backend.choose_llvm(libraries).version == 19
+    assert _llvm.choose_llvm(libraries).version == 19
 
 
 @pytest.mark.parametrize("content", [b"libLLVM-15.so.1", b"not a library"])
 def test_an_explicit_unusable_library_is_passed_over(library, monkeypatch, no_trials, content):
     bad, good = library(content, "bad.so"), library(b"libLLVM.so.19.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(bad))
-    monkeypatch.setattr(backend, "_linker_cache", lambda: [good])
-    monkeypatch.setattr(backend, "_library_folders", lambda: [])
-    assert [one.version for one in backend.llvm_libraries()][1] == 19
-    assert backend.choose_llvm().path == Path(os.path.realpath(good))
+    monkeypatch.setattr(_llvm, "_linker_cache", lambda: [good])
+    monkeypatch.setattr(_llvm, "_library_folders", lambda: [])
+    assert [one.version for one in _llvm.llvm_libraries()][1] == 19
+    assert _llvm.choose_llvm().path == Path(os.path.realpath(good))
 
 
 def test_a_trial_reports_failure_instead_of_aborting(library):
     impostor = LLVMLibrary(library(b"libLLVM.so.99.1"), 99)
-    assert "LLVM" in backend.trial_failure("llvm_ad_rgb", impostor)
+    assert "LLVM" in _llvm.trial_failure("llvm_ad_rgb", impostor)
 
 
 @pytest.mark.skipif(
-    not any((one.version or 99) < backend.OLDEST_LLVM for one in backend.llvm_libraries()),
+    not any((one.version or 99) < _llvm.OLDEST_LLVM for one in _llvm.llvm_libraries()),
     reason="no old LLVM on this machine",
 )
 def test_old_versions_really_fail():
     """Guard the reason for all this: when Dr.Jit learns to live with old libraries, the limit should go."""
-    old = next(one for one in backend.llvm_libraries() if (one.version or 99) < backend.OLDEST_LLVM)
-    assert backend.trial_failure("llvm_ad_rgb", LLVMLibrary(old.path, old.version)) is not None
+    old = next(one for one in _llvm.llvm_libraries() if (one.version or 99) < _llvm.OLDEST_LLVM)
+    assert _llvm.trial_failure("llvm_ad_rgb", LLVMLibrary(old.path, old.version)) is not None
 
 
 # ----------------------------------------------------------------------------------------- activating
@@ -232,13 +237,13 @@ def test_activate_passes_over_an_old_library_and_renders(library):
         DRJIT_LIBLLVM_PATH=str(library(b"libLLVM-15.so.1")),
         CUDA_VISIBLE_DEVICES="",
     )
-    assert got == ["llvm_ad_rgb", "cpu", "LogLevel.Error", str(backend.choose_llvm().path), [1, 2]]
+    assert got == ["llvm_ad_rgb", "cpu", "LogLevel.Error", str(_llvm.choose_llvm().path), [1, 2]]
 
 
 def test_without_a_usable_library_the_error_says_how_to_get_one(library):
     message = answer(
         """
-        backend._linker_cache, backend._library_folders = list, list
+        _llvm._linker_cache, _llvm._library_folders = list, list
         try:
             activate("llvm_ad_rgb")
         except BackendError as error:
@@ -248,34 +253,71 @@ def test_without_a_usable_library_the_error_says_how_to_get_one(library):
     )
     assert "LLVM 15" in message
     assert "too old" in message
-    assert f"Fix: {backend._fix()}" in message
+    assert f"Fix: {_diagnosis._fix()}" in message
 
 
 @pytest.mark.parametrize(
     ("platform", "names", "command"),
     [
-        ("linux", {"linuxmint", "ubuntu"}, "sudo apt-get install libllvm19"),
+        ("linux", {"linuxmint", "ubuntu"}, "sudo apt-get install libllvm20"),
         ("linux", {"fedora"}, "sudo dnf install llvm-libs"),
+        ("linux", {"arch"}, "sudo pacman -S llvm-libs"),
         ("darwin", set(), "brew install llvm"),
     ],
 )
 def test_the_fix_suits_the_platform(monkeypatch, platform, names, command):
     monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.setattr(backend, "_os_release", lambda: names)
-    monkeypatch.setattr(backend, "_is_root", lambda: False)
+    monkeypatch.setattr(_diagnosis, "_os_release", lambda: names)
+    monkeypatch.setattr(_diagnosis, "_apt_package", lambda: "libllvm20")
+    monkeypatch.setattr(_diagnosis, "_is_root", lambda: False)
     monkeypatch.delenv("CONDA_PREFIX", raising=False)
-    assert backend._fix() == command
-    monkeypatch.setattr(backend, "_is_root", lambda: True)
-    assert backend._fix() == command.removeprefix("sudo ")
+    assert _diagnosis._fix() == command
+    monkeypatch.setattr(_diagnosis, "_is_root", lambda: True)
+    assert _diagnosis._fix() == command.removeprefix("sudo ")
     monkeypatch.setenv("CONDA_PREFIX", "/conda")
-    assert backend._fix() == "conda install -c conda-forge libllvm19"
+    assert _diagnosis._fix() == "conda install -c conda-forge libllvm19"
+
+
+@pytest.mark.parametrize(
+    ("listed", "package"),
+    [
+        (["libllvm22", "libllvm19", "libllvm18"], "libllvm19"),
+        (["libllvm17", "libllvm18", "libllvm20", "libllvm22"], "libllvm20"),
+        (["libllvm17", "libllvm18"], "libllvm18"),
+        ([], None),
+    ],
+)
+def test_apt_is_asked_which_packages_it_knows(monkeypatch, tmp_path, listed, package):
+    stanzas = "".join(f"Package: {name}\nDepends: libllvm19\n\n" for name in listed)
+    asked = '[ "$1" = show ] && [ "$2" = libllvm19 ]'
+    apt_cache = tmp_path / "apt-cache"
+    apt_cache.write_text(
+        f"#!/bin/sh\n{asked} && printf '%s' '{stanzas}'\necho 'E: No packages found' >&2\nexit 100\n"
+    )
+    apt_cache.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert _diagnosis._apt_package() == package
+
+
+def test_apt_without_a_package_sends_one_elsewhere(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))  # no apt-cache at all: as good as one that knows nothing
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(_diagnosis, "_os_release", lambda: {"ubuntu", "debian"})
+    monkeypatch.setattr(_diagnosis, "_is_root", lambda: False)
+    monkeypatch.delenv("CONDA_PREFIX", raising=False)
+    fix = _diagnosis._fix()
+    assert fix.startswith(
+        "sudo apt-get update && sudo apt-get install libllvm19. If apt knows no such package: "
+    )
+    assert "conda install" in fix
+    assert "DRJIT_LIBLLVM_PATH" in fix
 
 
 def test_an_unknown_system_still_gets_advice(monkeypatch):
-    monkeypatch.setattr(backend, "_os_release", set)
+    monkeypatch.setattr(_diagnosis, "_os_release", set)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("CONDA_PREFIX", raising=False)
-    assert "DRJIT_LIBLLVM_PATH" in backend._fix()
+    assert "DRJIT_LIBLLVM_PATH" in _diagnosis._fix()
 
 
 @needs_llvm
@@ -323,10 +365,10 @@ def test_cuda_without_a_device_is_refused_with_the_alternative():
 def test_a_driver_alone_does_not_make_cuda_the_default(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     monkeypatch.setattr(os.path, "exists", lambda _: True)
-    backend.trial_failure.cache_clear()
-    assert backend._cuda_problem() is not None
+    _llvm.trial_failure.cache_clear()
+    assert _diagnosis._cuda_problem() is not None
     assert backend.default_variant() == "llvm_ad_rgb"
-    backend.trial_failure.cache_clear()
+    _llvm.trial_failure.cache_clear()
 
 
 @needs_llvm
@@ -342,7 +384,7 @@ def test_a_dr_jit_imported_without_llvm_is_explained():
         DRJIT_LIBLLVM_PATH="/nowhere/libLLVM.so",
     )
     assert "before importing mitsuba or drjit" in message
-    assert f"DRJIT_LIBLLVM_PATH={backend.choose_llvm().path}" in message
+    assert f"DRJIT_LIBLLVM_PATH={_llvm.choose_llvm().path}" in message
 
 
 def test_importing_the_backend_imports_nothing_heavy():
@@ -362,7 +404,7 @@ def test_the_diagnosis_of_a_sound_machine():
     text = str(diagnosis)
     assert diagnosis.ok, text
     assert diagnosis.fix is None
-    assert f"chosen: {backend.choose_llvm().path}" in text
+    assert f"chosen: {_llvm.choose_llvm().path}" in text
     names = [name for name, _ in diagnosis.rows]
     assert {"Python", "torch", "Mitsuba", "Dr.Jit", "CUDA", "Variant", "Renderer", "Cores"} <= set(names)
     columns = {
@@ -373,17 +415,42 @@ def test_the_diagnosis_of_a_sound_machine():
 
 def test_the_diagnosis_without_llvm_names_the_fix(library, monkeypatch, capsys):
     old = library(b"libLLVM-15.so.1")
-    monkeypatch.setattr(backend, "_library_files", lambda: [old])
-    monkeypatch.setattr(backend, "_cuda_problem", lambda: "no NVIDIA driver")
+    monkeypatch.setattr(_llvm, "_library_files", lambda: [old])
+    monkeypatch.setattr(_diagnosis, "_cuda_problem", lambda: "no NVIDIA driver")
     assert backend.main() == 1
     text = capsys.readouterr().out
     assert "LLVM 15" in text
     assert "too old" in text
-    assert text.rstrip().endswith(f"Fix: {backend._fix()}")
+    assert text.rstrip().endswith(f"Fix: {_diagnosis._fix()}")
+
+
+@needs_llvm
+def test_the_backend_alone_is_a_doctor_too():
+    result = python("-m", "scenecaptum.backend")
+    assert result.returncode == 0, result.stderr
+    assert "All is well" in result.stdout
+
+
+def test_the_doctor_needs_no_llvm_to_say_that_there_is_none():
+    code = """
+        import sys
+        from scenecaptum import _llvm, cli
+        _llvm._linker_cache, _llvm._library_folders = list, list
+        status = cli.main(["doctor"])
+        assert not {"mitsuba", "drjit"} & set(sys.modules), "it imported what cannot work"
+        sys.exit(status)
+    """
+    result = python("-c", textwrap.dedent(code), CUDA_VISIBLE_DEVICES="")
+    assert result.returncode == 1, result.stderr
+    assert result.stderr == ""
+    *table, verdict, fix = result.stdout.splitlines()
+    assert "LLVM      none found" in table
+    assert verdict == "Rendering will not work."
+    assert fix == f"Fix: {_diagnosis._fix()}"
 
 
 def test_the_diagnosis_names_a_missing_package(monkeypatch):
-    monkeypatch.setattr(backend, "_installed", lambda package: None if package == "drjit" else "1.0")
+    monkeypatch.setattr(_diagnosis, "_installed", lambda package: None if package == "drjit" else "1.0")
     diagnosis = backend.diagnose()
     assert not diagnosis.ok
     assert diagnosis.fix.endswith("-m pip install drjit")
@@ -391,8 +458,8 @@ def test_the_diagnosis_names_a_missing_package(monkeypatch):
 
 def test_a_renderer_that_fails_is_not_called_sound(library, monkeypatch):
     good = library(b"libLLVM.so.19.1")  # by its bytes; the trial finds out
-    monkeypatch.setattr(backend, "_library_files", lambda: [good])
-    monkeypatch.setattr(backend, "_cuda_problem", lambda: "no NVIDIA driver")
+    monkeypatch.setattr(_llvm, "_library_files", lambda: [good])
+    monkeypatch.setattr(_diagnosis, "_cuda_problem", lambda: "no NVIDIA driver")
     diagnosis = backend.diagnose()
     assert not diagnosis.ok
     assert "Rendering will not work." in str(diagnosis)

@@ -18,6 +18,12 @@ class BackendError(SceneCaptumError):
     """The renderer cannot run on this machine; the message gives the one command that fixes it."""
 
 
+class UnknownNameError(SceneCaptumError, KeyError):
+    """A name that is not in a mapping of parameters; a ``KeyError`` too, as ``Mapping`` requires."""
+
+    __str__ = Exception.__str__  # KeyError would quote the whole message
+
+
 def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
     """Return ``' Did you mean …?'`` for the known names closest to ``name``, or an empty string."""
     candidates = list(known)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
-from ..errors import SceneCaptumError, near_misses
+from ..errors import SceneCaptumError, UnknownNameError, near_misses
 from ..scene import SurfaceMap
 from ._passes import Adjoints, Spread, channel_totals, covariance_of_mean
 from ._student import student_t
@@ -84,7 +84,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         try:
             return self.attributions[name]
         except KeyError:
-            raise SceneCaptumError(
+            raise UnknownNameError(
                 f"There is no attribution to {name!r}.{near_misses(name, self.attributions)}"
             ) from None
 

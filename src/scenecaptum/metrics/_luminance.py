@@ -35,8 +35,8 @@ class MeanLuminance(torch.nn.Module):
 
     Example
     -------
-    >>> MeanLuminance()(torch.ones(4, 8, 3)).item()  # doctest: +ELLIPSIS
-    1.000...
+    >>> MeanLuminance()(torch.ones(4, 8, 3))
+    tensor(1.)
 
     Parameters
     ----------

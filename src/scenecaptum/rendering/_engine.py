@@ -7,8 +7,12 @@ depends on nothing that happens to the scene afterwards.
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import threading
-from collections.abc import Callable, Mapping, Sequence
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -19,10 +23,14 @@ from ..errors import SceneCaptumError
 from ._plan import RenderPlan
 from ._state import SceneState, flat
 
+Values = Mapping[str, torch.Tensor]
+
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
 
-Values = Mapping[str, torch.Tensor]
+# The engine whose scene is tracked, if any. A call through a virtual function reaches the objects of every scene
+# in the process, so what another scene tracks would become part of this one's derivatives.
+_tracking: weakref.ref[Engine] | None = None
 
 
 class Engine:
@@ -54,16 +62,14 @@ class Engine:
     ) -> None:
         self._scene = scene
         self._sensor = sensor
-        self._integrator = plan.create_integrator()
         self._resolution = resolution
-        self._found_resolution = _film_size(sensor)
         self._borrowed = borrowed
-        self._state = SceneState(scene, names, borrowed=borrowed)
+        self._state = SceneState(scene, names)
+        integrator = plan.create_integrator()
+        self._render, self._render_backward = _frozen(integrator, sensor)
+        self._render_forward = partial(integrator.render_forward, scene, None, sensor)
         # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
         dr.flush_malloc_cache()
-        # Tracing a room with dozens of materials takes 0.2 s, the same for every pass: it is done once.
-        self._frozen_render = dr.freeze(self._render, warn_after=1000)
-        self._frozen_backward = dr.freeze(self._backward, warn_after=1000)
 
     @property
     def original(self) -> dict[str, torch.Tensor]:
@@ -72,37 +78,37 @@ class Engine:
 
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
         """Render: ``(H, W, 3)`` linear radiance."""
-        with _LOCK:
-            tracked = self._state.leaves.keys() & values.keys()
+        with self._scene_at_hand():
             # What an earlier adjoint left tracked does no harm here, and writing it again would cost.
+            tracked = self._state.leaves.keys()
             stale = self._state.stale(values, tracked)
 
             def render(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
                 with dr.suspend_grad():
-                    return self._frozen_render(self._scene, mi.UInt32(seed), spp)
+                    return self._render(self._scene, mi.UInt32(seed), spp)
 
-            image: torch.Tensor = self._run(render, *stale.values())
+            image: torch.Tensor = _call(render, *stale.values())
             return image
 
     def adjoint(
         self, values: Values, tracked: Sequence[str], adjoint: torch.Tensor, seed: int, spp: int
     ) -> tuple[torch.Tensor, ...]:
         """Return the vector–Jacobian product: for each tracked parameter ``Σ adjoint · ∂image/∂parameter``."""
-        with _LOCK:
+        with self._scene_at_hand():
             stale = self._state.stale(values, tracked)
 
             def backward(adjoint: Any, *arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
-                self._frozen_backward(self._scene, adjoint, mi.UInt32(seed), spp)
+                self._render_backward(self._scene, adjoint, mi.UInt32(seed), spp)
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
-            gradients = self._run(backward, adjoint.contiguous(), *stale.values())
+            gradients = _call(backward, adjoint, *stale.values())
             return tuple(g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True))
 
     def tangent(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         """Return the Jacobian–vector product: the derivative image along ``tangents``."""
-        with _LOCK:
+        with self._scene_at_hand():
             tracked = tuple(tangents)
             stale = self._state.stale(values, tracked)
             split = len(tangents)
@@ -110,43 +116,84 @@ class Engine:
             def forward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays[split:], tracked)
                 self._state.set_tangents(dict(zip(tracked, arrays[:split], strict=True)))
-                return self._integrator.render_forward(self._scene, None, self._sensor, seed, spp)
+                return self._render_forward(seed, spp)
 
-            image: torch.Tensor = self._run(forward, *tangents.values(), *stale.values())
+            image: torch.Tensor = _call(forward, *tangents.values(), *stale.values())
             return image
 
-    def _render(self, scene: Any, seed: Any, spp: int) -> Any:
-        return self._integrator.render(scene, self._sensor, seed=seed, spp=spp)
-
-    def _backward(self, scene: Any, adjoint: Any, seed: Any, spp: int) -> None:
-        self._integrator.render_backward(scene, None, adjoint, self._sensor, seed=seed, spp=spp)
-
-    def _run(self, function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
-        """Call a function of Dr.Jit tensors with torch tensors, leaving a borrowed scene as it was found."""
-        try:
-            self._resize(self._resolution)
-            return dr.wrap(source="torch", target="drjit")(function)(
-                *(tensor.detach().to(torch.float32).contiguous() for tensor in tensors)
-            )
-        except RuntimeError as error:
-            if _nothing_attached(error):
-                raise SceneCaptumError(NOTHING_ATTACHED) from error
-            raise
-        finally:
+    @contextlib.contextmanager
+    def _scene_at_hand(self) -> Iterator[None]:
+        """Have the process to ourselves, and leave a borrowed scene as it was found."""
+        with _LOCK, _collector_paused():
+            self._take_over_tracking()
             if self._borrowed:
-                self._state.restore()
-                self._resize(self._found_resolution)
+                self._state.look()
+            size = _film_size(self._sensor)
+            _resize(self._sensor, self._resolution)
+            try:
+                yield
+            finally:
+                if self._borrowed:
+                    self._state.restore()
+                    _resize(self._sensor, size)
 
-    def _resize(self, resolution: tuple[int, int]) -> None:
-        if _film_size(self._sensor) != resolution:
-            film = mi.traverse(self._sensor)
-            film["film.size"] = list(resolution)
-            film.update()
+    def _take_over_tracking(self) -> None:
+        global _tracking  # noqa: PLW0603 -- there is one Dr.Jit, and it tracks for the whole process
+        previous = _tracking() if _tracking is not None else None
+        if previous is not None and previous is not self:
+            previous._state.release()
+        _tracking = weakref.ref(self)
+
+
+def _frozen(integrator: Any, sensor: Any) -> tuple[Callable[..., Any], Callable[..., None]]:
+    """Return primal and backward render as frozen functions.
+
+    Tracing a room with dozens of materials takes 0.2 s, the same for every pass: so it is done once.
+    """
+
+    def render(scene: Any, seed: Any, spp: int) -> Any:
+        return integrator.render(scene, sensor, seed=seed, spp=spp)
+
+    def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int) -> None:
+        integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
+
+    return dr.freeze(render, warn_after=1000), dr.freeze(render_backward, warn_after=1000)
+
+
+def _call(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
+    """Call a function of Dr.Jit tensors with torch tensors."""
+    try:
+        return dr.wrap(source="torch", target="drjit")(function)(
+            *(tensor.detach().to(torch.float32).contiguous() for tensor in tensors)
+        )
+    except RuntimeError as error:
+        if _nothing_attached(error):
+            raise SceneCaptumError(NOTHING_ATTACHED) from error
+        raise
+
+
+@contextlib.contextmanager
+def _collector_paused() -> Iterator[None]:
+    """Keep Python from collecting a scene while Dr.Jit records a frozen function: that aborts the process."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _film_size(sensor: Any) -> tuple[int, int]:
     width, height = sensor.film().crop_size()
     return int(width), int(height)
+
+
+def _resize(sensor: Any, size: tuple[int, int]) -> None:
+    if _film_size(sensor) != size:
+        film = mi.traverse(sensor)
+        film["film.size"] = list(size)
+        film.update()
 
 
 NOTHING_ATTACHED = (

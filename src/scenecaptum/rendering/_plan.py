@@ -105,6 +105,8 @@ def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
     if max_depth is not None:
         return max_depth, "as asked"
     depth = _setting(own, "max_depth")
+    if depth is None and "Direct" in str(own):
+        return 2, "the scene's integrator stops at direct light"
     if depth is None:
         return DEFAULT_DEPTH, "the scene names no depth"
     # Mitsuba keeps "no limit" as the largest unsigned integer.

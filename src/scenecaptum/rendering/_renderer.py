@@ -17,6 +17,8 @@ from ..scene._selection import Selection
 from ._function import RenderCall, render
 from ._plan import make_plan
 
+MOST_SAMPLES = 2**32
+
 
 class SceneRenderer(torch.nn.Module):
     """A scene as a torch function from named parameters to an image.
@@ -29,7 +31,7 @@ class SceneRenderer(torch.nn.Module):
     >>> image.shape
     torch.Size([32, 32, 3])
     >>> image.mean().backward()
-    >>> x["left_wall.brdf_0.reflectance.value"].grad.shape
+    >>> x["left_wall.reflectance.value"].grad.shape
     torch.Size([3])
 
     Every call is pure: it carries its own values into its backward pass and leaves a scene that was handed in
@@ -179,16 +181,26 @@ class SceneRenderer(torch.nn.Module):
         for name, value in given.items():
             self._check_tensor(name, value)
         seed = check_seed("seed", seed)
+        spp = whole_number("spp", self.spp if spp is None else spp)
+        self._check_size(spp)
         call = RenderCall(
             engine=self._engine,
             names=tuple(given),
             seed=seed,
             seed_grad=seed if seed_grad is None else check_seed("seed_grad", seed_grad),
-            spp=self.spp if spp is None else whole_number("spp", spp),
+            spp=spp,
             check=self._check_values,
         )
         tensors = [value.to(device(), torch.float32) for value in given.values()]
         return render(call, *tensors)
+
+    def _check_size(self, spp: int) -> None:
+        width, height = self.resolution
+        if width * height * spp > MOST_SAMPLES:
+            raise SceneCaptumError(
+                f"{width}×{height} pixels at {spp} spp are more samples than Mitsuba takes in one pass (2**32): "
+                f"render at most {MOST_SAMPLES // (width * height)} spp at a time and average."
+            )
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Refuse what can be refused without looking at the numbers, which a transform may hide."""
@@ -209,6 +221,9 @@ class SceneRenderer(torch.nn.Module):
 
     def _check_values(self, values: Mapping[str, torch.Tensor]) -> None:
         for name, value in values.items():
+            # The scene's own values are what Mitsuba accepted (a principled roughness of 0, say).
+            if torch.equal(value, self._engine.original[name]):
+                continue
             low, high = value.min().item(), value.max().item()
             bounds = self._table[name].bounds
             if not torch.isfinite(value).all():
@@ -234,9 +249,11 @@ class SceneRenderer(torch.nn.Module):
 
 def _sensor(scene: Any, index: int) -> Any:
     sensors = scene.sensors()
-    if not 0 <= index < len(sensors):
+    index = whole_number("sensor", index, 0, len(sensors) - 1)
+    if "pixel_format = rgb," not in str(sensors[index].film()):
         raise SceneCaptumError(
-            f"sensor={index}, but the scene has {len(sensors)}: give 0 to {len(sensors) - 1}."
+            f'The film of sensor {index} does not record linear RGB. Give it pixel_format="rgb" (hdrfilm), or '
+            "hand in the scene's file or dict, which is loaded so."
         )
     return sensors[index]
 

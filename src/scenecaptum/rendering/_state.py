@@ -16,8 +16,8 @@ import torch
 class SceneState:
     """Writes parameter values into a scene, and only those that differ from what it holds.
 
-    A write is not free (a rough plastic recomputes its tables, 60 ms each), so a scene of our own keeps the
-    last values until others are asked for. A scene that the caller handed in is restored after every use.
+    A write is not free (a rough plastic recomputes its tables, 60 ms each), so a scene keeps the last values
+    until others are asked for or ``restore`` is called.
 
     Parameters
     ----------
@@ -25,19 +25,22 @@ class SceneState:
         The live ``mi.Scene``.
     names
         The parameters that may be written.
-    borrowed
-        Whether the scene belongs to the caller.
     """
 
-    def __init__(self, scene: Any, names: Sequence[str], *, borrowed: bool) -> None:
+    def __init__(self, scene: Any, names: Sequence[str]) -> None:
         self._params = mi.traverse(scene)
         self._params.properties = {n: p for n, p in self._params.properties.items() if n in set(names)}
         self._types = {name: type(self._params[name]) for name in names}
-        # The very arrays that a caller's scene holds, to be put back.
-        self._found = {name: self._types[name](self._params[name]) for name in names} if borrowed else {}
+        self._found: dict[str, Any] = {}
+        self.leaves: dict[str, Any] = {}
         self.original = {name: _to_torch(self._params[name]) for name in names}
         self._held = dict(self.original)
-        self.leaves: dict[str, Any] = {}
+
+    def look(self) -> None:
+        """Take what the scene holds now for its own values: its owner may have changed them."""
+        self._found = {name: kind(self._params[name]) for name, kind in self._types.items()}
+        self.original = {name: _to_torch(value) for name, value in self._found.items()}
+        self._held = dict(self.original)
 
     def stale(self, values: Mapping[str, torch.Tensor], tracked: Collection[str]) -> dict[str, torch.Tensor]:
         """Return what must be written so that the scene holds ``values`` and tracks ``tracked``.
@@ -58,7 +61,6 @@ class SceneState:
         for name, array in zip(stale, arrays, strict=True):
             # Until the write has gone through, nothing is known of what the scene holds.
             self._held.pop(name, None)
-            self.leaves.pop(name, None)
             value = _from_tensor(self._types[name], array)
             if name in tracked:
                 dr.enable_grad(value)
@@ -72,16 +74,6 @@ class SceneState:
         self.leaves = leaves
         dr.clear_grad(list(leaves.values()))
 
-    def restore(self) -> None:
-        """Leave a borrowed scene as it was found."""
-        if not self._found or (not self.leaves and all(map(self._holds, self.original, self.original.values()))):
-            return
-        self.leaves = {}
-        for name, value in self._found.items():
-            self._params[name] = self._types[name](value)
-        self._params.update()
-        self._held = dict(self.original)
-
     def set_tangents(self, tangents: Mapping[str, Any]) -> None:
         """Give the leaves their tangents and carry them to the arrays that the scene derives from the leaves."""
         for name, tangent in tangents.items():
@@ -91,6 +83,26 @@ class SceneState:
         dr.traverse(dr.ADMode.Forward, flags=dr.ADFlag.ClearEdges)
         # That used up the edges between leaves and scene: the next write starts afresh.
         self._held.clear()
+
+    def release(self) -> None:
+        """Stop tracking: what remains of this scene's graph must not reach another's."""
+        self._assign({name: dr.detach(leaf) for name, leaf in self.leaves.items()})
+
+    def restore(self) -> None:
+        """Put back what ``look`` found, where anything has changed."""
+        changed = {
+            n: v for n, v in self._found.items() if n in self.leaves or not self._holds(n, self.original[n])
+        }
+        self._assign(changed)
+        self._held = dict(self.original)
+        self._found = {}
+
+    def _assign(self, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            self._params[name] = self._types[name](value)
+        if values:
+            self._params.update()
+        self.leaves = {}
 
     def _holds(self, name: str, tensor: torch.Tensor) -> bool:
         held = self._held.get(name)

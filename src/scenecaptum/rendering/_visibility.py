@@ -15,27 +15,28 @@ from numpy.typing import NDArray
 from ..scene import SceneParameters, SurfaceMap
 from ..scene._graph import SceneGraph
 
-# A regular 4×4 grid in each pixel: coverage to within 1/16, and the same map at every call.
-GRID = 4
+# Hammersley points: 16 rays a pixel, no two in one row or column, so that an edge along either axis is located to
+# within 1/16 of a pixel; and the same map at every call.
+RAYS = 16
 
 
 def trace_surfaces(
     graph: SceneGraph, parameters: SceneParameters, sensor: Any, resolution: tuple[int, int]
 ) -> SurfaceMap:
-    """Trace a grid of primary rays through each pixel and record the objects that they meet first."""
+    """Trace primary rays through each pixel and record the objects that they meet first."""
     shapes = graph.shapes()
     width, height = resolution
     met = _first_hits(graph.scene, sensor, resolution, [shape for _, shape, _ in shapes])
     objects = (*(name for name, _, _ in shapes), "background")
     count = len(objects)
 
-    pixel = np.repeat(np.arange(width * height), GRID * GRID)
+    pixel = np.repeat(np.arange(width * height), RAYS)
     entries, hits = np.unique(pixel * count + met, return_counts=True)
     return SurfaceMap(
         shape=(height, width),
         pixel=(entries // count).astype(np.int32),
         object_index=(entries % count).astype(np.int32),
-        fraction=(hits / GRID**2).astype(np.float32),
+        fraction=(hits / RAYS).astype(np.float32),
         objects=objects,
         parameters=_shown_parameters(
             graph, parameters, [*(below for _, _, below in shapes), graph.background()]
@@ -46,25 +47,26 @@ def trace_surfaces(
 def _first_hits(scene: Any, sensor: Any, resolution: tuple[int, int], shapes: list[Any]) -> NDArray[np.int64]:
     """Index into ``shapes`` of what each ray meets first, ``len(shapes)`` for nothing; pixel-major."""
     width, height = resolution
-    ray_count = width * height * GRID * GRID
-    index = dr.arange(mi.UInt32, ray_count)
-    pixel, cell = index // (GRID * GRID), index % (GRID * GRID)
+    index = dr.arange(mi.UInt32, width * height * RAYS)
+    pixel, point = index // RAYS, index % RAYS
+    # The bits of the point's number reversed, as a fraction.
+    reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
     position = mi.Point2f(
-        (mi.Float(pixel % width) + (mi.Float(cell % GRID) + 0.5) / GRID) / width,
-        (mi.Float(pixel // width) + (mi.Float(cell // GRID) + 0.5) / GRID) / height,
+        (mi.Float(pixel % width) + (mi.Float(point) + 0.5) / RAYS) / width,
+        (mi.Float(pixel // width) + (mi.Float(reversed_bits) + 0.5) / RAYS) / height,
     )
     with dr.suspend_grad():
         ray, _ = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        registry = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
+        shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (hit.shape, hit.instance))
+        registry = dr.select(hit.is_valid(), dr.select(instance != 0, instance, shape), 0)
 
     # Dr.Jit numbers the shapes of the whole process from 1; 0 is nothing.
     numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in shapes]
     to_index = np.full(max(numbers, default=0) + 1, len(shapes), dtype=np.int64)
     to_index[numbers] = np.arange(len(shapes))
-    found = registry.numpy()
-    # An instance refers to shapes inside a group, which are not among the scene's own.
-    return to_index[np.where(found < len(to_index), found, 0)]
+    met: NDArray[np.int64] = to_index[registry.numpy()]
+    return met
 
 
 def _shown_parameters(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -21,6 +22,7 @@ class SceneGraph:
         self._children: dict[Any, list[tuple[str, Any]]] = {}
         self._holders: dict[Any, list[tuple[Any, str]]] = {}
         self._walk(scene)
+        self._link_instances()
 
     def _walk(self, node: Any) -> None:
         children = self._children[node] = _children(node)
@@ -28,6 +30,16 @@ class SceneGraph:
             self._holders.setdefault(child, []).append((node, name))
             if child not in self._children:
                 self._walk(child)
+
+    def _link_instances(self) -> None:
+        """Hang each shape group below its instances, which name it in their description only."""
+        groups = {node.id(): node for node in self._children if node.class_name().startswith("ShapeGroup")}
+        for node in self._children:
+            if node.class_name() != "Instance":
+                continue
+            named = re.search(r'shapegroup = ShapeGroup\[\s*name = "([^"]*)"', str(node))
+            if named and named.group(1) in groups:
+                self._children[node].append(("shapegroup", groups[named.group(1)]))
 
     def role(self, node: Any, attribute: str) -> tuple[Any, str]:
         """Return the material, light, medium, shape or sensor that uses a value, and what it uses it as.

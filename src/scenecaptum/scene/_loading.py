@@ -103,7 +103,7 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
         state = parse(config)
         mi.parser.transform_all(config, state)
         for node in state.nodes:
-            _keep_texels_differentiable(node)
+            _make_differentiable(node)
         loaded = mi.parser.instantiate(config, state)
     except (RuntimeError, ValueError, TypeError) as error:
         raise SceneCaptumError(f"{name} cannot be loaded: {_reason(error)}") from error
@@ -117,10 +117,12 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
     return loaded
 
 
-def _keep_texels_differentiable(node: Any) -> None:
-    """Store a bitmap in the variant's floating point type: 8-bit texels carry no derivatives."""
+def _make_differentiable(node: Any) -> None:
+    """Store texels as floats, since 8 bits carry no derivatives, and have films record linear RGB."""
     if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
         node.props["format"] = "variant"
+    if node.props.plugin_name() == "hdrfilm":
+        node.props["pixel_format"] = "rgb"
 
 
 def _reason(error: Exception) -> str:

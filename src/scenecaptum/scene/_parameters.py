@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..backend import activate
-from ..errors import SceneCaptumError, near_misses
+from ..errors import UnknownNameError, near_misses
 from ._graph import SceneGraph
 
 
@@ -88,7 +88,7 @@ class SceneParameters(Mapping[str, Parameter]):
         try:
             return self._by_name[name]
         except KeyError:
-            raise SceneCaptumError(
+            raise UnknownNameError(
                 f"The scene has no parameter {name!r}.{near_misses(name, self._by_name)}"
             ) from None
 
@@ -179,7 +179,6 @@ _CAUTIONS: dict[tuple[str, str | None], str] = {
     ("RoughPlastic", "alpha"): "the plugin's tables are outside the derivative graph: its size is off",
     ("RoughPlastic", "eta"): "the plugin's tables are outside the derivative graph: even its sign can be off",
     ("MaskBSDF", "opacity"): "path replay gets its sign wrong",
-    ("Principled", "specular"): "path replay finds no derivative for it: it reads as 0",
 }
 
 _DROPPED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
@@ -203,6 +202,16 @@ def discover(graph: SceneGraph) -> SceneParameters:
     )
 
 
+def _black(plugin: str, value: Any) -> str | None:
+    """Caution against a diffuse surface of reflectance 0, whose throughput path replay divides by."""
+    if plugin != "SmoothDiffuse" or not _is_float(value) or len(_shape(value)) > 1:
+        return None
+    import drjit as dr
+
+    black = dr.any(value == 0, axis=None)
+    return "path replay loses the indirect part where the value is exactly 0" if black else None
+
+
 def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
     mi = activate()
     return pointer if cpptype is None else mi.get_property(pointer, cpptype, node)
@@ -213,7 +222,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     kind, bounds = _kind_and_bounds(holder, role)
     problem = _problem(kind, role, node, value, flags)
     plugin = holder.class_name()
-    caution = _CAUTIONS.get((plugin, role)) or _CAUTIONS.get((plugin, None))
+    caution = _CAUTIONS.get((plugin, role)) or _CAUTIONS.get((plugin, None)) or _black(plugin, value)
     return Parameter(
         name=name,
         label=label,

@@ -110,7 +110,8 @@ def _office_materials() -> dict[str, Plugin]:
         "window_frame": _diffuse(0.70, 0.70, 0.68),
         "luminaire_housing": _diffuse(0.60, 0.60, 0.60),
         # What panes, opal covers and bulbs send back of the light that falls on them from outside.
-        "glazing": _diffuse(0.1, 0.1, 0.1),
+        "window_pane": _diffuse(0.1, 0.1, 0.1),
+        "diffuser": _diffuse(0.1, 0.1, 0.1),
         "picture": _textured(_painting(), filter_type="bilinear"),
         "book_red": _diffuse(0.50, 0.09, 0.06),
         "book_blue": _diffuse(0.08, 0.18, 0.36),
@@ -159,7 +160,7 @@ def _office_window() -> dict[str, Plugin]:
             for step in range(7)
         )
     }
-    pane = _panel((x, wall + 0.14, z), (width, 0, 0), (0, 0, height), "glazing")
+    pane = _panel((x, wall + 0.14, z), (width, 0, 0), (0, 0, height), "window_pane")
     return {
         **posts,
         **rails,
@@ -178,7 +179,7 @@ def _office_luminaires() -> dict[str, Plugin]:
     length, width, z = 1.3, 0.16, 2.32
     shapes: dict[str, Plugin] = {}
     for name, (x, y) in places.items():
-        opal = _panel((x, y, z - 0.021), (0, length, 0), (width, 0, 0), "glazing")
+        opal = _panel((x, y, z - 0.021), (0, length, 0), (width, 0, 0), "diffuser")
         shapes[f"luminaire_{name}"] = _glowing(opal, 25.0, 22.0, 18.0)
         shapes[f"luminaire_{name}_housing"] = _box(
             (x, y, z), (width + 0.03, length + 0.03, 0.04), "luminaire_housing"
@@ -222,7 +223,7 @@ def _office_lamp() -> dict[str, Plugin]:
         "lamp_upper_arm": _tube(elbow, head, 0.012, "lamp_stand"),
         "lamp_shade_side": _tube(head, _along(head, axis, 0.17), 0.09, "lamp_shade"),
         "lamp_shade_top": _disk(head, axis, (0.09, 0.09), "lamp_shade"),
-        "bulb": _glowing(_ball(_along(head, axis, 0.13), 0.04, "glazing"), 40.0, 30.0, 20.0, share=0.3),
+        "bulb": _glowing(_ball(_along(head, axis, 0.13), 0.04, "diffuser"), 40.0, 30.0, 20.0, share=0.3),
     }
 
 

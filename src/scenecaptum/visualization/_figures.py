@@ -157,8 +157,8 @@ def _label_bars(
     for label in ax.get_yticklabels():
         label.set_parse_math(False)  # a scene may well have a $ in its names
     ax.invert_yaxis()
-    ax.set_xlim(left=0)
     ax.margins(x=0.08)
+    ax.set_xlim(left=0)
     gradient = quantity(attribution) == "gradient per unit"
     measure = "per unit of the parameter" if gradient else f"({quantity(attribution)})"
     ax.set_xlabel(f"saliency: change of {metric_name(attribution)} {measure}", parse_math=False)

@@ -188,7 +188,7 @@ def _gradients(rows: Sequence[Ranked]) -> list[str]:
 
 
 def _channels(row: Ranked) -> list[str]:
-    """Write the channels to the saliency's place; three digits are enough where no error stands beside them."""
+    """Write the channels to the saliency's place; three digits do, with no error beside them."""
     style = Format.of(row.saliency, row.saliency_error).at_most(3, row.saliency)
     return [style.write_signed(value) for value in row.total]
 

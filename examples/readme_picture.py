@@ -1,0 +1,30 @@
+"""Make the picture of the README: the office, and what its mean luminance depends on.
+
+python examples/readme_picture.py [FILE]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+
+
+def main(path: Path) -> None:
+    renderer = SceneRenderer(
+        "office", inputs=["materials", "emitters"], resolution=(640, 360), spp=1024, max_depth=6
+    )
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    attribution = method.attribute(seed=0, show_progress=sys.stderr.isatty())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    attribution.plot_heatmap().savefig(path, dpi=110)
+    print(attribution)
+
+
+if __name__ == "__main__":
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parents[1] / "docs" / "pictures" / "office.png"
+    )

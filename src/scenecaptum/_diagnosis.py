@@ -1,0 +1,218 @@
+"""Say what this machine has for rendering, what is missing, and the command that provides it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from ._llvm import (
+    MEASURED_LLVM,
+    OLDEST_LLVM,
+    PATH_VARIABLE,
+    LLVMLibrary,
+    choose_llvm,
+    llvm_libraries,
+    trial_failure,
+)
+
+# --------------------------------------------------------------------------------------- what is there
+
+
+def default_variant() -> str:
+    """Return ``cuda_ad_rgb`` where that really renders (tried once per process), else ``llvm_ad_rgb``."""
+    return "cuda_ad_rgb" if _cuda_problem() is None else "llvm_ad_rgb"
+
+
+def _cuda_problem() -> str | None:
+    """Return why CUDA cannot be used, or None; without an NVIDIA driver this is a look at two files."""
+    if not any(map(os.path.exists, ("/dev/nvidiactl", "/dev/dxg"))):  # Linux, and Linux under Windows
+        return "no NVIDIA driver"
+    return trial_failure("cuda_ad_rgb")
+
+
+# --------------------------------------------------------------------------------------- what is missing
+
+
+def no_llvm_message() -> str:
+    """Return what was found instead of a usable LLVM, and the fix."""
+    found = "\n".join(f"  {_llvm_name(one)}, {one.path}: {_verdict(one)}" for one in llvm_libraries())
+    return (
+        f"Rendering on the CPU needs an LLVM library, version {OLDEST_LLVM} or newer "
+        f"(best {MEASURED_LLVM[0]} to {MEASURED_LLVM[-1]}). "
+        + (f"Found only:\n{found}" if found else "Found none.")
+        + f"\nFix: {_fix()}"
+    )
+
+
+def _llvm_name(library: LLVMLibrary) -> str:
+    return "LLVM" if library.version is None else f"LLVM {library.version}"
+
+
+def _verdict(library: LLVMLibrary) -> str:
+    """Return what is known about a library, running nothing that has not been run already."""
+    if library.problem is not None:
+        return library.problem
+    if library.measured:
+        return "usable"
+    failure = trial_failure("llvm_ad_rgb", library)
+    return "usable, as a trial showed" if failure is None else f"fails: {failure}"
+
+
+def _fix() -> str:
+    """Return the one command that provides LLVM on this platform, or failing that the way to one."""
+    if os.environ.get("CONDA_PREFIX"):
+        return "conda install -c conda-forge libllvm19"
+    if sys.platform == "darwin":
+        return "brew install llvm"
+    system = _os_release()
+    sudo = "" if _is_root() else "sudo "
+    if system & {"debian", "ubuntu"}:
+        return _apt_fix(sudo)
+    if system & {"fedora", "rhel", "centos"}:
+        return f"{sudo}dnf install llvm-libs"
+    if system & {"arch"}:
+        return f"{sudo}pacman -S llvm-libs"
+    return f"install LLVM 19 with your package manager, or set {PATH_VARIABLE} to its shared library"
+
+
+def _apt_fix(sudo: str) -> str:
+    if package := _apt_package():
+        return f"{sudo}apt-get install {package}"
+    # Lists never fetched, as in containers, look like those of a system too old or too new to have the package.
+    return (
+        f"{sudo}apt-get update && {sudo}apt-get install libllvm19. If apt knows no such package: "
+        f"conda install -c conda-forge libllvm19, and set {PATH_VARIABLE} to its shared library"
+    )
+
+
+def _apt_package() -> str | None:
+    """Return the best LLVM package in apt's lists, one of a measured version if possible; None without any."""
+    unmeasured = range(MEASURED_LLVM[0] - 1, OLDEST_LLVM - 1, -1)
+    names = [f"libllvm{version}" for version in (*MEASURED_LLVM, *unmeasured)]
+    try:
+        shown = subprocess.run(
+            ["apt-cache", "show", *names], capture_output=True, text=True, errors="replace", check=False
+        )
+    except OSError:  # no apt
+        return None
+    known = re.findall(r"^Package: (\S+)$", shown.stdout, re.MULTILINE)
+    return next((name for name in names if name in known), None)
+
+
+def _is_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+def _os_release() -> set[str]:
+    """Return the names this Linux distribution goes by, its ancestors' included."""
+    try:
+        release = platform.freedesktop_os_release()
+    except OSError:
+        return set()
+    return {release.get("ID", ""), *release.get("ID_LIKE", "").split()}
+
+
+# --------------------------------------------------------------------------------------- the whole picture
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What this machine has for rendering, as a table that prints itself, the verdict, and the fix if any."""
+
+    rows: tuple[tuple[str, str], ...]
+    ok: bool
+    fix: str | None
+
+    def __str__(self) -> str:
+        width = max(len(name) for name, _ in self.rows)
+        table = "\n".join(f"{name:<{width}}  {finding}" for name, finding in self.rows)
+        verdict = (
+            "All is well: scenes can be rendered and differentiated."
+            if self.ok
+            else "Rendering will not work."
+        )
+        return f"{table}\n\n{verdict}" + (f"\nFix: {self.fix}" if self.fix else "")
+
+
+def diagnose() -> Diagnosis:
+    """Look at everything rendering needs and try it in another process, so that nothing can break this one.
+
+    Example
+    -------
+    >>> print(diagnose())  # doctest: +SKIP
+    Python    3.11.7
+    torch     2.13.0
+    Mitsuba   3.9.1
+    Dr.Jit    1.5.0
+    LLVM 19   usable, chosen: /usr/lib/x86_64-linux-gnu/libLLVM.so.19.1
+    LLVM 15   too old, Dr.Jit aborts on it (needs 17+): /usr/lib/x86_64-linux-gnu/libLLVM-15.so.1
+    CUDA      not used: no NVIDIA driver
+    Variant   llvm_ad_rgb
+    Renderer  a test image came out right
+    Cores     4
+    """
+    libraries = llvm_libraries()
+    chosen, variant, cuda = choose_llvm(libraries), default_variant(), _cuda_problem()
+    packages = {name: _installed(package) for name, package in _PACKAGES.items()}
+    fix = _first_fix(packages, usable=chosen is not None or cuda is None)
+    failure = _render_failure(chosen, cuda, tried=fix is None)
+    rows = (
+        ("Python", platform.python_version()),
+        *((name, version or "not installed") for name, version in packages.items()),
+        *_llvm_rows(libraries, chosen),
+        ("CUDA", "usable" if cuda is None else f"not used: {cuda}"),
+        ("Variant", variant),
+        ("Renderer", failure or "a test image came out right"),
+        ("Cores", str(_cores())),
+    )
+    return Diagnosis(rows, ok=failure is None, fix=fix)
+
+
+def _render_failure(chosen: LLVMLibrary | None, cuda: str | None, *, tried: bool) -> str | None:
+    if not tried:
+        return "not tried"
+    # CUDA was tried already, to know its problem.
+    return None if cuda is None else trial_failure("llvm_ad_rgb", chosen)
+
+
+_PACKAGES = {"torch": "torch", "Mitsuba": "mitsuba", "Dr.Jit": "drjit"}
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _first_fix(packages: dict[str, str | None], *, usable: bool) -> str | None:
+    """Return the command to run first, or None when everything needed is there."""
+    missing = [_PACKAGES[name] for name, version in packages.items() if version is None]
+    if missing:
+        return f"{Path(sys.executable).name} -m pip install {' '.join(missing)}"
+    return None if usable else _fix()
+
+
+def _llvm_rows(libraries: list[LLVMLibrary], chosen: LLVMLibrary | None) -> list[tuple[str, str]]:
+    """Return one row per library, the chosen one first; unmeasured ones are not tried needlessly."""
+    if not libraries:
+        return [("LLVM", "none found")]
+    rows = []
+    for library in sorted(libraries, key=lambda one: (one == chosen, one.version or 0), reverse=True):
+        needless = (
+            library.problem is None and not library.measured and chosen is not None and library != chosen
+        )
+        verdict = "untried" if needless else _verdict(library)
+        rows.append((_llvm_name(library), f"{verdict}{', chosen' * (library == chosen)}: {library.path}"))
+    return rows
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,83 @@
+"""Renderers and scenes that several test files share: compiling their kernels is what a first render costs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+# The package is imported inside the fixtures, so that a fault in one room fails that room's tests only.
+
+
+@pytest.fixture(scope="session")
+def mi() -> Any:
+    from scenecaptum.backend import activate
+
+    return activate()
+
+
+@pytest.fixture(scope="session")
+def cornell(mi: Any) -> Any:
+    """All diffuse: what path replay differentiates exactly, and where an image is linear in the light."""
+    from scenecaptum.rendering import SceneRenderer
+
+    return SceneRenderer(
+        "cornell-box", inputs=["reflectance", "emitters"], resolution=(32, 32), spp=16, max_depth=4
+    )
+
+
+@pytest.fixture(scope="session")
+def stage_dict(mi: Any) -> dict[str, Any]:
+    """Plugins that derive their own arrays from a parameter: a rough plastic, a bitmap, an environment map."""
+    rng = np.random.default_rng(5)
+    texels = rng.uniform(0.2, 0.8, (4, 6, 3)).astype(np.float32)
+    sky = rng.uniform(0.5, 1.5, (4, 8, 3)).astype(np.float32)
+    transform = mi.ScalarTransform4f
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 3},
+        "camera": {
+            "type": "perspective",
+            "fov": 45,
+            "to_world": transform().look_at(origin=[0, -4, 1.5], target=[0, 0, 0], up=[0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+            "sampler": {"type": "independent", "sample_count": 16},
+        },
+        "ball": {
+            "type": "sphere",
+            "bsdf": {
+                "type": "roughplastic",
+                "alpha": 0.25,
+                "diffuse_reflectance": {"type": "rgb", "value": [0.3, 0.4, 0.5]},
+            },
+        },
+        "ground": {
+            "type": "rectangle",
+            "to_world": transform().translate([0, 0, -1]).scale(3),
+            "bsdf": {
+                "type": "diffuse",
+                "reflectance": {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True},
+            },
+        },
+        "sky": {"type": "envmap", "bitmap": mi.Bitmap(sky)},
+    }
+
+
+@pytest.fixture(scope="session")
+def stage(stage_dict: dict[str, Any]) -> Any:
+    from scenecaptum.rendering import SceneRenderer
+
+    return SceneRenderer(stage_dict, inputs="all")
+
+
+@pytest.fixture(scope="session")
+def shared_scenes() -> Path:
+    """Rooms too big for the repository: $SCENECAPTUM_SCENES, or the folder beside the repository."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
+    folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no rooms to run on: {folder} does not exist (set SCENECAPTUM_SCENES)")
+    return folder
