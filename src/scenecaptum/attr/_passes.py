@@ -125,9 +125,10 @@ class Spread:
     def add(self, gradient: torch.Tensor) -> None:
         """Take in the gradient of one more pass, in place: a texture's gradient is large."""
         self.totals.append(channel_totals(gradient))
+        weight = 1 / len(self.totals)
         step = gradient - self.mean
-        self.mean.add_(step, alpha=1 / len(self.totals))
-        self.squares.addcmul_(step, gradient - self.mean)
+        self.mean.add_(step, alpha=weight)
+        self.squares.addcmul_(step, step, value=1 - weight)
 
     def standard_error(self) -> torch.Tensor:
         """Return the standard error of the mean, elementwise; it takes two passes."""
