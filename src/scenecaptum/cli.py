@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         metavar="SELECTION",
         help="what is differentiated: materials, reflectance, roughness, ior, opacity, textures, emitters, media, "
-        "all, a glob or a name; may be repeated (default: materials and emitters)",
+        "all, a glob or a name; may be repeated (default: all)",
     )
     attribute.add_argument(
         "--target", type=int, help="which element, where the metric returns a vector", metavar="INDEX"
@@ -141,7 +141,7 @@ def _attribute(options: argparse.Namespace) -> int:
     with _writable(options.out):
         renderer = SceneRenderer(
             options.scene,
-            options.inputs or ["materials", "emitters"],
+            options.inputs or "all",
             resolution=options.resolution,
             spp=options.spp,
             max_depth=options.max_depth,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,13 +87,13 @@ def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
 
 
 def _write(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            try:
+        try:
+            with partial.open("wb") as file:
                 np.savez_compressed(file, header=json.dumps(header), **arrays)
-            except BaseException:
-                os.unlink(file.name)
-                raise
-        os.replace(file.name, path)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
     except OSError as error:
         raise SceneCaptumError(f"{path} cannot be written: {error.strerror or error}.") from error
