@@ -656,6 +656,7 @@ def test_changes_that_the_user_makes_to_his_scene_survive_a_render(mi: Any, own_
     params = mi.traverse(own_scene)
     params[FLOOR] = mi.Color3f(0.1, 0.2, 0.3)
     params.update()
+    torch.testing.assert_close(renderer.inputs[FLOOR], torch.tensor([0.1, 0.2, 0.3]))
     gradient(renderer, {FLOOR: torch.full((3,), 0.5)})
     found = np.array(mi.traverse(own_scene)[FLOOR]).ravel()
     assert np.allclose(found, [0.1, 0.2, 0.3]), f"the user's 0.1, 0.2, 0.3 became {found}"

@@ -6,6 +6,7 @@ Importing this package is cheap: Mitsuba, matplotlib and kornia load when they a
 __version__ = "0.1.0"
 
 from . import metrics as metrics
+from .attr import AttributionInterrupted as AttributionInterrupted
 from .attr import SceneAttribution as SceneAttribution
 from .attr import VanillaSceneGradient as VanillaSceneGradient
 from .backend import activate as activate

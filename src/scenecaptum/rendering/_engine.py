@@ -76,6 +76,12 @@ class Engine:
         """The scene's own values."""
         return self._state.original
 
+    def look(self) -> None:
+        """Read a borrowed scene's own values again: its owner may have changed them."""
+        if self._borrowed:
+            with _LOCK:
+                self._state.look()
+
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
         """Render: ``(H, W, 3)`` linear radiance."""
         with self._scene_at_hand():
@@ -126,8 +132,7 @@ class Engine:
         """Have the process to ourselves, and leave a borrowed scene as it was found."""
         with _LOCK, _collector_paused():
             self._take_over_tracking()
-            if self._borrowed:
-                self._state.look()
+            self.look()
             size = _film_size(self._sensor)
             _resize(self._sensor, self._resolution)
             try:

@@ -106,6 +106,7 @@ class SceneRenderer(torch.nn.Module):
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
         """The selected parameters with the scene's own values, detached copies made afresh at each access."""
+        self._engine.look()
         return {name: self._engine.original[name].clone().to(device()) for name in self._names}
 
     def leaves(self) -> dict[str, torch.Tensor]:
