@@ -291,11 +291,8 @@ def test_what_cannot_be_differentiated_says_why(zoo: SceneParameters, name: str,
 @pytest.mark.parametrize(
     ("name", "word"),
     [
-        ("gold.bsdf.specular_reflectance.value", "mirror"),
-        ("enamel.bsdf.diffuse_reflectance.value", "overstates"),
         ("vinyl.bsdf.alpha", "tables"),
         ("vinyl.bsdf.eta", "sign"),
-        ("cut_out.bsdf.opacity.value", "sign"),
     ],
 )
 def test_a_derivative_known_to_be_wrong_carries_a_caution(zoo: SceneParameters, name: str, word: str) -> None:
@@ -439,4 +436,4 @@ def test_a_real_room_loads_with_differentiable_textures(mi: Any, shared_scenes: 
     described = table(room)
     assert len(select(described, "textures")) >= 1
     assert [p.problem for p in described.values() if p.name.endswith(".data") and p.problem] == []
-    assert any("mirror" in (p.caution or "") for p in described.values())
+    assert any("tables" in (p.caution or "") for p in described.values())

@@ -11,7 +11,7 @@ import contextlib
 import gc
 import threading
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -20,6 +20,7 @@ import mitsuba as mi
 import torch
 
 from ..errors import SceneCaptumError
+from . import _integrator  # noqa: F401 -- registers the plugin
 from ._plan import RenderPlan
 from ._state import SceneState, flat
 
@@ -48,6 +49,8 @@ class Engine:
         ``(width, height)`` in pixels.
     borrowed
         Whether the scene belongs to the caller and must be left as it was found.
+    lifted
+        For some parameters the value at which derivatives are taken where their own is exactly 0.
     """
 
     def __init__(
@@ -59,8 +62,10 @@ class Engine:
         resolution: tuple[int, int],
         *,
         borrowed: bool,
+        lifted: Mapping[str, float],
     ) -> None:
         self._scene = scene
+        self._lifted = lifted
         self._sensor = sensor
         self._resolution = resolution
         self._borrowed = borrowed
@@ -102,7 +107,7 @@ class Engine:
     ) -> tuple[torch.Tensor, ...]:
         """Return the vector–Jacobian product: for each tracked parameter ``Σ adjoint · ∂image/∂parameter``."""
         with self._scene_at_hand():
-            stale = self._state.stale(values, tracked)
+            stale = self._state.stale(self._lift(values, tracked), tracked)
 
             def backward(adjoint: Any, *arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
@@ -116,7 +121,7 @@ class Engine:
         """Return the Jacobian–vector product: the derivative image along ``tangents``."""
         with self._scene_at_hand():
             tracked = tuple(tangents)
-            stale = self._state.stale(values, tracked)
+            stale = self._state.stale(self._lift(values, tracked), tracked)
             split = len(tangents)
 
             def forward(*arrays: Any) -> Any:
@@ -126,6 +131,10 @@ class Engine:
 
             image: torch.Tensor = _call(forward, *tangents.values(), *stale.values())
             return image
+
+    def _lift(self, values: Values, tracked: Collection[str]) -> Values:
+        lifted = {n: values[n].clamp_min(self._lifted[n]) for n in tracked if n in self._lifted}
+        return {**values, **lifted}
 
     @contextlib.contextmanager
     def _scene_at_hand(self) -> Iterator[None]:
@@ -202,8 +211,8 @@ def _resize(sensor: Any, size: tuple[int, int]) -> None:
 
 
 NOTHING_ATTACHED = (
-    "No derivative reaches any of the inputs: path replay finds none through perfectly smooth mirrors and glass. "
-    "renderer.plan lists the cautions; add an input with a rough or diffuse surface, or a light."
+    "No derivative reaches any of the inputs: none of them takes part in a path that can be differentiated. Look "
+    "at renderer.plan for cautions, and add an input that the picture depends on, such as a light."
 )
 
 

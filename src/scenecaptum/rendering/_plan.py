@@ -72,10 +72,10 @@ def make_plan(
 
     if graph.has(mi.Medium):
         integrator = "prbvolpath"
-        reasons.append((f"integrator {integrator}", "the scene has a participating medium"))
+        reasons.append((f"integrator {integrator}", "Mitsuba's own: the scene has a participating medium"))
     else:
-        integrator = "prb"
-        reasons.append((f"integrator {integrator}", "path replay; no medium in the scene"))
+        integrator = "scenecaptum_replay"
+        reasons.append((f"integrator {integrator}", "path replay, mirrors included; no medium in the scene"))
 
     depth, reason = _depth(own, max_depth)
     reasons.append((f"max_depth {'unlimited' if depth == -1 else depth}", reason))

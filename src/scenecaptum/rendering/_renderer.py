@@ -19,6 +19,11 @@ from ._plan import make_plan
 
 MOST_SAMPLES = 2**32
 
+# Path replay divides by what a surface reflects, so the indirect part of the derivative is lost where that is
+# exactly 0; and Mitsuba's Fresnel term loses its slope to rounding where an index is. The slope a little above is
+# taken, which is that at 0 to within as little.
+LIFT = {"reflectance": 1e-3, "ior": 3e-3}
+
 
 class SceneRenderer(torch.nn.Module):
     """A scene as a torch function from named parameters to an image.
@@ -98,9 +103,15 @@ class SceneRenderer(torch.nn.Module):
             whole_number("max_depth", max_depth)
         self.plan = make_plan(self._graph, self._table, self._names, max_depth)
         differentiable = [name for name, p in self._table.items() if not p.problem]
-        borrowed = isinstance(scene, mi.Scene)
         self._engine = Engine(
-            loaded, self._sensor, differentiable, self.plan, self.resolution, borrowed=borrowed
+            loaded,
+            self._sensor,
+            differentiable,
+            self.plan,
+            self.resolution,
+            borrowed=isinstance(scene, mi.Scene),
+            # Not textures: a copy of each would be held for the sake of its black texels (see their caution).
+            lifted={n: LIFT[p.kind] for n, p in self._table.items() if p.kind in LIFT and len(p.shape) < 2},
         )
 
     @property

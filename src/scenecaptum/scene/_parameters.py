@@ -170,15 +170,10 @@ _EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width")
 
 _MEDIUM_ROLES: dict[str, Bounds] = {"albedo": _UNIT, "g": Bounds(-1.0, 1.0)}
 
-# What stock path replay gets wrong, each against a finite difference (see the table of derivatives).
-_CAUTIONS: dict[tuple[str, str | None], str] = {
-    ("SmoothConductor", None): "path replay finds no derivative through a perfect mirror: it reads as 0",
-    ("SmoothDielectric", None): "path replay finds no derivative through smooth glass: it reads as 0",
-    ("ThinDielectric", None): "path replay finds no derivative through smooth glass: it reads as 0",
-    ("SmoothPlastic", None): "path replay overstates it where the smooth coat is sampled",
+# What path replay gets wrong, each against a finite difference.
+_CAUTIONS: dict[tuple[str, str], str] = {
     ("RoughPlastic", "alpha"): "the plugin's tables are outside the derivative graph: its size is off",
     ("RoughPlastic", "eta"): "the plugin's tables are outside the derivative graph: even its sign can be off",
-    ("MaskBSDF", "opacity"): "path replay gets its sign wrong",
 }
 
 _DROPPED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
@@ -202,14 +197,26 @@ def discover(graph: SceneGraph) -> SceneParameters:
     )
 
 
-def _black(plugin: str, value: Any) -> str | None:
-    """Caution against a diffuse surface of reflectance 0, whose throughput path replay divides by."""
-    if plugin != "SmoothDiffuse" or not _is_float(value) or len(_shape(value)) > 1:
+def _blended(holder: Any, role: str) -> str | None:
+    """Caution against blends of a mirror with something rough, whose samples Mitsuba weighs inconsistently."""
+    mi = activate()
+    if (
+        holder.class_name() == "BlendBSDF"
+        and role == "weight"
+        and mi.has_flag(holder.flags(), mi.BSDFFlags.Delta)
+    ):
+        return "Mitsuba mixes probabilities of mirror and rough samples in this blend: its size is off"
+    return None
+
+
+def _black(kind: str, value: Any) -> str | None:
+    """Caution against texels of reflectance 0, whose throughput path replay divides by."""
+    if kind != "reflectance" or not _is_float(value) or len(_shape(value)) < 3:
         return None
     import drjit as dr
 
     black = dr.any(value == 0, axis=None)
-    return "path replay loses the indirect part where the value is exactly 0" if black else None
+    return "texels that are exactly 0 miss the indirect part of their derivative" if black else None
 
 
 def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
@@ -222,7 +229,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     kind, bounds = _kind_and_bounds(holder, role)
     problem = _problem(kind, role, node, value, flags)
     plugin = holder.class_name()
-    caution = _CAUTIONS.get((plugin, role)) or _CAUTIONS.get((plugin, None)) or _black(plugin, value)
+    caution = _CAUTIONS.get((plugin, role)) or _blended(holder, role) or _black(kind, value)
     return Parameter(
         name=name,
         label=label,

@@ -1,0 +1,165 @@
+"""Path replay for parameters that leave the geometry alone, with derivatives of perfectly specular lobes.
+
+Imported only once a variant is active (see ``SceneRenderer``).
+
+Mitsuba's ``prb`` differentiates the value of a BSDF at the sampled direction. A perfectly specular lobe has no
+value there, so mirrors, smooth glass and masks get no derivative, and the specular samples of a smooth plastic get
+that of its diffuse lobe. Here the *weight* of a specular sample is differentiated instead. What ``prb`` does for
+moving geometry is left out: nothing that can be an input moves it.
+
+References
+----------
+Vicini, Speierer and Jakob, "Path Replay Backpropagation", ACM Transactions on Graphics 40(4), 2021.
+Zeltner, Speierer, Georgiev and Jakob, "Monte Carlo Estimators for Differential Light Transport", ibid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+from mitsuba.python.ad.integrators.common import RBIntegrator, mis_weight
+
+
+@dataclass
+class Vertex:
+    """A point of a path: where it is, what it is made of, and how the path came there and goes on."""
+
+    si: Any
+    bsdf: Any
+    throughput: Any
+    active: Any
+    goes_on: Any
+
+
+class ReplayIntegrator(RBIntegrator):
+    """Path tracer with emitter sampling whose derivative passes replay the primal's paths.
+
+    Parameters are those of ``prb``: ``max_depth``, ``rr_depth``, ``hide_emitters``.
+    """
+
+    @dr.syntax
+    def sample(  # noqa: PLR0915 -- a recorded loop cannot be split; its parts are the functions below
+        self, mode: Any, scene: Any, sampler: Any, ray: Any, active: Any, state_in: Any = None, **options: Any
+    ) -> Any:
+        """Trace a path; in a derivative pass, propagate from or to the radiance that each vertex sends on.
+
+        ``state_in`` is the radiance of the primal path. Subtracting what each vertex adds leaves what all later
+        vertices add, which is what the derivative of a vertex's BSDF multiplies.
+        """
+        primal = mode == dr.ADMode.Primal
+        adjoint = options.get("δL")
+        specular = any(mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Delta) for shape in scene.shapes())
+
+        ray = mi.Ray3f(dr.detach(ray))
+        if dr.hint(self.hide_emitters, mode="scalar"):
+            ray = _beyond_emitters(scene, ray, mi.Bool(active))
+        active = mi.Bool(active)
+        radiance = mi.Spectrum(0 if primal else state_in)
+        derivative = mi.Spectrum(0 if adjoint is None else adjoint)
+        throughput = mi.Spectrum(1)
+        eta = mi.Float(1)
+        depth = mi.UInt32(0)
+        hit_anything = mi.Bool(False)
+        seen_directly = mi.Bool(True)  # from the camera, through nothing but masks
+        previous = dr.zeros(mi.SurfaceInteraction3f)
+        previous_pdf = mi.Float(1)
+        previous_specular = mi.Bool(True)
+
+        while dr.hint(active, max_iterations=self.max_depth, label=f"Path replay ({mode.name})"):
+            si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=active)
+            goes_on = active & (depth + 1 < self.max_depth) & si.is_valid()
+            vertex = Vertex(si, si.bsdf(ray), throughput, active, goes_on)
+            shown = active & ~(seen_directly & mi.Bool(self.hide_emitters))
+            emitted = _emitted(scene, vertex, shown, previous, previous_pdf, previous_specular, primal)
+            reflected = _reflected(scene, sampler, vertex, primal)
+            # Drawn once, since a specular lobe is sampled again for its derivative.
+            numbers = sampler.next_1d(), sampler.next_2d()
+            direction, weight = vertex.bsdf.sample(mi.BSDFContext(), si, *numbers, goes_on)
+
+            if dr.hint(primal, mode="scalar"):
+                radiance += emitted + reflected
+            else:
+                radiance -= dr.detach(emitted + reflected)
+                with dr.resume_grad():
+                    scattering = _scattering(vertex, direction, numbers, specular)
+                    total = emitted + reflected + radiance * dr.relative_grad(scattering)
+                    if dr.hint(not dr.grad_enabled(total), mode="scalar"):
+                        raise RuntimeError("the contribution is not attached to the AD graph")
+                    if dr.hint(mode == dr.ADMode.Backward, mode="scalar"):
+                        dr.backward_from(derivative * total)
+                    else:
+                        derivative += dr.forward_to(total)
+
+            previous = dr.detach(si, True)
+            previous_pdf = direction.pdf
+            previous_specular = mi.has_flag(direction.sampled_type, mi.BSDFFlags.Delta)
+            seen_directly &= mi.has_flag(direction.sampled_type, mi.BSDFFlags.Null)
+            ray = si.spawn_ray(si.to_world(direction.wo))
+            eta *= direction.eta
+            throughput *= weight
+            hit_anything |= active & si.is_valid()
+
+            # Deep paths end at random; η² undoes the compression of radiance inside glass.
+            brightest = dr.max(throughput)
+            survival = dr.minimum(brightest * eta**2, 0.95)
+            roulette = depth >= self.rr_depth
+            throughput[roulette] *= dr.rcp(survival)
+            active = goes_on & (brightest != 0) & (~roulette | (sampler.next_1d() < survival))
+            depth[si.is_valid()] += 1
+
+        return radiance if primal else derivative, hit_anything, [], radiance
+
+
+@dr.syntax
+def _beyond_emitters(scene: Any, ray: Any, active: Any) -> Any:
+    """Return the ray, started behind the lights that it meets first."""
+    while active:
+        si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True, active=active)
+        active &= si.is_valid() & si.shape.is_emitter()
+        ray = dr.select(active, si.spawn_ray(ray.d), ray)
+    return ray
+
+
+def _emitted(
+    scene: Any, vertex: Vertex, shown: Any, previous: Any, pdf: Any, specular: Any, primal: bool
+) -> Any:
+    """Return what the surface emits, weighted against having sampled it from the previous vertex."""
+    found = mi.DirectionSample3f(scene, si=vertex.si, ref=previous)
+    weight = mis_weight(pdf, scene.pdf_emitter_direction(previous, found, ~specular))
+    with dr.resume_grad(when=not primal):
+        return vertex.throughput * weight * found.emitter.eval(vertex.si, shown)
+
+
+def _reflected(scene: Any, sampler: Any, vertex: Vertex, primal: bool) -> Any:
+    """Return the light of a sampled emitter that the surface reflects."""
+    active = vertex.goes_on & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
+    light, incoming = scene.sample_emitter_direction(vertex.si, sampler.next_2d(), True, active)
+    active &= light.pdf != 0
+    with dr.resume_grad(when=not primal):
+        if not primal:
+            attached = scene.eval_emitter_direction(vertex.si, light, active)
+            incoming = dr.replace_grad(incoming, dr.select(active, attached / dr.detach(light.pdf), 0))
+        value, pdf = vertex.bsdf.eval_pdf(mi.BSDFContext(), vertex.si, vertex.si.to_local(light.d), active)
+        weight = dr.detach(dr.select(light.delta, 1, mis_weight(light.pdf, pdf)))
+        return vertex.throughput * weight * value * incoming
+
+
+def _scattering(vertex: Vertex, direction: Any, numbers: tuple[Any, Any], specular: bool) -> Any:
+    """Return, up to a factor, what the surface passes on from the sampled direction, with its derivatives."""
+    context = mi.BSDFContext()
+    if not specular:
+        return vertex.bsdf.eval(context, vertex.si, direction.wo, vertex.goes_on)
+    is_specular = mi.has_flag(direction.sampled_type, mi.BSDFFlags.Delta)
+    is_null = mi.has_flag(direction.sampled_type, mi.BSDFFlags.Null)
+    rough = vertex.bsdf.eval(context, vertex.si, direction.wo, vertex.goes_on & ~is_specular)
+    # The probability of the lobe cancels in the primal; its derivative must not.
+    again, weight = vertex.bsdf.sample(context, vertex.si, *numbers, vertex.goes_on & is_specular & ~is_null)
+    # Masks leave that probability out of the weight's derivative, but can be asked what they let pass.
+    passed = vertex.bsdf.eval_null_transmission(vertex.si, vertex.goes_on & is_null)
+    return dr.select(is_null, passed, dr.select(is_specular, weight * again.pdf, rough))
+
+
+mi.register_integrator("scenecaptum_replay", ReplayIntegrator)
