@@ -238,7 +238,7 @@ def test_info_says_how_it_was_computed(cornell_attribution):
     assert info["method"] == "VanillaSceneGradient"
     assert info["metric"] == "MeanLuminance"
     assert (info["seed"], info["spp"], info["passes"]) == (5, 16, 8)
-    assert info["integrator"] == "prb"
+    assert info["integrator"] == "scenecaptum_replay"
     assert {"scenecaptum", "torch", "mitsuba", "drjit", "python"} <= info["versions"].keys()
 
 
