@@ -851,6 +851,14 @@ def test_inputs_that_no_path_can_differentiate_are_an_error_not_a_zero(
     assert "No derivative reaches" in message(lambda: torch.func.jvp(f, (value,), (torch.ones(3),)))
 
 
+def test_mirrors_beside_a_medium_carry_a_caution(mi: Any) -> None:
+    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "albedo": 0.5}}
+    plan = SceneRenderer(small_cornell(floor=GOLD, fog=fog), ["floor.*", "ceiling.*"]).plan
+    assert plan.integrator == "prbvolpath"
+    assert {name.split(".")[0] for name, _ in plan.cautions} == {"floor"}
+    assert "specular lobes" in str(plan)
+
+
 def test_cautions_are_part_of_the_plan(mi: Any) -> None:
     plan = SceneRenderer(small_cornell(floor={"type": "roughplastic"}), ["floor.*", "ceiling.*"]).plan
     assert [name for name, _ in plan.cautions] == ["floor.alpha", "floor.eta"]

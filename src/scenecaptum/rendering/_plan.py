@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..backend import activate
-from ..scene import SceneParameters
+from ..scene import Parameter, SceneParameters
 from ..scene._graph import SceneGraph
 
 # Up to this depth every path is traced to its end: the cost of the last bounces is small, and without
 # random termination the rendered number is a smooth function of the parameters.
 FULL_PATH_DEPTH = 16
 DEFAULT_DEPTH = 6
+
+# Materials with perfectly specular lobes, which only our own integrator differentiates.
+SPECULAR = ("SmoothConductor", "SmoothDielectric", "ThinDielectric", "SmoothPlastic", "MaskBSDF")
 
 
 @dataclass(frozen=True)
@@ -97,8 +100,18 @@ def make_plan(
     reasons.append(
         (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters stay detached")
     )
-    cautions = tuple((name, c) for name in inputs if (c := parameters[name].caution) is not None)
+    cautions = tuple(
+        (name, c) for name in inputs if (c := _caution(parameters[name], integrator)) is not None
+    )
     return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), cautions)
+
+
+def _caution(parameter: Parameter, integrator: str) -> str | None:
+    if integrator == "prbvolpath" and parameter.plugin in SPECULAR:
+        return (
+            "Mitsuba's prbvolpath, which the medium requires, gets specular lobes wrong: often it reads as 0"
+        )
+    return parameter.caution
 
 
 def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:

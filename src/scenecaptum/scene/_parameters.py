@@ -42,7 +42,7 @@ class Parameter:
         ``"reflectance"``, ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"`` (any other property of a
         material), ``"emitters"``, ``"media"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
     plugin
-        The Mitsuba class that holds it.
+        The Mitsuba class of the material, light, medium, shape or sensor that uses it.
     shape
         Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture.
     bounds
@@ -234,7 +234,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         name=name,
         label=label,
         kind=kind,
-        plugin=node.class_name(),
+        plugin=plugin,
         shape=_shape(value),
         bounds=bounds,
         owners=graph.owners(node),
