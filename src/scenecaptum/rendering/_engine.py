@@ -9,22 +9,39 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import operator
 import threading
 import weakref
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, reduce
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import torch
 
+from ..backend import device
 from ..errors import SceneCaptumError
+from ..scene import SceneParameters
 from . import _integrator  # noqa: F401 -- registers the plugin
+from ._backward import FilmFilter, film_filter
+from ._choice import choose_pixels
+from ._passes import Pass, passes
 from ._plan import RenderPlan
+from ._routes import LIFT, Difference, difference, is_constant
 from ._state import SceneState, flat
 
 Values = Mapping[str, torch.Tensor]
+
+# How many times fewer samples a finite difference takes where a backward pass has samples of its own.
+CHEAPER = 4
+
+# Of the samples that choose their pixels, this share goes where surfaces are bright; the rest is spread evenly.
+BRIGHT = 0.7
+# Out of these, a share between these bounds goes to pixels that show a tracked roughness no higher than this: no
+# other derivatives are as noisy.
+SHINY, SHINY_ROUGHNESS = (0.1, 0.5), 0.2
+PILOT_SPP = 16
 
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
@@ -41,38 +58,42 @@ class Engine:
     ----------
     scene, sensor
         The live scene and one of its sensors.
-    names
-        The parameters that may be given values.
+    state
+        The scene's values.
+    parameters
+        What they are.
     plan
         How to render.
     resolution
         ``(width, height)`` in pixels.
+    shown
+        The share of each pixel that shows any of the named parameters, ``(H, W)``.
     borrowed
         Whether the scene belongs to the caller and must be left as it was found.
-    lifted
-        For some parameters the value at which derivatives are taken where their own is exactly 0.
     """
 
     def __init__(
         self,
         scene: Any,
         sensor: Any,
-        names: Sequence[str],
+        state: SceneState,
+        parameters: SceneParameters,
         plan: RenderPlan,
         resolution: tuple[int, int],
+        shown: Callable[[Sequence[str]], torch.Tensor],
         *,
         borrowed: bool,
-        lifted: Mapping[str, float],
     ) -> None:
         self._scene = scene
-        self._lifted = lifted
         self._sensor = sensor
+        self._state = state
+        self._parameters = parameters
         self._resolution = resolution
         self._borrowed = borrowed
-        self._state = SceneState(scene, names)
-        integrator = plan.create_integrator()
-        self._render, self._render_backward = _frozen(integrator, sensor)
-        self._render_forward = partial(integrator.render_forward, scene, None, sensor)
+        self._plan = plan
+        self._shown = shown
+        self._integrator = plan.create_integrator()
+        self._render, self._render_backward, self._propagate = _frozen(self._integrator, sensor)
         # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
         dr.flush_malloc_cache()
 
@@ -80,6 +101,10 @@ class Engine:
     def original(self) -> dict[str, torch.Tensor]:
         """The scene's own values."""
         return self._state.original
+
+    @cached_property
+    def _film_filter(self) -> FilmFilter | None:
+        return film_filter(self._sensor.film())
 
     def look(self) -> None:
         """Read a borrowed scene's own values again: its owner may have changed them."""
@@ -97,44 +122,150 @@ class Engine:
             def render(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
                 with dr.suspend_grad():
-                    return self._render(self._scene, mi.UInt32(seed), spp)
+                    return _sum(
+                        self._render(self._scene, mi.UInt32(one.seed), one.spp, self._state.scalars)
+                        * one.share
+                        for one in self._passes(seed, spp)
+                    )
 
             image: torch.Tensor = _call(render, *stale.values())
             return image
 
     def adjoint(
-        self, values: Values, tracked: Sequence[str], adjoint: torch.Tensor, seed: int, spp: int
+        self,
+        values: Values,
+        tracked: Sequence[str],
+        adjoint: torch.Tensor,
+        seed: int,
+        spp: int,
+        *,
+        choose: bool = False,
     ) -> tuple[torch.Tensor, ...]:
-        """Return the vector–Jacobian product: for each tracked parameter ``Σ adjoint · ∂image/∂parameter``."""
-        with self._scene_at_hand():
-            stale = self._state.stale(self._lift(values, tracked), tracked)
+        """Return the vector–Jacobian product: for each tracked parameter ``Σ adjoint · ∂image/∂parameter``.
 
-            def backward(adjoint: Any, *arrays: Any) -> Any:
-                self._state.write(stale, arrays, tracked)
-                self._render_backward(self._scene, adjoint, mi.UInt32(seed), spp)
-                return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
-
-            gradients = _call(backward, adjoint, *stale.values())
-            return tuple(g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True))
+        With ``choose`` the samples go to pixels by their adjoint; otherwise they are those of the primal of the
+        same seed, which makes it the derivative of that very picture.
+        """
+        replayed = [name for name in tracked if self._difference(name, values) is None]
+        found = dict(zip(replayed, self._replay(values, replayed, adjoint, seed, spp, choose), strict=True))
+        # Samples of its own need not be as many: a shared seed takes most of the noise out of a difference.
+        fewer = max(1, spp // CHEAPER) if choose else spp
+        for name in tracked:
+            if name not in found:
+                product = (adjoint * self._slope(name, values, seed, fewer)).sum((0, 1))
+                # The channels of a picture are those of a colour: none sees another's.
+                found[name] = product if values[name].ndim else product.sum()
+            if is_constant(self._parameters[name], {**self.original, **values}):
+                found[name] = torch.zeros_like(values[name])
+        return tuple(found[name].to(values[name]) for name in tracked)
 
     def tangent(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         """Return the Jacobian–vector product: the derivative image along ``tangents``."""
+        replayed = {name: t for name, t in tangents.items() if self._difference(name, values) is None}
+        width, height = self._resolution
+        image = torch.zeros((height, width, 3), device=device())
+        moving = {n for n in tangents if not is_constant(self._parameters[n], {**self.original, **values})}
+        replayed = {name: tangent for name, tangent in replayed.items() if name in moving}
+        if replayed:
+            image = image + self._replay_forward(values, replayed, seed, spp)
+        for name in moving - replayed.keys():
+            image = image + (self._slope(name, values, seed, spp) * tangents[name]).to(image)
+        return image
+
+    def _difference(self, name: str, values: Values) -> Difference | None:
+        return difference(self._parameters[name], values[name])
+
+    def _slope(self, name: str, values: Values, seed: int, spp: int) -> torch.Tensor:
+        """Return by how much the picture changes per unit of a scalar or colour: a finite difference, float64."""
+        chosen = self._difference(name, values)
+        assert chosen is not None
+        value = values[name]
+        slope: torch.Tensor = _sum(
+            self.primal({**values, name: value + shift}, seed, spp).double() * weight
+            for shift, weight in chosen.points()
+        )
+        return slope
+
+    def _replay(
+        self,
+        values: Values,
+        tracked: Sequence[str],
+        adjoint: torch.Tensor,
+        seed: int,
+        spp: int,
+        choose: bool,
+    ) -> list[torch.Tensor]:
+        if not tracked:
+            return []
+        with self._scene_at_hand():
+            stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
+            chosen_by = self._film_filter if choose else None
+            interests = self._interests(tracked) if chosen_by else []
+
+            def backward(*arrays: Any) -> Any:
+                self._state.write(stale, arrays, tracked)
+                for one in self._passes(seed, spp):
+                    fixed = mi.UInt32(one.seed), one.spp, self._state.scalars
+                    weighted = one.share * adjoint
+                    if chosen_by is None:
+                        self._render_backward(self._scene, mi.TensorXf(weighted), *fixed)
+                    else:
+                        pixel, weight = choose_pixels(adjoint, interests, one.spp, one.seed)
+                        counted = mi.TensorXf(weighted * weight / chosen_by.caught.to(weight))
+                        spread = mi.Float(chosen_by.spread.to(weight))
+                        self._propagate(self._scene, counted, *fixed, spread, mi.UInt32(pixel))
+                return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
+
+            adjoint = adjoint.detach().float()
+            gradients = _call(backward, *stale.values())
+            return [g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)]
+
+    def _interests(self, tracked: Sequence[str]) -> list[tuple[float, torch.Tensor]]:
+        """Return shares of the samples and where each goes: to bright surfaces, to low roughnesses among them."""
+        rough = [name for name in tracked if self._is_shiny(name)]
+        if not rough:
+            return [(BRIGHT, self._brightness)]
+        share = min(SHINY[1], max(SHINY[0], len(rough) / len(tracked)))
+        return [(BRIGHT - share, self._brightness), (share, self._brightness * self._shown(rough))]
+
+    def _is_shiny(self, name: str) -> bool:
+        shiny = self.original[name].numel() == 1 and bool(self.original[name] <= SHINY_ROUGHNESS)
+        return shiny and self._parameters[name].kind == "roughness"
+
+    @cached_property
+    def _brightness(self) -> torch.Tensor:
+        """Roughly what light each pixel's surface reflects: a pilot picture without the lights themselves.
+
+        The noise of a pixel's derivatives goes with it, while a light that is seen directly has none.
+        """
+        render, *_ = _frozen(self._plan.create_integrator(hide_emitters=True), self._sensor)
+        with self._scene_at_hand():
+            image = _call(lambda: render(self._scene, mi.UInt32(0), PILOT_SPP, self._state.scalars))
+        luminance = image.sum(-1)[None, None]
+        return torch.nn.functional.avg_pool2d(luminance, 3, 1, 1, count_include_pad=False)[0, 0]
+
+    def _replay_forward(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         with self._scene_at_hand():
             tracked = tuple(tangents)
-            stale = self._state.stale(self._lift(values, tracked), tracked)
+            stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             split = len(tangents)
 
             def forward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays[split:], tracked)
                 self._state.set_tangents(dict(zip(tracked, arrays[:split], strict=True)))
-                return self._render_forward(seed, spp)
+                return _sum(
+                    self._integrator.render_forward(
+                        self._scene, None, self._sensor, seed=mi.UInt32(one.seed), spp=one.spp
+                    )
+                    * one.share
+                    for one in self._passes(seed, spp)
+                )
 
             image: torch.Tensor = _call(forward, *tangents.values(), *stale.values())
             return image
 
-    def _lift(self, values: Values, tracked: Collection[str]) -> Values:
-        lifted = {n: values[n].clamp_min(self._lifted[n]) for n in tracked if n in self._lifted}
-        return {**values, **lifted}
+    def _passes(self, seed: int, spp: int) -> Iterator[Pass]:
+        return passes(seed, spp, self._resolution)
 
     @contextlib.contextmanager
     def _scene_at_hand(self) -> Iterator[None]:
@@ -159,19 +290,63 @@ class Engine:
         _tracking = weakref.ref(self)
 
 
-def _frozen(integrator: Any, sensor: Any) -> tuple[Callable[..., Any], Callable[..., None]]:
-    """Return primal and backward render as frozen functions.
+def _frozen(integrator: Any, sensor: Any) -> tuple[Callable[..., Any], ...]:
+    """Return primal render, its backward pass and one of chosen pixels as frozen functions.
 
-    Tracing a room with dozens of materials takes 0.2 s, the same for every pass: so it is done once.
+    Tracing a room with dozens of materials takes 0.2 s, the same for every pass: so it is done once. Numbers that
+    Mitsuba writes into kernels (``scalars``) are arguments for others to be traced anew.
     """
 
-    def render(scene: Any, seed: Any, spp: int) -> Any:
+    def render(scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:
         return integrator.render(scene, sensor, seed=seed, spp=spp)
 
-    def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int) -> None:
+    def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> None:
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
 
-    return dr.freeze(render, warn_after=1000), dr.freeze(render_backward, warn_after=1000)
+    def propagate(
+        scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...], spread: Any, pixel: Any
+    ) -> None:
+        integrator.propagate(scene, sensor, adjoint, spread, pixel, seed, spp)
+
+    return tuple(_Frozen(function) for function in (render, render_backward, propagate))
+
+
+class _Frozen:
+    """A frozen function, or the function itself where a plugin hides objects that freezing must see."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._call = dr.freeze(function, warn_after=1000, limit=8)
+
+    def __call__(self, *arguments: Any) -> Any:
+        try:
+            return self._call(*arguments)
+        except RuntimeError as error:
+            if "traversal was skipped" not in _whole(error):
+                raise
+            self._call = self._function
+            return self._function(*arguments)
+
+
+def _whole(error: BaseException | None) -> str:
+    """Return the messages of an error and of its causes."""
+    return "" if error is None else f"{error} {_whole(error.__cause__)}"
+
+
+def _sum(terms: Iterable[Any]) -> Any:
+    """Add up pictures one after the other: there is no empty picture to start from."""
+    return reduce(operator.add, terms)
+
+
+def _lift(values: Values, tracked: Collection[str], parameters: SceneParameters) -> Values:
+    """Take the derivatives of some parameters a little above 0 where they are exactly 0."""
+    # Not those of textures: a copy of each would be held for the sake of its black texels (see their caution).
+    lifted = {
+        name: values[name].clamp_min(LIFT[parameters[name].kind])
+        for name in tracked
+        if parameters[name].kind in LIFT and values[name].ndim < 2
+    }
+    return {**values, **lifted}
 
 
 def _call(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
@@ -216,10 +391,6 @@ NOTHING_ATTACHED = (
 )
 
 
-def _nothing_attached(error: BaseException | None) -> bool:
+def _nothing_attached(error: BaseException) -> bool:
     """Whether Mitsuba's complaint that nothing is tracked lies at the root of an error."""
-    while error is not None:
-        if "not attached to the AD graph" in str(error):
-            return True
-        error = error.__cause__
-    return False
+    return "not attached to the AD graph" in _whole(error)

@@ -96,7 +96,14 @@ class Adjoint(_Derivative):
     def forward(
         call: RenderCall, tracked: tuple[str, ...], adjoint: torch.Tensor, *tensors: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
-        return call.engine.adjoint(call.values(tensors), tracked, adjoint, call.seed_grad, call.spp)
+        return call.engine.adjoint(
+            call.values(tensors),
+            tracked,
+            adjoint,
+            call.seed_grad,
+            call.spp,
+            choose=call.seed_grad != call.seed,
+        )
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[Any, Any]:

@@ -20,7 +20,9 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-from mitsuba.python.ad.integrators.common import RBIntegrator, mis_weight
+from mitsuba.python.ad.integrators.common import mis_weight
+
+from ._backward import ChoosingIntegrator
 
 
 @dataclass
@@ -34,7 +36,7 @@ class Vertex:
     goes_on: Any
 
 
-class ReplayIntegrator(RBIntegrator):
+class ReplayIntegrator(ChoosingIntegrator):
     """Path tracer with emitter sampling whose derivative passes replay the primal's paths.
 
     Parameters are those of ``prb``: ``max_depth``, ``rr_depth``, ``hide_emitters``.
@@ -51,7 +53,7 @@ class ReplayIntegrator(RBIntegrator):
         """
         primal = mode == dr.ADMode.Primal
         adjoint = options.get("δL")
-        specular = any(mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Delta) for shape in scene.shapes())
+        specular = _may_be_specular(scene)
 
         ray = mi.Ray3f(dr.detach(ray))
         if dr.hint(self.hide_emitters, mode="scalar"):
@@ -111,6 +113,14 @@ class ReplayIntegrator(RBIntegrator):
             depth[si.is_valid()] += 1
 
         return radiance if primal else derivative, hit_anything, [], radiance
+
+
+def _may_be_specular(scene: Any) -> bool:
+    """Whether a material may have a perfectly specular lobe: what an instance shows is not among the shapes."""
+    return any(
+        shape.class_name() == "Instance" or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Delta)
+        for shape in scene.shapes()
+    )
 
 
 @dr.syntax

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
 from ..backend import activate
-from ..scene import Parameter, SceneParameters
+from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
+from ._routes import reason_against_replay
 
 # Up to this depth every path is traced to its end: the cost of the last bounces is small, and without
 # random termination the rendered number is a smooth function of the parameters.
 FULL_PATH_DEPTH = 16
 DEFAULT_DEPTH = 6
-
-# Materials with perfectly specular lobes, which only our own integrator differentiates.
-SPECULAR = ("SmoothConductor", "SmoothDielectric", "ThinDielectric", "SmoothPlastic", "MaskBSDF")
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,9 @@ class RenderPlan:
         Whether the camera does not see lights directly.
     reasons
         ``(decision, reason)`` pairs.
+    differences
+        The inputs whose derivative is a finite difference with a shared seed, each with the reason why path
+        replay does not serve; at the scene's own values, since at others it may.
     cautions
         ``(parameter, what is known to be wrong with its derivative)`` pairs.
     """
@@ -44,31 +48,36 @@ class RenderPlan:
     rr_depth: int
     hide_emitters: bool
     reasons: tuple[tuple[str, str], ...]
+    differences: tuple[tuple[str, str], ...]
     cautions: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
         """Write one decision a line."""
         width = max(len(decision) for decision, _ in self.reasons)
         lines = [f"{decision.ljust(width)}  {reason}" for decision, reason in self.reasons]
+        lines += [f"finite difference for {name}: {reason}" for name, reason in self.differences]
         lines += [f"caution: {name}: {caution}" for name, caution in self.cautions]
         return "\n".join(lines)
 
-    def create_integrator(self) -> Any:
-        """Instantiate the Mitsuba integrator."""
+    def create_integrator(self, *, hide_emitters: bool | None = None) -> Any:
+        """Instantiate the Mitsuba integrator; whether the camera sees lights may be set otherwise."""
         return activate().load_dict(
             {
                 "type": self.integrator,
                 "max_depth": self.max_depth,
                 "rr_depth": self.rr_depth,
-                "hide_emitters": self.hide_emitters,
+                "hide_emitters": self.hide_emitters if hide_emitters is None else hide_emitters,
             }
         )
 
 
 def make_plan(
-    graph: SceneGraph, parameters: SceneParameters, inputs: tuple[str, ...], max_depth: int | None
+    graph: SceneGraph,
+    parameters: SceneParameters,
+    inputs: Mapping[str, torch.Tensor],
+    max_depth: int | None,
 ) -> RenderPlan:
-    """Choose the integrator and its settings for a scene and the inputs that are asked for."""
+    """Choose the integrator, its settings and a derivative for each of the inputs that are asked for."""
     mi = activate()
     own = graph.scene.integrator()
     reasons: list[tuple[str, str]] = []
@@ -100,18 +109,14 @@ def make_plan(
     reasons.append(
         (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters stay detached")
     )
-    cautions = tuple(
-        (name, c) for name in inputs if (c := _caution(parameters[name], integrator)) is not None
-    )
-    return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), cautions)
-
-
-def _caution(parameter: Parameter, integrator: str) -> str | None:
-    if integrator == "prbvolpath" and parameter.plugin in SPECULAR:
-        return (
-            "Mitsuba's prbvolpath, which the medium requires, gets specular lobes wrong: often it reads as 0"
+    against_replay = ((n, reason_against_replay(parameters[n], value)) for n, value in inputs.items())
+    differences = tuple((name, reason) for name, reason in against_replay if reason is not None)
+    if differences:
+        reasons.append(
+            (f"{len(differences)} of them by finite differences", "two or three more renders each, see below")
         )
-    return parameter.caution
+    cautions = tuple((n, caution) for n in inputs if (caution := parameters[n].caution) is not None)
+    return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)
 
 
 def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:

@@ -17,13 +17,6 @@ from ..scene._selection import Selection
 from ._function import RenderCall, render
 from ._plan import make_plan
 
-MOST_SAMPLES = 2**32
-
-# Path replay divides by what a surface reflects, so the indirect part of the derivative is lost where that is
-# exactly 0; and Mitsuba's Fresnel term loses its slope to rounding where an index is. The slope a little above is
-# taken, which is that at 0 to within as little.
-LIFT = {"reflectance": 1e-3, "ior": 3e-3}
-
 
 class SceneRenderer(torch.nn.Module):
     """A scene as a torch function from named parameters to an image.
@@ -90,6 +83,7 @@ class SceneRenderer(torch.nn.Module):
         mi = activate()
         # Loaded only now: these modules need an active variant.
         from ._engine import Engine
+        from ._state import SceneState
 
         self.name = describe(scene)
         loaded = load_scene(scene)
@@ -101,17 +95,18 @@ class SceneRenderer(torch.nn.Module):
         self.spp = whole_number("spp", self._sensor.sampler().sample_count() if spp is None else spp)
         if max_depth is not None and max_depth != -1:
             whole_number("max_depth", max_depth)
-        self.plan = make_plan(self._graph, self._table, self._names, max_depth)
-        differentiable = [name for name, p in self._table.items() if not p.problem]
+        state = SceneState(loaded, [name for name, p in self._table.items() if not p.problem])
+        chosen = {name: state.original[name] for name in self._names}
+        self.plan = make_plan(self._graph, self._table, chosen, max_depth)
         self._engine = Engine(
             loaded,
             self._sensor,
-            differentiable,
+            state,
+            self._table,
             self.plan,
             self.resolution,
+            lambda names: torch.from_numpy(self.surfaces.shown(names)),
             borrowed=isinstance(scene, mi.Scene),
-            # Not textures: a copy of each would be held for the sake of its black texels (see their caution).
-            lifted={n: LIFT[p.kind] for n, p in self._table.items() if p.kind in LIFT and len(p.shape) < 2},
         )
 
     @property
@@ -177,7 +172,8 @@ class SceneRenderer(torch.nn.Module):
             Samples per pixel, if not the renderer's.
         seed_grad
             Seed of the samples of the backward pass. By default the same samples are replayed, so that the
-            gradient is that of the very image that was rendered.
+            gradient is that of the very image that was rendered. Samples of their own (``seed_grad`` other
+            than ``seed``) are spent where the metric's derivative is: pixels are chosen by their adjoint.
 
         Returns
         -------
@@ -194,7 +190,6 @@ class SceneRenderer(torch.nn.Module):
             self._check_tensor(name, value)
         seed = check_seed("seed", seed)
         spp = whole_number("spp", self.spp if spp is None else spp)
-        self._check_size(spp)
         call = RenderCall(
             engine=self._engine,
             names=tuple(given),
@@ -205,14 +200,6 @@ class SceneRenderer(torch.nn.Module):
         )
         tensors = [value.to(device(), torch.float32) for value in given.values()]
         return render(call, *tensors)
-
-    def _check_size(self, spp: int) -> None:
-        width, height = self.resolution
-        if width * height * spp > MOST_SAMPLES:
-            raise SceneCaptumError(
-                f"{width}×{height} pixels at {spp} spp are more samples than Mitsuba takes in one pass (2**32): "
-                f"render at most {MOST_SAMPLES // (width * height)} spp at a time and average."
-            )
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Refuse what can be refused without looking at the numbers, which a transform may hide."""

@@ -38,6 +38,11 @@ class SceneState:
         self.original = {name: _to_torch(self._params[name]) for name in names}
         self._held = dict(self.original)
 
+    @property
+    def scalars(self) -> tuple[float, ...]:
+        """What the scene holds of the values that Mitsuba keeps as plain numbers, which it writes into kernels."""
+        return tuple(self._params[name] for name, kind in self._types.items() if kind is float)
+
     def look(self) -> None:
         """Take what the scene holds now for its own values: its owner may have changed them."""
         self._found = {name: kind(self._params[name]) for name, kind in self._types.items()}
@@ -116,6 +121,8 @@ class SceneState:
 
 def flat(value: Any) -> Any:
     """Return a scalar, colour or tensor of Dr.Jit as the tensor that stands for it in torch."""
+    if isinstance(value, float):
+        return mi.TensorXf(mi.Float(value), shape=())
     if dr.is_tensor_v(value):
         return value
     if dr.depth_v(value) > 1:
@@ -130,6 +137,8 @@ def _to_torch(value: Any) -> torch.Tensor:
 
 
 def _from_tensor(kind: type, tensor: Any) -> Any:
+    if kind is float:
+        return float(tensor.array[0])
     if dr.is_tensor_v(kind):
         return kind(tensor)
     # A vector built from a flat array would be broadcast (a colour becomes 3×3), so it is unravelled.

@@ -43,12 +43,18 @@ class Parameter:
         material), ``"emitters"``, ``"media"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
     plugin
         The Mitsuba class of the material, light, medium, shape or sensor that uses it.
+    role
+        What that uses it as, in Mitsuba's words: ``"diffuse_reflectance"``, ``"eta"``, …
     shape
         Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture.
     bounds
         The values that are physically meaningful.
     owners
         The materials, lights or media that it belongs to.
+    tracked
+        Whether Mitsuba lets Dr.Jit track it; where not, a finite difference still can be taken.
+    specular_inside
+        Whether it belongs to a material with a perfectly specular lobe.
     problem
         Why it cannot be differentiated, or None.
     caution
@@ -59,9 +65,12 @@ class Parameter:
     label: str
     kind: str
     plugin: str
+    role: str
     shape: tuple[int, ...]
     bounds: Bounds
     owners: tuple[str, ...]
+    tracked: bool = True
+    specular_inside: bool = False
     problem: str | None = None
     caution: str | None = None
 
@@ -170,11 +179,9 @@ _EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width")
 
 _MEDIUM_ROLES: dict[str, Bounds] = {"albedo": _UNIT, "g": Bounds(-1.0, 1.0)}
 
-# What path replay gets wrong, each against a finite difference.
-_CAUTIONS: dict[tuple[str, str], str] = {
-    ("RoughPlastic", "alpha"): "the plugin's tables are outside the derivative graph: its size is off",
-    ("RoughPlastic", "eta"): "the plugin's tables are outside the derivative graph: even its sign can be off",
-}
+# What places a light in the scene or in time: like a pose, it moves the shadows.
+_POSES = {"position", "direction", "sun_direction", "latitude", "longitude", "timezone"}
+_POSES |= {"year", "month", "day", "hour", "minute", "second"}
 
 _DROPPED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
 
@@ -197,28 +204,6 @@ def discover(graph: SceneGraph) -> SceneParameters:
     )
 
 
-def _blended(holder: Any, role: str) -> str | None:
-    """Caution against blends of a mirror with something rough, whose samples Mitsuba weighs inconsistently."""
-    mi = activate()
-    if (
-        holder.class_name() == "BlendBSDF"
-        and role == "weight"
-        and mi.has_flag(holder.flags(), mi.BSDFFlags.Delta)
-    ):
-        return "Mitsuba mixes probabilities of mirror and rough samples in this blend: its size is off"
-    return None
-
-
-def _black(kind: str, value: Any) -> str | None:
-    """Caution against texels of reflectance 0, whose throughput path replay divides by."""
-    if kind != "reflectance" or not _is_float(value) or len(_shape(value)) < 3:
-        return None
-    import drjit as dr
-
-    black = dr.any(value == 0, axis=None)
-    return "texels that are exactly 0 miss the indirect part of their derivative" if black else None
-
-
 def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
     mi = activate()
     return pointer if cpptype is None else mi.get_property(pointer, cpptype, node)
@@ -227,19 +212,21 @@ def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
 def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int) -> Parameter:
     holder, role = graph.role(node, name.rsplit(".", 1)[-1])
     kind, bounds = _kind_and_bounds(holder, role)
-    problem = _problem(kind, role, node, value, flags)
-    plugin = holder.class_name()
-    caution = _CAUTIONS.get((plugin, role)) or _blended(holder, role) or _black(kind, value)
+    tracked = _is_array(value) and not flags & _untracked_flags() and not _leaves_tables(holder, role)
+    problem = _problem(kind, role, value, tracked)
     return Parameter(
         name=name,
         label=label,
         kind=kind,
-        plugin=plugin,
+        plugin=holder.class_name(),
+        role=role,
         shape=_shape(value),
         bounds=bounds,
         owners=graph.owners(node),
+        tracked=tracked,
+        specular_inside=_is_specular(holder),
         problem=problem,
-        caution=None if problem else caution,
+        caution=None if problem else _caution(kind, role, holder, value),
     )
 
 
@@ -266,9 +253,8 @@ def _kind_and_bounds(holder: Any, role: str) -> tuple[str, Bounds]:
 _GEOMETRY_BUFFERS = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 
 
-def _problem(kind: str, role: str, node: Any, value: Any, flags: int) -> str | None:
+def _problem(kind: str, role: str, value: Any, tracked: bool) -> str | None:
     """Why the parameter cannot be differentiated, or None where it can."""
-    mi = activate()
     type_name = type(value).__name__
     if kind == "geometry" and ("position" in role or "to_world" in role):
         return "it moves visibility, and a gradient without the boundary term would be silently wrong"
@@ -285,18 +271,56 @@ def _problem(kind: str, role: str, node: Any, value: Any, flags: int) -> str | N
         return "it changes how samples are drawn, not what is rendered"
     if "Transform" in type_name:
         return "it is a transformation; only materials, lights and media are differentiated"
-    if not _is_float(value):
-        return f"it is a {type_name}, not a continuous quantity that Mitsuba tracks"
-    if flags & (mi.ParamFlags.NonDifferentiable.value | mi.ParamFlags.ReadOnly.value):
-        return f"Mitsuba's {node.class_name()} keeps it outside the derivative graph"
+    if kind == "emitters" and role in _POSES:
+        return "it places a light, which moves shadows as a pose does"
+    if not (_is_array(value) or isinstance(value, float)):
+        return f"it is a {type_name}, not a continuous quantity"
+    if not tracked and math.prod(_shape(value)) > 3:
+        return "Mitsuba keeps it outside the derivative graph, and it has too many numbers for differences"
     return None
 
 
-def _is_float(value: Any) -> bool:
+def _caution(kind: str, role: str, holder: Any, value: Any) -> str | None:
+    """Tell what is known to be wrong with a texture's derivative, which no difference can stand in for."""
+    if not _is_array(value) or len(_shape(value)) < 3:
+        return None
+    import drjit as dr
+
+    if kind == "reflectance" and dr.any(value == 0, axis=None):
+        return "texels that are exactly 0 miss the indirect part of their derivative"
+    if _is_specular(holder) and role in ("opacity", "weight"):
+        return "it weighs a perfectly specular lobe against others: its size is off"
+    if _is_specular(holder) and role in ("normalmap", "nested_texture"):
+        return "it turns perfectly specular reflections, which path replay does not follow: it can be far off"
+    return None
+
+
+def _is_specular(holder: Any) -> bool:
+    """Whether a material has a perfectly specular lobe, beside what a mask lets pass."""
+    mi = activate()
+    if not isinstance(holder, mi.BSDF):
+        return False
+    lobes = (holder.flags(component) for component in range(holder.component_count()))
+    specular = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission
+    return any(lobe & specular for lobe in lobes)
+
+
+def _leaves_tables(holder: Any, role: str) -> bool:
+    """Whether Mitsuba's plugin derives tables from it outside the derivative graph, as our own does not."""
+    own = type(holder).__module__.startswith(__package__)
+    return holder.class_name() == "RoughPlastic" and role in ("alpha", "eta") and not own
+
+
+def _untracked_flags() -> int:
+    flags = activate().ParamFlags
+    return int(flags.NonDifferentiable.value | flags.ReadOnly.value)
+
+
+def _is_array(value: Any) -> bool:
     """Whether it is an array, colour, vector or tensor of floats that Dr.Jit can track."""
     import drjit as dr
 
-    return bool(dr.is_jit_v(value) and dr.is_float_v(value))
+    return value is not None and bool(dr.is_jit_v(value) and dr.is_float_v(value))
 
 
 def _shape(value: Any) -> tuple[int, ...]:

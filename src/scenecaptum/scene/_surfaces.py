@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,3 +34,10 @@ class SurfaceMap:
     fraction: NDArray[np.float32]
     objects: tuple[str, ...]
     parameters: tuple[tuple[str, ...], ...]
+
+    def shown(self, names: Collection[str]) -> NDArray[np.float32]:
+        """Return the fraction of each pixel whose object shows any of the named parameters, ``(H, W)``."""
+        shows = np.array([any(name in names for name in below) for below in self.parameters])
+        fraction = self.fraction * shows[self.object_index]
+        covered = np.bincount(self.pixel, weights=fraction, minlength=self.shape[0] * self.shape[1])
+        return covered.reshape(self.shape).astype(np.float32)

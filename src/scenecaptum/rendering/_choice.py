@@ -1,0 +1,56 @@
+"""Which pixels the samples of a backward pass go to, where they need not be those of the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+
+def choose_pixels(
+    adjoint: torch.Tensor, interests: Sequence[tuple[float, torch.Tensor]], spp: int, seed: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Spread ``spp`` samples per pixel in proportion to ``|∂M/∂I| · interest``, mixed with an even spread.
+
+    The samples are stratified: a pixel whose share is ``n`` samples gets ``n``, rounded up or down at random. So
+    an even adjoint of even interest loses nothing, each pixel getting exactly ``spp``.
+
+    Parameters
+    ----------
+    adjoint
+        ``∂M/∂I``, of shape ``(H, W, 3)``.
+    interests
+        Pairs of a share of the samples, and how much their derivatives vary from pixel to pixel, ``(H, W)``. What
+        the shares leave is spread evenly, so that no pixel's weight grows without bound.
+    spp
+        Samples per pixel on average.
+    seed
+        Seed of the rounding.
+
+    Returns
+    -------
+    pixel : Tensor
+        ``(H·W·spp,)`` int32: the pixel of each sample, in rising order.
+    weight : Tensor
+        ``(H, W, 1)`` float32: what a sample of each pixel counts, so that ``Σ weight·f`` estimates ``Σ f`` over
+        pixels.
+    """
+    # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work.
+    strength = adjoint.detach().cpu().double().norm(dim=-1).numpy()
+    pixels, samples = strength.size, strength.size * spp
+    share, left = np.zeros(pixels), 1.0
+    for part, interest in interests:
+        wanted = (strength * interest.cpu().numpy()).ravel()
+        if wanted.any():
+            share += part * wanted / wanted.sum()
+            left -= part
+    share += left / pixels
+    ends = np.minimum(share.cumsum() * samples, samples)
+    ends[-1] = samples
+    # Kept off 0 and 1, where the rounding of a sum would decide between neighbours.
+    shift = np.random.default_rng(seed).uniform(1e-3, 1 - 1e-3)
+    counts = np.diff(np.ceil(ends - shift), prepend=0).astype(np.int64)
+    pixel = np.repeat(np.arange(pixels, dtype=np.int32), counts)
+    weight = (1 / (samples * share)).astype(np.float32).reshape(*adjoint.shape[:2], 1)
+    return torch.from_numpy(pixel).to(adjoint.device), torch.from_numpy(weight).to(adjoint.device)

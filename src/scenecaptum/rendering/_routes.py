@@ -1,0 +1,148 @@
+"""How the derivative of each parameter is found: by path replay where that is right, else by finite differences.
+
+Which is right where was measured, see ``benchmarks/derivatives.py`` and ``docs/derivatives.md``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import torch
+
+from ..scene import Parameter
+
+# Path replay divides by what a surface passes on, so the indirect part of the derivative is lost where that is
+# exactly 0; and Mitsuba's Fresnel term loses its slope to rounding where an index is. The slope a little above is
+# taken, which is that at 0 to within as little.
+LIFT = {"reflectance": 1e-3, "ior": 3e-3}
+
+# Half the distance of a central difference, by kind: long enough for the events that it moves to be many, short
+# enough for the curve to be straight.
+STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "media": 0.02, "emitters": 0.05}
+RELATIVE = 0.05  # of the value itself, for what has no scale of its own
+
+# Lobes that a principled material leaves out where their weight is at a bound, so that nothing samples them there.
+SWITCHED = (
+    "metallic",
+    "spec_trans",
+    "clearcoat",
+    "sheen",
+    "flatness",
+    "diff_trans",
+    "specular",
+    "spec_tint",
+    "sheen_tint",
+)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A finite difference with a shared seed.
+
+    Attributes
+    ----------
+    step
+        Distance for each channel; its sign is the direction of a one-sided difference.
+    central
+        Whether both sides are rendered. Otherwise three points on one side make a difference of second order.
+    reason
+        Why path replay does not serve.
+    """
+
+    step: torch.Tensor
+    central: bool
+    reason: str
+
+    def points(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+        """Where to render, as shifts from the value, and the weight of each picture in the derivative."""
+        h = self.step
+        if self.central:
+            yield from ((h, 1 / (2 * h)), (-h, -1 / (2 * h)))
+        else:
+            yield from ((torch.zeros_like(h), -3 / (2 * h)), (h, 2 / h), (2 * h, -1 / (2 * h)))
+
+
+def difference(parameter: Parameter, value: torch.Tensor) -> Difference | None:
+    """Return the finite difference that a parameter requires at a value, or None where path replay is right."""
+    reason = reason_against_replay(parameter, value)
+    if reason is None:
+        return None
+    step = _step(parameter, value)
+    low, high = _room(parameter, value)
+    if bool((value - step > low).all() and (value + step < high).all()):
+        return Difference(step, True, reason)
+    upwards = value + 2 * step <= high
+    return Difference(torch.where(upwards, step, -step), False, reason)
+
+
+def is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:
+    """Whether the picture does not depend on a parameter: a metal of index 0 reflects all, whatever its ``k``.
+
+    Said outright, because the lifted index would give ``k`` a slope.
+    """
+    if parameter.role != "k":
+        return False
+    index = values.get(re.sub(r"\bk\b(?!.*\bk\b)", "eta", parameter.name))
+    return index is not None and not index.any()
+
+
+def reason_against_replay(parameter: Parameter, value: torch.Tensor) -> str | None:
+    """Why path replay would be wrong for a parameter at a value, or None."""
+    if len(parameter.shape) > 1:
+        return None
+    if not parameter.tracked:
+        return (
+            f"Mitsuba's {parameter.plugin} keeps it, or what it derives from it, outside the derivative graph"
+        )
+    for applies, reason in _RULES:
+        if applies(parameter, value):
+            return reason
+    return None
+
+
+def _blends_specular(p: Parameter, value: torch.Tensor) -> bool:
+    return p.specular_inside and p.plugin in ("MaskBSDF", "BlendBSDF") and p.role in ("opacity", "weight")
+
+
+def _ior_near_one(p: Parameter, value: torch.Tensor) -> bool:
+    dielectric = p.role == "eta" and "Conductor" not in p.plugin
+    return dielectric and bool(((value - 1).abs() < 0.1).any())
+
+
+def _lobe_switched_off(p: Parameter, value: torch.Tensor) -> bool:
+    at_bound = bool(((value == p.bounds.low) | (value == p.bounds.high)).any())
+    return at_bound and (p.role in SWITCHED or p.kind == "opacity")
+
+
+def _blocked(p: Parameter, value: torch.Tensor) -> bool:
+    return p.role in ("specular_transmittance", "specular_reflectance") and bool((value == 0).any())
+
+
+_RULES = (
+    (_blends_specular, "it weighs a perfectly specular lobe against others"),
+    (_ior_near_one, "near 1 the reflectance has a kink, and few samples tell its slope"),
+    (_lobe_switched_off, "at its bound a lobe is left out, and nothing samples it"),
+    (_blocked, "at 0 the lobe passes nothing on that could be replayed"),
+)
+
+
+def _step(p: Parameter, value: torch.Tensor) -> torch.Tensor:
+    if p.kind == "roughness":
+        return RELATIVE * value
+    if p.kind in STEPS and p.kind != "emitters" and p.bounds.high <= 2:
+        return torch.full_like(value, STEPS[p.kind])
+    if p.kind == "ior":
+        return torch.full_like(value, STEPS["ior"])
+    return torch.where(value == 0, torch.full_like(value, 0.02), RELATIVE * value.abs())
+
+
+def _room(p: Parameter, value: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the interval around the value in which the picture is a smooth function of it."""
+    low = torch.full_like(value, p.bounds.low)
+    high = torch.full_like(value, p.bounds.high)
+    if p.role == "eta" and "Conductor" not in p.plugin:
+        low = torch.where(value >= 1, low.clamp_min(1.0), low)
+        high = torch.where(value < 1, high.clamp_max(1.0), high)
+    return low, high
