@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -118,14 +119,19 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
 
 
 def _make_differentiable(node: Any) -> None:
-    """Store texels as floats, since 8 bits carry no derivatives, and have films record linear RGB."""
+    """Store texels as floats, since 8 bits carry no derivatives, record linear RGB, and take our own plastics."""
     if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
         node.props["format"] = "variant"
     if node.props.plugin_name() == "hdrfilm":
         node.props["pixel_format"] = "rgb"
+    if node.props.plugin_name() in ("plastic", "roughplastic"):
+        from . import _plastics  # noqa: F401 -- registers the plugins
+
+        node.props.set_plugin_name(f"scenecaptum_{node.props.plugin_name()}")
 
 
 def _reason(error: Exception) -> str:
-    """Mitsuba's message on one line, without the position in its own source."""
-    text = " ".join(str(error).split())
+    """Mitsuba's message on one line, without positions in source code, about the plugin that the user named."""
+    text = " ".join(str(error).split()).replace('type "scenecaptum_', 'type "')
+    text = re.sub(r"Traceback \(most recent call last\):.*?\w+Error: ", "", text)
     return text.split("] ", 1)[1] if text.startswith("[") and "] " in text else text
