@@ -23,13 +23,13 @@ import torch
 from ..backend import device
 from ..errors import SceneCaptumError
 from ..scene import SceneParameters
-from . import _integrator  # noqa: F401 -- registers the plugin
+from . import _integrator, _volumetric  # noqa: F401 -- they register the plugins
 from ._backward import FilmFilter, film_filter
 from ._choice import choose_pixels
 from ._passes import Pass, passes
 from ._plan import RenderPlan
 from ._routes import LIFT, Difference, difference, is_constant
-from ._state import SceneState, flat
+from ._state import SceneState, flat, owned
 
 Values = Mapping[str, torch.Tensor]
 
@@ -93,7 +93,9 @@ class Engine:
         self._plan = plan
         self._shown = shown
         self._integrator = plan.create_integrator()
-        self._render, self._render_backward, self._propagate = _frozen(self._integrator, sensor)
+        self._render, self._render_backward, self._propagate = _frozen(
+            self._integrator, sensor, state.forget_gradients
+        )
         # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
         dr.flush_malloc_cache()
 
@@ -208,12 +210,12 @@ class Engine:
                     fixed = mi.UInt32(one.seed), one.spp, self._state.scalars
                     weighted = one.share * adjoint
                     if chosen_by is None:
-                        self._render_backward(self._scene, mi.TensorXf(weighted), *fixed)
+                        self._render_backward(self._scene, owned(mi.TensorXf(weighted)), *fixed)
                     else:
                         pixel, weight = choose_pixels(adjoint, interests, one.spp, one.seed)
-                        counted = mi.TensorXf(weighted * weight / chosen_by.caught.to(weight))
-                        spread = mi.Float(chosen_by.spread.to(weight))
-                        self._propagate(self._scene, counted, *fixed, spread, mi.UInt32(pixel))
+                        counted = owned(mi.TensorXf(weighted * weight / chosen_by.caught.to(weight)))
+                        spread = owned(mi.Float(chosen_by.spread.to(weight)))
+                        self._propagate(self._scene, counted, *fixed, spread, owned(mi.UInt32(pixel)))
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
@@ -238,7 +240,8 @@ class Engine:
 
         The noise of a pixel's derivatives goes with it, while a light that is seen directly has none.
         """
-        render, *_ = _frozen(self._plan.create_integrator(hide_emitters=True), self._sensor)
+        integrator = self._plan.create_integrator(hide_emitters=True)
+        render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
         with self._scene_at_hand():
             image = _call(lambda: render(self._scene, mi.UInt32(0), PILOT_SPP, self._state.scalars))
         luminance = image.sum(-1)[None, None]
@@ -290,7 +293,7 @@ class Engine:
         _tracking = weakref.ref(self)
 
 
-def _frozen(integrator: Any, sensor: Any) -> tuple[Callable[..., Any], ...]:
+def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[Callable[..., Any], ...]:
     """Return primal render, its backward pass and one of chosen pixels as frozen functions.
 
     Tracing a room with dozens of materials takes 0.2 s, the same for every pass: so it is done once. Numbers that
@@ -308,22 +311,25 @@ def _frozen(integrator: Any, sensor: Any) -> tuple[Callable[..., Any], ...]:
     ) -> None:
         integrator.propagate(scene, sensor, adjoint, spread, pixel, seed, spp)
 
-    return tuple(_Frozen(function) for function in (render, render_backward, propagate))
+    return tuple(_Frozen(function, forget) for function in (render, render_backward, propagate))
 
 
 class _Frozen:
     """A frozen function, or the function itself where a plugin hides objects that freezing must see."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], forget: Callable[[], None]) -> None:
         self._function = function
+        self._forget = forget
         self._call = dr.freeze(function, warn_after=1000, limit=8)
 
     def __call__(self, *arguments: Any) -> Any:
         try:
             return self._call(*arguments)
         except RuntimeError as error:
-            if "traversal was skipped" not in _whole(error):
+            if "record()" not in _whole(error) or _nothing_attached(error):
                 raise
+            # What the failed recording has accumulated would count twice.
+            self._forget()
             self._call = self._function
             return self._function(*arguments)
 

@@ -146,10 +146,16 @@ def _emitted(
 def _reflected(scene: Any, sampler: Any, vertex: Vertex, primal: bool) -> Any:
     """Return the light of a sampled emitter that the surface reflects."""
     active = vertex.goes_on & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
-    light, incoming = scene.sample_emitter_direction(vertex.si, sampler.next_2d(), True, active)
+    number = sampler.next_2d()
+    light, incoming = scene.sample_emitter_direction(vertex.si, number, True, active)
     active &= light.pdf != 0
     with dr.resume_grad(when=not primal):
-        if not primal:
+        if primal:
+            pass
+        elif any(emitter.class_name() == "DirectionalArea" for emitter in scene.emitters()):
+            # Such a light cannot be asked what it sends: the sample is drawn again instead.
+            incoming = scene.sample_emitter_direction(vertex.si, number, True, active)[1]
+        else:
             attached = scene.eval_emitter_direction(vertex.si, light, active)
             incoming = dr.replace_grad(incoming, dr.select(active, attached / dr.detach(light.pdf), 0))
         value, pdf = vertex.bsdf.eval_pdf(mi.BSDFContext(), vertex.si, vertex.si.to_local(light.d), active)

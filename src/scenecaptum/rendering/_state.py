@@ -18,7 +18,7 @@ LARGE = 2**22  # numbers, 16 MiB
 class SceneState:
     """Writes parameter values into a scene, and only those that differ from what it holds.
 
-    A write is not free (a rough plastic recomputes its tables, 60 ms each), so a scene keeps the last values
+    A write is not free (a rough plastic makes its tables anew, 20 to 60 ms each), so a scene keeps the last values
     until others are asked for or ``restore`` is called.
 
     Parameters
@@ -82,7 +82,11 @@ class SceneState:
             dr.flush_malloc_cache()
         self._held.update(stale)
         self.leaves = leaves
-        dr.clear_grad(list(leaves.values()))
+        self.forget_gradients()
+
+    def forget_gradients(self) -> None:
+        """Set the gradients of all leaves to 0."""
+        dr.clear_grad(list(self.leaves.values()))
 
     def set_tangents(self, tangents: Mapping[str, Any]) -> None:
         """Give the leaves their tangents and carry them to the arrays that the scene derives from the leaves."""
@@ -136,9 +140,19 @@ def _to_torch(value: Any) -> torch.Tensor:
     return tensor.to(torch.float32).clone()
 
 
+def owned(value: Any) -> Any:
+    """Copy an array or tensor into memory of Dr.Jit's: a frozen function goes on reading memory that it borrows."""
+    array = value.array if dr.is_tensor_v(value) else value
+    # Adding what Dr.Jit takes for unknown is what it cannot optimise away.
+    copied = array + dr.opaque(type(array), 0)
+    dr.eval(copied)
+    return type(value)(copied, shape=value.shape) if dr.is_tensor_v(value) else copied
+
+
 def _from_tensor(kind: type, tensor: Any) -> Any:
     if kind is float:
         return float(tensor.array[0])
+    tensor = owned(tensor)
     if dr.is_tensor_v(kind):
         return kind(tensor)
     # A vector built from a flat array would be broadcast (a colour becomes 3×3), so it is unravelled.

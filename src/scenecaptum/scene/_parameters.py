@@ -213,7 +213,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     holder, role = graph.role(node, name.rsplit(".", 1)[-1])
     kind, bounds = _kind_and_bounds(holder, role)
     tracked = _is_array(value) and not flags & _untracked_flags() and not _leaves_tables(holder, role)
-    problem = _problem(kind, role, value, tracked)
+    problem = _problem(kind, role, holder, value, tracked)
     return Parameter(
         name=name,
         label=label,
@@ -253,7 +253,7 @@ def _kind_and_bounds(holder: Any, role: str) -> tuple[str, Bounds]:
 _GEOMETRY_BUFFERS = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 
 
-def _problem(kind: str, role: str, value: Any, tracked: bool) -> str | None:
+def _problem(kind: str, role: str, holder: Any, value: Any, tracked: bool) -> str | None:
     """Why the parameter cannot be differentiated, or None where it can."""
     type_name = type(value).__name__
     if kind == "geometry" and ("position" in role or "to_world" in role):
@@ -275,6 +275,8 @@ def _problem(kind: str, role: str, value: Any, tracked: bool) -> str | None:
         return "it places a light, which moves shadows as a pose does"
     if not (_is_array(value) or isinstance(value, float)):
         return f"it is a {type_name}, not a continuous quantity"
+    if role in ("normalmap", "nested_texture") and _is_specular(holder):
+        return "it turns perfectly specular reflections, and path replay does not follow where they go"
     if not tracked and math.prod(_shape(value)) > 3:
         return "Mitsuba keeps it outside the derivative graph, and it has too many numbers for differences"
     return None
@@ -290,8 +292,6 @@ def _caution(kind: str, role: str, holder: Any, value: Any) -> str | None:
         return "texels that are exactly 0 miss the indirect part of their derivative"
     if _is_specular(holder) and role in ("opacity", "weight"):
         return "it weighs a perfectly specular lobe against others: its size is off"
-    if _is_specular(holder) and role in ("normalmap", "nested_texture"):
-        return "it turns perfectly specular reflections, which path replay does not follow: it can be far off"
     return None
 
 
