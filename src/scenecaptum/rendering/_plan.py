@@ -83,8 +83,8 @@ def make_plan(
     reasons: list[tuple[str, str]] = []
 
     if graph.has(mi.Medium):
-        integrator = "prbvolpath"
-        reasons.append((f"integrator {integrator}", "Mitsuba's own: the scene has a participating medium"))
+        integrator = "scenecaptum_volumetric_replay"
+        reasons.append((f"integrator {integrator}", "path replay: the scene has a participating medium"))
     else:
         integrator = "scenecaptum_replay"
         reasons.append((f"integrator {integrator}", "path replay, mirrors included; no medium in the scene"))
