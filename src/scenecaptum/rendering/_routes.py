@@ -61,7 +61,7 @@ class Difference:
         if self.central:
             yield from ((h, 1 / (2 * h)), (-h, -1 / (2 * h)))
         else:
-            # Not from the bound itself, where the picture may jump (a lobe that is left out, a branch of a formula).
+            # Not from the bound itself, where the picture may jump: a lobe is left out, a formula branches.
             yield from ((1e-3 * h, -3 / (2 * h)), (h, 2 / h), (2 * h, -1 / (2 * h)))
 
 

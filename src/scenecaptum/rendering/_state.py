@@ -141,7 +141,7 @@ def _to_torch(value: Any) -> torch.Tensor:
 
 
 def owned(value: Any) -> Any:
-    """Copy an array or tensor into memory of Dr.Jit's: a frozen function goes on reading memory that it borrows."""
+    """Copy into Dr.Jit's own memory: a frozen function would go on reading memory that was borrowed."""
     array = value.array if dr.is_tensor_v(value) else value
     # Adding what Dr.Jit takes for unknown is what it cannot optimise away.
     copied = array + dr.opaque(type(array), 0)
