@@ -21,40 +21,40 @@ def counts(pixel: torch.Tensor) -> torch.Tensor:
 
 def test_an_even_adjoint_gives_every_pixel_its_samples() -> None:
     for seed in range(20):
-        pixel, weight = choose_pixels(torch.full((6, 8, 3), -0.3), [(0.7, EVEN)], 5, seed)
+        pixel, weight = choose_pixels(torch.full((6, 8), 0.3), [(0.7, EVEN)], 5, seed)
         assert (counts(pixel) == 5).all()
-        torch.testing.assert_close(weight, torch.full((6, 8, 1), 1 / 5))
+        torch.testing.assert_close(weight, torch.full((48,), 1 / 5))
 
 
 def test_a_black_adjoint_is_spread_evenly() -> None:
-    pixel, weight = choose_pixels(torch.zeros(6, 8, 3), [(0.7, EVEN)], 4, 0)
+    pixel, weight = choose_pixels(torch.zeros(6, 8), [(0.7, EVEN)], 4, 0)
     assert (counts(pixel) == 4).all()
     assert torch.isfinite(weight).all()
 
 
 def test_samples_follow_adjoint_and_interest_in_strata() -> None:
-    adjoint = torch.rand(6, 8, 3, generator=torch.Generator().manual_seed(1)) - 0.5
+    magnitude = torch.rand(6, 8, generator=torch.Generator().manual_seed(1))
     interest = torch.rand(6, 8, generator=torch.Generator().manual_seed(2))
-    strength = (adjoint.norm(dim=-1) * interest).flatten()
+    strength = (magnitude * interest).flatten()
     expected = 48 * 16 * (0.7 * strength / strength.sum() + 0.3 / 48)
     for seed in range(20):
-        pixel, weight = choose_pixels(adjoint, [(0.7, interest)], 16, seed)
+        pixel, weight = choose_pixels(magnitude, [(0.7, interest)], 16, seed)
         assert len(pixel) == 48 * 16
         assert ((counts(pixel) - expected).abs() < 1.001).all()
-        torch.testing.assert_close(weight.flatten(), 1 / expected)
+        torch.testing.assert_close(weight, 1 / expected)
 
 
 def test_the_expected_count_is_the_share() -> None:
-    adjoint = torch.rand(6, 8, 3, generator=torch.Generator().manual_seed(3))
-    drawn = [choose_pixels(adjoint, [(0.7, EVEN)], 2, seed) for seed in range(2000)]
+    magnitude = torch.rand(6, 8, generator=torch.Generator().manual_seed(3))
+    drawn = [choose_pixels(magnitude, [(0.7, EVEN)], 2, seed) for seed in range(2000)]
     mean = torch.stack([counts(pixel).float() for pixel, _ in drawn]).mean(0)
     error = torch.stack([counts(pixel).float() for pixel, _ in drawn]).std(0) / 2000**0.5
-    expected = 1 / drawn[0][1].flatten()
+    expected = 1 / drawn[0][1]
     # The shift of the strata keeps a thousandth off both ends.
     assert ((mean - expected).abs() < 4 * error + 1e-3).all()
 
 
-@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian"])
+@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "lanczos"])
 def test_chosen_pixels_give_the_derivative_of_the_picture(mi: Any, rfilter: str) -> None:
     from scenecaptum.scene.bundled import cornell_box
 
@@ -73,19 +73,7 @@ def test_chosen_pixels_give_the_derivative_of_the_picture(mi: Any, rfilter: str)
     chosen = torch.stack([gradients(0, 100 + seed) for seed in range(40)])
     z = (own.mean(0) - chosen.mean(0)) / ((own.var(0) + chosen.var(0)) / 40).sqrt()
     assert z.abs().max() < 4, z
-    if rfilter == "box":
-        assert (own.var(0) / chosen.var(0)).log().mean().exp() > 1.2
-
-
-def test_a_filter_with_negative_lobes_leaves_the_pixels_alone(mi: Any) -> None:
-    from scenecaptum.scene.bundled import cornell_box
-
-    scene = cornell_box()
-    scene["sensor"]["film"] = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "lanczos"}}
-    renderer = SceneRenderer(scene, "emitters", spp=4, max_depth=2)
-    x = renderer.leaves()
-    renderer(x, seed=0, seed_grad=1).mean().backward()
-    assert all(torch.isfinite(leaf.grad).all() for leaf in x.values())
+    assert (own.var(0) / chosen.var(0)).log().mean().exp() > 1.1
 
 
 def test_passes_share_out_all_samples() -> None:

@@ -5,6 +5,7 @@ Imported only once a variant is active (see ``SceneRenderer``).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,16 +19,27 @@ class ChoosingIntegrator(RBIntegrator):
     """A path replay integrator that can be told which pixels to sample."""
 
     def propagate(
-        self, scene: Any, sensor: Any, adjoint: Any, spread: Any, pixel: Any, seed: Any, spp: int
+        self,
+        scene: Any,
+        sensor: Any,
+        adjoint: Any,
+        weight: Any,
+        profile: Any,
+        reach: int,
+        pixel: Any,
+        seed: Any,
+        spp: int,
     ) -> None:
-        """Carry an adjoint to the tracked parameters, from samples of given pixels.
+        """Carry an adjoint to the tracked parameters, from samples inside given pixels.
 
         Parameters
         ----------
         adjoint
-            What a sample of each pixel counts, a ``(H, W, 3)`` tensor.
-        spread
-            How far from its pixel's centre a sample lies, as a function of a random number: see ``FilmFilter``.
+            ``∂M/∂I`` divided by what each pixel has ``caught``, a ``(H, W, 3)`` tensor.
+        weight
+            What a sample inside each pixel counts.
+        profile, reach
+            The film's filter: see ``FilmFilter``.
         pixel
             The pixel of each sample, counted along the rows.
         seed, spp
@@ -35,17 +47,18 @@ class ChoosingIntegrator(RBIntegrator):
         """
         with dr.suspend_grad():
             sampler = _seeded(sensor, seed, spp, dr.width(pixel))
-            ray, response, inside = _camera_rays(sensor, sampler, pixel, spread)
-            emitted = dr.select(inside, response * dr.gather(mi.Color3f, adjoint.array, pixel), 0)
+            ray, response, point = _camera_rays(sensor, sampler, pixel)
+            emitted = response * dr.gather(mi.Float, weight, pixel)
+            emitted *= _read(sensor.film(), adjoint, profile, reach, pixel, point)
             *_, state = self.sample(
-                mode=dr.ADMode.Primal, scene=scene, sampler=sampler.clone(), ray=ray, active=inside
+                mode=dr.ADMode.Primal, scene=scene, sampler=sampler.clone(), ray=ray, active=mi.Bool(True)
             )
             self.sample(
                 mode=dr.ADMode.Backward,
                 scene=scene,
                 sampler=sampler,
                 ray=ray,
-                active=inside,
+                active=mi.Bool(True),
                 state_in=state,
                 δL=emitted,
             )
@@ -60,76 +73,106 @@ def _seeded(sensor: Any, seed: Any, spp: int, samples: int) -> Any:
     return sampler
 
 
+STEPS = 1024  # of a filter's profile
+
+
 @dataclass(frozen=True)
 class FilmFilter:
-    """A film's reconstruction filter as a way to draw samples for a pixel.
+    """How a film spreads a sample over pixels.
 
     Attributes
     ----------
-    spread
-        How far from the pixel's centre a sample lies along an axis, at 1025 even steps of a random number: the
-        inverse of the filter as a distribution.
+    profile
+        The filter along an axis, at even distances from 0 to ``reach + 1`` pixels.
+    reach
+        How many pixels away from its own a sample counts.
     caught
-        The share of each pixel's filter that lies on the film, ``(H, W, 1)``.
+        The weight that each pixel catches of an evenly sampled film, by which the film divides, ``(H, W, 1)``.
     """
 
-    spread: torch.Tensor
+    profile: torch.Tensor
+    reach: int
     caught: torch.Tensor
+
+    def strength(self, adjoint: torch.Tensor) -> torch.Tensor:
+        """Return the root mean square of the adjoint of samples inside each pixel, ``(H, W)``."""
+        image = (adjoint / self.caught.to(adjoint)).permute(2, 0, 1)[:, None]
+        offsets = torch.arange(-self.reach, self.reach + 1)
+        squares = torch.zeros_like(adjoint[..., 0])
+        for x, y in ((x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)):
+            down, across = (self._at(offsets - shift).to(adjoint) for shift in (y, x))
+            kernel = torch.outer(down, across)[None, None]
+            squares += torch.nn.functional.conv2d(image, kernel, padding=self.reach).square().sum((0, 1)) / 4
+        return squares.sqrt()
+
+    def _at(self, distance: torch.Tensor) -> torch.Tensor:
+        return self.profile[(distance.abs() * STEPS / (self.reach + 1)).round().long()]
 
 
 def film_filter(film: Any) -> FilmFilter | None:
-    """Return a film's filter, or None where no sample can be drawn for one pixel: it is negative somewhere."""
-    places, kernel = _kernel(film.rfilter())
-    if film.sample_border() or mi.has_flag(film.flags(), mi.FilmFlags.Special) or (kernel < 0).any():
+    """Return a film's filter, or None where samples cannot be weighted one by one: the film is a special one."""
+    if film.sample_border() or mi.has_flag(film.flags(), mi.FilmFlags.Special):
         return None
+    rfilter = film.rfilter()
+    # Mitsuba gives its box no share of the neighbours, however wide it is.
+    reach = 0 if rfilter.is_box_filter() else math.ceil(rfilter.radius() - 0.5)
+    distance = torch.linspace(0, reach + 1, STEPS + 1)
+    profile = torch.ones_like(distance)
+    if reach:
+        profile = torch.where(
+            distance < rfilter.radius(), rfilter.eval(mi.Float(distance)).torch().cpu(), torch.zeros(())
+        )
     width, height = film.crop_size()
-    across, down = (_caught(places, kernel, pixels) for pixels in (width, height))
-    return FilmFilter(_spread(places, kernel), torch.outer(down, across)[..., None].float())
+    across, down = (_caught(profile, reach, pixels) for pixels in (width, height))
+    return FilmFilter(profile, reach, torch.outer(down, across)[..., None])
 
 
-def _kernel(rfilter: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the filter at 4096 even points along an axis, as a distribution."""
-    # Mitsuba's box is a little wider than a pixel, for the sake of its own way of summing.
-    radius = 0.5 if rfilter.is_box_filter() else float(rfilter.radius())
-    places = torch.linspace(-1, 1, 2 * 4096 + 1, dtype=torch.float64)[1::2] * radius
-    kernel = rfilter.eval(mi.Float(places.float())).torch().double().cpu()
-    return places, kernel / kernel.sum()
+def _caught(profile: torch.Tensor, reach: int, pixels: int) -> torch.Tensor:
+    """Integrate the filter of each pixel of a row, cut off at the ends of the row."""
+    if not reach:
+        return torch.ones(pixels)
+    fine = 64  # points per pixel
+    centre = torch.arange(pixels)[:, None] + 0.5
+    offset = (torch.arange(2 * (reach + 1) * fine) + 0.5) / fine - (reach + 1)
+    weight = profile[(offset.abs() * STEPS / (reach + 1)).round().long()] / fine
+    inside = (centre + offset > 0) & (centre + offset < pixels)
+    return inside.to(weight) @ weight
 
 
-def _spread(places: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
-    half = (places[1] - places[0]) / 2
-    edges = torch.cat([places - half, places[-1:] + half])
-    reached = torch.cat([kernel.new_zeros(1), kernel.cumsum(0)])
-    wanted = torch.linspace(0, 1, 1025, dtype=torch.float64)
-    right = torch.searchsorted(reached, wanted).clamp(1, len(kernel))
-    low, high = reached[right - 1], reached[right]
-    share = ((wanted - low) / (high - low)).clamp(0, 1)
-    return torch.lerp(edges[right - 1], edges[right], share).float()
-
-
-def _caught(places: torch.Tensor, kernel: torch.Tensor, pixels: int) -> torch.Tensor:
-    point = torch.arange(pixels)[:, None] + 0.5 + places
-    return ((point > 0) & (point < pixels)).to(kernel) @ kernel
-
-
-def _camera_rays(sensor: Any, sampler: Any, pixel: Any, spread: Any) -> tuple[Any, Any, Any]:
-    """Return rays through points around pixels, what the sensor makes of them, and which lie on the film."""
+def _camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
+    """Return rays through random points of pixels, what the sensor makes of them, and the points."""
     size = sensor.film().crop_size()
-    centre = mi.Point2f(pixel % size.x, pixel // size.x) + 0.5
-    number = sampler.next_2d()
-    point = centre + mi.Point2f(_look_up(spread, number.x), _look_up(spread, number.y))
-    inside = dr.all((point > 0) & (point < mi.ScalarPoint2f(size)))
+    point = mi.Point2f(pixel % size.x, pixel // size.x) + mi.Point2f(sampler.next_2d())
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     open_for = sensor.shutter_open_time()
     time = sensor.shutter_open() + (sampler.next_1d() * open_for if open_for > 0 else 0)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     position = point / mi.ScalarPoint2f(size)
-    return *sensor.sample_ray_differential(time, wavelength, position, lens), inside
+    return *sensor.sample_ray_differential(time, wavelength, position, lens), point
 
 
-def _look_up(table: Any, number: Any) -> Any:
-    last = dr.width(table) - 1
-    place = number * last
-    index = dr.minimum(mi.UInt32(place), last - 1)
-    low, high = (dr.gather(mi.Float, table, index + step) for step in (0, 1))
+def _read(film: Any, adjoint: Any, profile: Any, reach: int, pixel: Any, point: Any) -> Any:
+    """Return the adjoint of the radiance at a point: those of the pixels near it, weighted by the filter."""
+    size = film.crop_size()
+    home = mi.Point2i(mi.Int32(pixel % size.x), mi.Int32(pixel // size.x))
+    offsets = range(-reach, reach + 1)
+    across, down = (
+        [_look_up(profile, abs(point[axis] - home[axis] - step - 0.5) / (reach + 1)) for step in offsets]
+        for axis in (0, 1)
+    )
+    total = mi.Color3f(0)
+    for x, along in zip(offsets, across, strict=True):
+        for y, downwards in zip(offsets, down, strict=True):
+            near = home + mi.Vector2i(x, y)
+            on_film = dr.all((near >= 0) & (near < mi.ScalarPoint2i(size)))
+            index = mi.UInt32(near.y * size.x + near.x)
+            total += along * downwards * dr.gather(mi.Color3f, adjoint.array, index, on_film)
+    return total
+
+
+def _look_up(profile: Any, share: Any) -> Any:
+    """Read a table over [0, 1] between its entries."""
+    place = share * (dr.width(profile) - 1)
+    index = dr.minimum(mi.UInt32(place), dr.width(profile) - 2)
+    low, high = (dr.gather(mi.Float, profile, index + step) for step in (0, 1))
     return dr.lerp(low, high, place - mi.Float(index))

@@ -9,7 +9,7 @@ import torch
 
 
 def choose_pixels(
-    adjoint: torch.Tensor, interests: Sequence[tuple[float, torch.Tensor]], spp: int, seed: int
+    strength: torch.Tensor, interests: Sequence[tuple[float, torch.Tensor]], spp: int, seed: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Spread ``spp`` samples per pixel in proportion to ``|∂M/∂I| · interest``, mixed with an even spread.
 
@@ -18,8 +18,8 @@ def choose_pixels(
 
     Parameters
     ----------
-    adjoint
-        ``∂M/∂I``, of shape ``(H, W, 3)``.
+    strength
+        Magnitude of the adjoint, ``|∂M/∂I|``, of shape ``(H, W)``.
     interests
         Pairs of a share of the samples, and how much their derivatives vary from pixel to pixel, ``(H, W)``. What
         the shares leave is spread evenly, so that no pixel's weight grows without bound.
@@ -33,15 +33,14 @@ def choose_pixels(
     pixel : Tensor
         ``(H·W·spp,)`` int32: the pixel of each sample, in rising order.
     weight : Tensor
-        ``(H, W, 1)`` float32: what a sample of each pixel counts, so that ``Σ weight·f`` estimates ``Σ f`` over
-        pixels.
+        ``(H·W,)`` float32: what a sample of each pixel counts, so that ``Σ weight·f`` estimates ``Σ f`` over pixels.
     """
     # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work.
-    strength = adjoint.detach().cpu().double().norm(dim=-1).numpy()
-    pixels, samples = strength.size, strength.size * spp
+    magnitude = strength.cpu().double().numpy()
+    pixels, samples = magnitude.size, magnitude.size * spp
     share, left = np.zeros(pixels), 1.0
     for part, interest in interests:
-        wanted = (strength * interest.cpu().numpy()).ravel()
+        wanted = (magnitude * interest.cpu().numpy()).ravel()
         if wanted.any():
             share += part * wanted / wanted.sum()
             left -= part
@@ -52,5 +51,5 @@ def choose_pixels(
     shift = np.random.default_rng(seed).uniform(1e-3, 1 - 1e-3)
     counts = np.diff(np.ceil(ends - shift), prepend=0).astype(np.int64)
     pixel = np.repeat(np.arange(pixels, dtype=np.int32), counts)
-    weight = (1 / (samples * share)).astype(np.float32).reshape(*adjoint.shape[:2], 1)
-    return torch.from_numpy(pixel).to(adjoint.device), torch.from_numpy(weight).to(adjoint.device)
+    weight = (1 / (samples * share)).astype(np.float32)
+    return torch.from_numpy(pixel).to(strength.device), torch.from_numpy(weight).to(strength.device)

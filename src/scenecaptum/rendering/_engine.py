@@ -212,10 +212,13 @@ class Engine:
                     if chosen_by is None:
                         self._render_backward(self._scene, owned(mi.TensorXf(weighted)), *fixed)
                     else:
-                        pixel, weight = choose_pixels(adjoint, interests, one.spp, one.seed)
-                        counted = owned(mi.TensorXf(weighted * weight / chosen_by.caught.to(weight)))
-                        spread = owned(mi.Float(chosen_by.spread.to(weight)))
-                        self._propagate(self._scene, counted, *fixed, spread, owned(mi.UInt32(pixel)))
+                        strength = chosen_by.strength(adjoint)
+                        pixel, weight = choose_pixels(strength, interests, one.spp, one.seed)
+                        arrays = mi.Float(weight), mi.Float(chosen_by.profile.to(weight)), mi.UInt32(pixel)
+                        scaled = mi.TensorXf(weighted / chosen_by.caught.to(weight))
+                        self._propagate(
+                            self._scene, owned(scaled), *fixed, *map(owned, arrays), chosen_by.reach
+                        )
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
@@ -307,9 +310,17 @@ def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[C
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
 
     def propagate(
-        scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...], spread: Any, pixel: Any
+        scene: Any,
+        adjoint: Any,
+        seed: Any,
+        spp: int,
+        scalars: tuple[float, ...],
+        weight: Any,
+        profile: Any,
+        pixel: Any,
+        reach: int,
     ) -> None:
-        integrator.propagate(scene, sensor, adjoint, spread, pixel, seed, spp)
+        integrator.propagate(scene, sensor, adjoint, weight, profile, reach, pixel, seed, spp)
 
     return tuple(_Frozen(function, forget) for function in (render, render_backward, propagate))
 
