@@ -23,10 +23,8 @@ class ChoosingIntegrator(RBIntegrator):
         scene: Any,
         sensor: Any,
         adjoint: Any,
-        weight: Any,
-        profile: Any,
-        reach: int,
-        pixel: Any,
+        samples: tuple[Any, Any],
+        profile: tuple[Any, int],
         seed: Any,
         spp: int,
     ) -> None:
@@ -36,20 +34,19 @@ class ChoosingIntegrator(RBIntegrator):
         ----------
         adjoint
             ``∂M/∂I`` divided by what each pixel has ``caught``, a ``(H, W, 3)`` tensor.
-        weight
-            What a sample inside each pixel counts.
-        profile, reach
-            The film's filter: see ``FilmFilter``.
-        pixel
-            The pixel of each sample, counted along the rows.
+        samples
+            The pixel of each sample, counted along the rows, and what a sample inside each pixel counts.
+        profile
+            Profile and reach of the film's filter: see ``FilmFilter``.
         seed, spp
             Seed of the samples, and how many of them the sampler takes for one pixel's.
         """
+        pixel, weight = samples
         with dr.suspend_grad():
             sampler = _seeded(sensor, seed, spp, dr.width(pixel))
             ray, response, point = _camera_rays(sensor, sampler, pixel)
             emitted = response * dr.gather(mi.Float, weight, pixel)
-            emitted *= _read(sensor.film(), adjoint, profile, reach, pixel, point)
+            emitted *= _read(sensor.film(), adjoint, *profile, pixel, point)
             *_, state = self.sample(
                 mode=dr.ADMode.Primal, scene=scene, sampler=sampler.clone(), ray=ray, active=mi.Bool(True)
             )

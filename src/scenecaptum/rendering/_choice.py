@@ -33,7 +33,7 @@ def choose_pixels(
     pixel : Tensor
         ``(H·W·spp,)`` int32: the pixel of each sample, in rising order.
     weight : Tensor
-        ``(H·W,)`` float32: what a sample of each pixel counts, so that ``Σ weight·f`` estimates ``Σ f`` over pixels.
+        ``(H·W,)`` float32: what a sample of each pixel counts; ``Σ weight·f`` estimates ``Σ f`` over pixels.
     """
     # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work.
     magnitude = strength.cpu().double().numpy()

@@ -23,7 +23,10 @@ import torch
 from ..backend import device
 from ..errors import SceneCaptumError
 from ..scene import SceneParameters
-from . import _integrator, _volumetric  # noqa: F401 -- they register the plugins
+from . import (
+    _integrator,  # noqa: F401 -- registers the plugin
+    _volumetric,
+)
 from ._backward import FilmFilter, film_filter
 from ._choice import choose_pixels
 from ._passes import Pass, passes
@@ -214,11 +217,10 @@ class Engine:
                     else:
                         strength = chosen_by.strength(adjoint)
                         pixel, weight = choose_pixels(strength, interests, one.spp, one.seed)
-                        arrays = mi.Float(weight), mi.Float(chosen_by.profile.to(weight)), mi.UInt32(pixel)
-                        scaled = mi.TensorXf(weighted / chosen_by.caught.to(weight))
-                        self._propagate(
-                            self._scene, owned(scaled), *fixed, *map(owned, arrays), chosen_by.reach
-                        )
+                        samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
+                        profile = owned(mi.Float(chosen_by.profile.to(weight))), chosen_by.reach
+                        scaled = owned(mi.TensorXf(weighted / chosen_by.caught.to(weight)))
+                        self._propagate(self._scene, scaled, *fixed, samples, profile)
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
@@ -297,7 +299,7 @@ class Engine:
 
 
 def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[Callable[..., Any], ...]:
-    """Return primal render, its backward pass and one of chosen pixels as frozen functions.
+    """Return primal render, its backward pass and one of chosen pixels, as frozen functions where that is safe.
 
     Tracing a room with dozens of materials takes 0.2 s, the same for every pass: so it is done once. Numbers that
     Mitsuba writes into kernels (``scalars``) are arguments for others to be traced anew.
@@ -315,14 +317,16 @@ def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[C
         seed: Any,
         spp: int,
         scalars: tuple[float, ...],
-        weight: Any,
-        profile: Any,
-        pixel: Any,
-        reach: int,
+        samples: tuple[Any, Any],
+        profile: tuple[Any, int],
     ) -> None:
-        integrator.propagate(scene, sensor, adjoint, weight, profile, reach, pixel, seed, spp)
+        integrator.propagate(scene, sensor, adjoint, samples, profile, seed, spp)
 
-    return tuple(_Frozen(function, forget) for function in (render, render_backward, propagate))
+    functions = (render, render_backward, propagate)
+    # Freezing does not see phase functions: a picture would stay that of the first.
+    if isinstance(integrator, _volumetric.VolumetricReplayIntegrator):
+        return functions
+    return tuple(_Frozen(function, forget) for function in functions)
 
 
 class _Frozen:

@@ -275,6 +275,8 @@ def _problem(kind: str, role: str, holder: Any, value: Any, tracked: bool) -> st
         return "it places a light, which moves shadows as a pose does"
     if not (_is_array(value) or isinstance(value, float)):
         return f"it is a {type_name}, not a continuous quantity"
+    if role == "S" and holder.class_name().startswith("SGGX"):
+        return "Mitsuba's SGGX samples other directions than its own density describes"
     if role in ("normalmap", "nested_texture") and _is_specular(holder):
         return "it turns perfectly specular reflections, and path replay does not follow where they go"
     if not tracked and math.prod(_shape(value)) > 3:
