@@ -1,0 +1,546 @@
+"""Compare the derivatives of every plugin's parameters with finite differences, and write the table.
+
+The judge is independent: Mitsuba's own ``path`` or ``volpath`` renders the scene, loaded without this package,
+with the parameter moved up and down under one seed. The whole table takes about an hour on four cores; the cache
+keeps what is done, case by case.
+
+    python benchmarks/derivatives.py [--only 'rough*'] [--quick] [--resume] [--write docs/derivatives.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import gc
+import importlib.metadata
+import json
+import math
+import multiprocessing
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from derivative_table import ABOVE, BELOW, CASES, WITHOUT_PARAMETERS, Case, Row
+
+from scenecaptum import SceneRenderer, activate
+from scenecaptum.errors import SceneCaptumError
+
+SEEDS = 16  # what a standard error is estimated from
+FIRST_SPP, MOST_SPP = 64, 4096
+AIM = 0.04  # relative standard error at which sampling stops
+GOOD = 0.10  # and up to which a row counts as resolved
+# A one-sided difference starts a little inside: some plugins treat the bound itself apart (at an index of exactly
+# 1 the plastics jump by 0.1 %).
+START = 1e-3  # steps
+STEP_BIAS = 0.005  # what a difference quotient is allowed for its step, as a fraction of its value
+BUDGET, QUICK_BUDGET = (
+    20.0,
+    4.0,
+)  # seconds of sampling for the difference of a row, and for ours of three rows
+# Seeds of the three sides, apart so that their errors are independent.
+OURS, DIFFERENCE, STOCK = 0, 100_000, 200_000
+SIDES = {ABOVE: " ↑", BELOW: " ↓"}
+
+Targets = Mapping[str, Row]  # by the parameter's full name
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over seeds with its standard error, and the samples per pixel that it took."""
+
+    value: float
+    error: float
+    spp: int
+
+    @property
+    def relative_error(self) -> float:
+        """Standard error over value; 0 for an exact zero."""
+        return self.error / abs(self.value) if self.value else (math.inf if self.error else 0.0)
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether it is 0 but for rounding: the metric itself is about 1."""
+        return abs(self.value) + self.error < 1e-6
+
+    def __str__(self) -> str:
+        """Write the value to the digits that its error leaves."""
+        if not math.isfinite(self.value) or not math.isfinite(self.error):
+            return str(self.value)
+        if self.error == 0:
+            return f"{self.value:.4g}"
+        digits = -math.floor(math.log10(self.error))
+        if digits <= 5:
+            return f"{self.value:.{max(digits, 0)}f} ± {self.error:.{max(digits, 0)}f}"
+        exponent = math.floor(math.log10(max(abs(self.value), self.error)))
+        digits = max(digits + exponent, 0)
+        return f"({self.value / 10**exponent:.{digits}f} ± {self.error / 10**exponent:.{digits}f})e{exponent}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One row of the table."""
+
+    case: str
+    plugin: str
+    parameter: str
+    value: float | None
+    step: str
+    verdict: str
+    z: float | None = None
+    ours: Estimate | None = None
+    difference: Estimate | None = None
+    stock: Estimate | str | None = None
+    note: str = ""
+
+    def __str__(self) -> str:
+        """Write the row as a line of text."""
+        value = "" if self.value is None else f"{self.value:.4g}"
+        z = "" if self.z is None else f"{self.z:+.1f}"
+        return (
+            f"{self.verdict:11s} {self.parameter:48s} {value:>7s}  ours {self.ours or '–'!s:22s} difference "
+            f"{self.difference or '–'!s:22s} z {z:6s} prb {self.stock or '–'!s:22s} {self.note}"
+        )
+
+
+# ------------------------------------------------------------------------------------------------ the two sides
+
+
+def weights(width: int, height: int) -> np.ndarray[Any, Any]:
+    """Return the weight of each pixel in the metric: uneven, so that light that only moves about still counts."""
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    return ((0.4 + 1.2 * u) * (1.4 - 0.8 * v) / (3 * width * height))[..., None]
+
+
+class Judge:
+    """A scene in Mitsuba's hands alone: difference quotients of its pictures, and the derivatives of ``prb``."""
+
+    def __init__(self, case: Case) -> None:
+        self._mi = activate()
+        built = case.build()
+        self._settings = built["integrator"]
+        self._scene = self._mi.load_dict(built, optimize=False)
+        self._integrator = self._scene.integrator()
+        self._weights = weights(*self._scene.sensors()[0].film().size())
+        self._params = self._mi.traverse(self._scene)
+        self.targets = {self._full_name(row.parameter): row for row in case.rows}
+        self._own = {name: self._copy(self._params[name]) for name in self.targets}
+
+    def _full_name(self, parameter: str) -> str:
+        endings = ("", ".value", ".data", ".values", ".value.value")
+        return next(parameter + ending for ending in endings if parameter + ending in self._params)
+
+    def _copy(self, value: Any) -> Any:
+        import drjit as dr
+
+        return type(value)(value) if dr.is_array_v(value) else value
+
+    def value(self, name: str) -> float | None:
+        """Return the mean of a parameter's elements; None for a transformation."""
+        try:
+            return float(np.mean(np.array(self._own[name], dtype=np.float64)))
+        except (TypeError, ValueError):
+            return None
+
+    def quotient(self, name: str, seed: int, spp: int) -> float:
+        """Return the second-order difference quotient of the metric, all samples under one seed."""
+        row = self.targets[name]
+        assert row.step is not None
+
+        def at(steps: float) -> float:
+            self._move(name, steps)
+            image = self._integrator.render(self._scene, 0, seed=seed, spp=spp)
+            return float((np.array(image)[..., :3] * self._weights).sum(dtype=np.float64))
+
+        if row.side == ABOVE:
+            rise = (-3 * at(START) + 4 * at(1) - at(2)) / 2
+        elif row.side == BELOW:
+            rise = (3 * at(-START) - 4 * at(-1) + at(-2)) / 2
+        else:
+            rise = (at(1) - at(-1)) / 2
+        return rise / row.step
+
+    def _move(self, name: str, steps: float) -> None:
+        row, own = self.targets[name], self._own[name]
+        if steps:
+            pattern = own / self.value(name) if row.scaled else 1
+            self._params[name] = own + steps * row.step * pattern
+        else:
+            self._params[name] = self._copy(own)
+        self._params.update()
+
+    def put_back(self, name: str) -> None:
+        """Give a parameter its own value again."""
+        self._move(name, 0)
+
+    def difference(self, name: str, budget: float) -> Estimate:
+        """Sample the difference quotient of one parameter."""
+        try:
+            (found,) = sample(lambda seed, spp: [self.quotient(name, seed, spp)], DIFFERENCE, budget)
+        finally:
+            self.put_back(name)
+        return found
+
+    def stock(self, spp: int) -> dict[str, Estimate | str]:
+        """Return the derivatives of Mitsuba's ``prb`` or ``prbvolpath``, or why there are none."""
+        import drjit as dr
+
+        kind = {"path": "prb", "volpath": "prbvolpath"}[self._settings["type"]]
+        integrator = self._mi.load_dict({**self._settings, "type": kind})
+        adjoint = np.broadcast_to(self._weights, (*self._weights.shape[:2], 3)).astype(np.float32)
+        leaves = {}
+        for name, own in self._own.items():
+            if self.targets[name].step is not None and dr.is_diff_v(own):
+                leaves[name] = self._copy(own)
+                dr.enable_grad(leaves[name])
+                self._params[name] = leaves[name]
+        self._params.update()
+
+        def gradients(seed: int) -> list[float]:
+            integrator.render_backward(
+                self._scene, self._params, self._mi.TensorXf(adjoint), 0, seed=seed, spp=spp
+            )
+            found = [self._along(name, np.array(dr.grad(leaf))) for name, leaf in leaves.items()]
+            dr.clear_grad(list(leaves.values()))
+            return found
+
+        try:
+            draws = np.array([gradients(STOCK + i) for i in range(SEEDS)]) if leaves else np.empty((SEEDS, 0))
+        except RuntimeError:
+            return dict.fromkeys(self.targets, "raises")
+        found = dict(zip(leaves, estimates(draws, spp), strict=True))
+        return {name: found.get(name, "not tracked") for name in self.targets}
+
+    def _along(self, name: str, gradient: np.ndarray[Any, Any]) -> float:
+        own = np.array(self._own[name], dtype=np.float64)
+        pattern = own / own.mean() if self.targets[name].scaled else 1.0
+        return float((gradient * pattern).sum(dtype=np.float64))
+
+
+class Ours:
+    """The same scene in this package's hands."""
+
+    def __init__(self, case: Case, targets: Targets) -> None:
+        self.renderer = SceneRenderer(case.build(), list(targets))
+        self._targets = targets
+        self._weights = torch.from_numpy(weights(*self.renderer.resolution)).float()
+
+    def gradients(self, seed: int, spp: int) -> list[float]:
+        """Return the derivatives of the metric, each along its row's direction."""
+        leaves = self.renderer.leaves()
+        (self.renderer(leaves, seed=seed, spp=spp) * self._weights).sum().backward()
+        return [self._along(row, leaves[name]) for name, row in self._targets.items()]
+
+    @staticmethod
+    def _along(row: Row, leaf: torch.Tensor) -> float:
+        assert leaf.grad is not None
+        pattern = leaf.detach() / leaf.detach().mean() if row.scaled else torch.ones_like(leaf)
+        return float((leaf.grad * pattern).double().sum())
+
+
+# ------------------------------------------------------------------------------------------------ sampling
+
+
+def estimates(draws: np.ndarray[Any, Any], spp: int) -> list[Estimate]:
+    """Return the mean and standard error of each column of independent draws of so many samples per pixel."""
+    count = len(draws)
+    return [
+        Estimate(float(column.mean()), float(column.std(ddof=1) / math.sqrt(count)), count * spp)
+        for column in draws.T
+    ]
+
+
+def sample(
+    draw: Callable[[int, int], Sequence[float]], first_seed: int, budget: float, spp: int = FIRST_SPP
+) -> list[Estimate]:
+    """Draw under new seeds, with ever more samples, until all means are good or the seconds are spent."""
+    end = time.perf_counter() + budget
+    count, seed = SEEDS, first_seed
+    while True:
+        began = time.perf_counter()
+        draws = np.array([draw(seed + i, spp) for i in range(count)])
+        seed += count
+        found = estimates(draws, spp)
+        worst = max(estimate.relative_error for estimate in found)
+        # A round of so many times the samples takes at most so many times as long.
+        affordable = (end - time.perf_counter()) / (time.perf_counter() - began)
+        if worst <= AIM or affordable < 1.5 or not np.isfinite(draws).all():
+            return found
+        wanted = 1.3 * min((worst / AIM) ** 2, 1e6)
+        total = spp * count * min(max(wanted, 1.5), affordable)
+        spp = int(np.clip(total / SEEDS, spp, MOST_SPP))
+        count = max(SEEDS, round(total / spp))
+
+
+# ------------------------------------------------------------------------------------------------ judging
+
+
+def run_case(case: Case, known: Sequence[Outcome], budget: float, with_stock: bool) -> list[Outcome]:
+    """Measure every row of a case; where the judge's side is known, only ours."""
+    if not known:
+        try:
+            known = judge_case(case, budget, with_stock)
+        except RuntimeError as error:
+            note = f"Mitsuba's own path tracer does not render it: {_told(error)}"
+            return [
+                Outcome(
+                    case.name, case.plugin, row.parameter, None, _step_text(row), "unsupported", note=note
+                )
+                for row in case.rows
+            ]
+        gc.collect()
+    targets = {outcome.parameter: row for outcome, row in zip(known, case.rows, strict=True)}
+    ours, notes = measure_ours(case, targets, budget)
+    outcomes = []
+    for outcome in known:
+        mine, theirs = ours.get(outcome.parameter), outcome.difference
+        z = None if mine is None or theirs is None else z_score(mine, theirs)
+        note = notes.get(outcome.parameter, "")
+        outcomes.append(replace(outcome, verdict=verdict(mine, theirs, z), z=z, ours=mine, note=note))
+    return outcomes
+
+
+def judge_case(case: Case, budget: float, with_stock: bool) -> list[Outcome]:
+    """Return the rows of a case with the judge's side only."""
+    judge = Judge(case)
+    differences = {n: judge.difference(n, budget) for n, row in judge.targets.items() if row.step is not None}
+    stock = judge.stock(4 * FIRST_SPP) if with_stock and differences else {}
+    return [
+        Outcome(
+            case=case.name,
+            plugin=case.plugin,
+            parameter=name,
+            value=judge.value(name),
+            step=_step_text(row),
+            verdict="",
+            difference=differences.get(name),
+            stock=stock.get(name),
+        )
+        for name, row in judge.targets.items()
+    ]
+
+
+def measure_ours(case: Case, targets: Targets, budget: float) -> tuple[dict[str, Estimate], dict[str, str]]:
+    """Return our derivatives, and for the parameters without one what the user is told."""
+    try:
+        ours = Ours(case, targets)
+        notes = {name: f"caution: {caution}" for name, caution in ours.renderer.plan.cautions}
+        seconds = budget * max(1.0, len(targets) / 3)
+        return dict(zip(targets, sample(ours.gradients, OURS, seconds), strict=True)), notes
+    except Exception as error:
+        if len(targets) == 1:
+            return {}, dict.fromkeys(targets, _told(error))
+    finally:
+        ours = None
+        gc.collect()
+    # One of several failed, and only one at a time shows which.
+    able, notes = {}, {}
+    for name, row in targets.items():
+        try:
+            SceneRenderer(case.build(), [name])
+            able[name] = row
+        except Exception as error:
+            notes[name] = _told(error)
+        gc.collect()
+    parts = [able] if 0 < len(able) < len(targets) else [{name: row} for name, row in able.items()]
+    found: dict[str, Estimate] = {}
+    for part in parts:
+        estimates, more = measure_ours(case, part, budget)
+        found.update(estimates)
+        notes.update(more)
+    return found, notes
+
+
+def z_score(ours: Estimate, difference: Estimate) -> float:
+    """Return how many standard errors lie between the two, the bias of the step counted as one of them."""
+    error = math.hypot(ours.error, difference.error, STEP_BIAS * difference.value)
+    apart = ours.value - difference.value
+    return apart / error if error else (0.0 if apart == 0 else math.copysign(math.inf, apart))
+
+
+def verdict(ours: Estimate | None, difference: Estimate | None, z: float | None) -> str:
+    """Say whether our derivative is right."""
+    if ours is None:
+        return "unsupported"
+    if difference is None or z is None:
+        return "unresolved"
+    if not math.isfinite(ours.value) or abs(z) >= 4:
+        return "wrong"
+    if ours.is_nothing and difference.is_nothing:
+        return "right"
+    return "right" if max(ours.relative_error, difference.relative_error) <= GOOD else "unresolved"
+
+
+def _told(error: BaseException) -> str:
+    """Return an error on one line: ours whole, the beginning of the innermost of Mitsuba's."""
+    while not isinstance(error, SceneCaptumError) and error.__cause__ is not None:
+        error = error.__cause__
+    text = " ".join(str(error).split())
+    return text if isinstance(error, SceneCaptumError) or len(text) < 200 else f"{text[:200]} …"
+
+
+# ------------------------------------------------------------------------------------------------ running
+
+
+def run_plugin(plugin: str, chosen: set[str], options: argparse.Namespace) -> None:
+    """Run cases of one plugin, in a process of its own: Dr.Jit's calls reach every scene of a process."""
+    budget = QUICK_BUDGET if options.quick else BUDGET
+    for case in CASES:
+        if case.plugin != plugin or case.name not in chosen:
+            continue
+        start = time.perf_counter()
+        known = [o for o in outcomes_in(options.cache) if o.case == case.name] if options.ours else []
+        outcomes = run_case(case, known, budget, not options.quick)
+        record = json.loads(options.cache.read_text()) if options.cache.exists() else {}
+        record[case.name] = [asdict(outcome) for outcome in outcomes]
+        options.cache.write_text(json.dumps(record, indent=1))
+        print(f"{case.name}  ({time.perf_counter() - start:.0f} s)", flush=True)
+        for outcome in outcomes:
+            print(f"  {outcome}", flush=True)
+
+
+def outcomes_in(cache: Path) -> list[Outcome]:
+    """Read the outcomes of the cases that still have the same rows, in their order."""
+    record = json.loads(cache.read_text()) if cache.exists() else {}
+    found = []
+    for case in CASES:
+        outcomes = [_outcome(entry) for entry in record.get(case.name, [])]
+        if [outcome.step for outcome in outcomes] == [_step_text(row) for row in case.rows]:
+            found += outcomes
+    return found
+
+
+def _step_text(row: Row) -> str:
+    return "" if row.step is None else f"{row.step:.3g}{SIDES.get(row.side, '')}"
+
+
+def _outcome(entry: dict[str, Any]) -> Outcome:
+    sides = {
+        k: Estimate(**v) if isinstance(v := entry[k], dict) else v for k in ("ours", "difference", "stock")
+    }
+    return Outcome(**{**entry, **sides})
+
+
+def summary(outcomes: Sequence[Outcome]) -> str:
+    """Count the verdicts."""
+    counts = Counter(outcome.verdict for outcome in outcomes)
+    return ", ".join(f"{counts[v]} {v}" for v in ("right", "wrong", "unresolved", "unsupported"))
+
+
+# ------------------------------------------------------------------------------------------------ writing
+
+INTRODUCTION = """# Derivatives against finite differences
+
+Every BSDF, texture, emitter and medium plugin of Mitsuba, and every continuous parameter that it exposes, each in
+a small scene: a ball or two, a floor, a block, a lamp, and a sky that is not uniform; or a floor in which the
+camera sees a lamp. Made by `python benchmarks/derivatives.py --write docs/derivatives.md` with {versions}:
+**{summary}**.
+
+- *Ours* is the derivative of a weighted mean of the picture that `SceneRenderer` returns, along all elements of
+  the parameter alike (of a bump map: in proportion to them). *Difference* is the finite difference of the same
+  number, from Mitsuba's own `path` or `volpath` (same depth, no Russian roulette) on a scene that this package has
+  not touched: of second order, under one seed, central or from above (↑) or below (↓), with the given step. Each
+  is a mean over at least {seeds} seeds ± its standard error.
+- *z* is their distance in standard errors; {bias:.1%} of the difference is allowed for its step.
+- *prb* is Mitsuba's own `prb` or `prbvolpath` on the same scene; *raises*: it refuses the scene; *not tracked*:
+  the parameter has no derivative there.
+- *right*: |z| < 4, and both errors are at most {good:.0%} of their values. *wrong*: |z| ≥ 4. *unresolved*: the
+  errors are larger, after the given samples per pixel. *unsupported*: with what the user is told. Of what only
+  steers the sampling, and of poses, only that is given.
+"""
+
+
+def document(outcomes: Sequence[Outcome]) -> str:
+    """Return the table in Markdown."""
+    versions = " and ".join(f"{n} {importlib.metadata.version(n)}" for n in ("mitsuba", "drjit"))
+    parts = [
+        INTRODUCTION.format(
+            versions=versions, summary=summary(outcomes), seeds=SEEDS, bias=STEP_BIAS, good=GOOD
+        ),
+        "Without continuous parameters: "
+        + "; ".join(f"`{plugin}` ({why})" for plugin, why in WITHOUT_PARAMETERS.items())
+        + ".\n",
+    ]
+    for plugin, group in groupby(outcomes, key=lambda outcome: outcome.plugin):
+        parts += ["\n".join((f"## {plugin}\n", *_table(list(group)))) + "\n"]
+    return "\n".join(parts)
+
+
+def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    yield "| scene | parameter | value | ours | difference | step | z | prb | verdict |"
+    yield "|---|---|--:|--:|--:|--:|--:|--:|---|"
+    for outcome in outcomes:
+        cells = (
+            outcome.case.split("/", 1)[1],
+            f"`{_short(outcome.parameter)}`",
+            "" if outcome.value is None else f"{outcome.value:.4g}",
+            str(outcome.ours or "–"),
+            str(outcome.difference or "–"),
+            outcome.step,
+            "" if outcome.z is None else f"{outcome.z:+.1f}",
+            str(outcome.stock or "–"),
+            _verdict_text(outcome),
+        )
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _short(parameter: str) -> str:
+    """Return the parameter's name without its object and what every name has."""
+    dropped = ("bsdf", "emitter", "value", "data")
+    _, *rest = parameter.split(".")
+    return ".".join(part for part in rest if part not in dropped) or parameter
+
+
+def _verdict_text(outcome: Outcome) -> str:
+    if outcome.verdict == "unresolved":
+        tried = ", ".join(
+            f"{side} {estimate.spp} spp"
+            for side, estimate in (("ours", outcome.ours), ("difference", outcome.difference))
+            if estimate is not None
+        )
+        return f"unresolved ({tried})"
+    return outcome.verdict + (f": {outcome.note}" if outcome.verdict == "unsupported" else "")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", metavar="GLOB", default="*", help="cases to run: a plugin, or plugin/title")
+    parser.add_argument("--quick", action="store_true", help="a few seconds a row, and no stock prb")
+    parser.add_argument("--cache", type=Path, metavar="FILE", default=Path("out/derivatives.json"))
+    parser.add_argument("--resume", action="store_true", help="skip the cases that the cache holds")
+    parser.add_argument("--ours", action="store_true", help="keep the differences and prb of the cache")
+    parser.add_argument(
+        "--write", type=Path, metavar="FILE", help="write the whole cache as a Markdown table"
+    )
+    options = parser.parse_args()
+
+    options.cache.parent.mkdir(parents=True, exist_ok=True)
+    done = {outcome.case for outcome in outcomes_in(options.cache)} if options.resume else set()
+    chosen = {
+        case.name: case.plugin
+        for case in CASES
+        if case.name not in done and any(fnmatch.fnmatch(n, options.only) for n in (case.name, case.plugin))
+    }
+    for plugin in dict.fromkeys(chosen.values()):
+        worker = multiprocessing.get_context("spawn").Process(
+            target=run_plugin, args=(plugin, set(chosen), options)
+        )
+        worker.start()
+        worker.join()
+        if worker.exitcode:
+            print(f"{plugin}: the process ended with code {worker.exitcode}", flush=True)
+    outcomes = outcomes_in(options.cache)
+    print(summary(outcomes))
+    if options.write:
+        options.write.write_text(document(outcomes))
+
+
+if __name__ == "__main__":
+    main()

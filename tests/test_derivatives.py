@@ -1,0 +1,53 @@
+"""The quick half of the table of derivatives, against the finite differences of Mitsuba's own path tracers."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from derivative_table import CASES, QUICK, Case
+from derivatives import DIFFERENCE, GOOD, OURS, Estimate, Judge, Ours, estimates, z_score
+
+SEEDS = 8
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.name in QUICK], ids=lambda case: case.name)
+def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
+    spp = QUICK[case.name]
+    judge = Judge(case)
+    targets = {name: row for name, row in judge.targets.items() if row.step is not None}
+    theirs = {name: difference(judge, name, spp) for name in targets}
+    del judge
+    gc.collect()  # a call of Dr.Jit reaches every scene that is alive
+    ours = Ours(case, targets)
+    draws = np.array([ours.gradients(OURS + seed, spp) for seed in range(SEEDS)])
+    found = estimates(draws, spp)
+    faults = [fault(name, mine, theirs[name]) for name, mine in zip(targets, found, strict=True)]
+    assert not any(faults), "\n".join(filter(None, faults))
+
+
+def difference(judge: Judge, name: str, spp: int) -> Estimate:
+    draws = [[judge.quotient(name, DIFFERENCE + seed, spp)] for seed in range(SEEDS)]
+    judge.put_back(name)
+    return estimates(np.array(draws), spp)[0]
+
+
+def fault(name: str, ours: Estimate, theirs: Estimate) -> str | None:
+    """Say what is wrong with a row, measured against allowed."""
+    if ours.is_nothing and theirs.is_nothing:
+        return None
+    if max(ours.relative_error, theirs.relative_error) > GOOD:
+        return f"{name}: the errors of {ours} and {theirs} exceed {GOOD:.0%}: the case shows nothing"
+    z = z_score(ours, theirs)
+    return (
+        None
+        if abs(z) < 4
+        else f"{name}: derivative {ours}, difference quotient {theirs}: z = {z:+.1f}, allowed ±4"
+    )
