@@ -31,7 +31,7 @@ from ._backward import FilmFilter, film_filter
 from ._choice import choose_pixels
 from ._passes import Pass, passes
 from ._plan import RenderPlan
-from ._routes import LIFT, Difference, difference, is_constant
+from ._routes import Difference, difference, is_constant, lifted
 from ._state import SceneState, flat, owned
 
 Values = Mapping[str, torch.Tensor]
@@ -360,14 +360,7 @@ def _sum(terms: Iterable[Any]) -> Any:
 
 
 def _lift(values: Values, tracked: Collection[str], parameters: SceneParameters) -> Values:
-    """Take the derivatives of some parameters a little above 0 where they are exactly 0."""
-    # Not those of textures: a copy of each would be held for the sake of its black texels (see their caution).
-    lifted = {
-        name: values[name].clamp_min(LIFT[parameters[name].kind])
-        for name in tracked
-        if parameters[name].kind in LIFT and values[name].ndim < 2
-    }
-    return {**values, **lifted}
+    return {**values, **{name: lifted(parameters[name], values[name]) for name in tracked}}
 
 
 def _call(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:

@@ -18,6 +18,8 @@ from ..scene import Parameter
 # taken, which is that at 0 to within as little.
 LIFT = {"reflectance": 1e-3, "ior": 3e-3}
 
+JUST_ABOVE_ONE = 1.001
+
 # Half the distance of a central difference, by kind: long enough for the events that it moves to be many, short
 # enough for the curve to be straight.
 STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "media": 0.02, "emitters": 0.05}
@@ -60,9 +62,12 @@ class Difference:
         h = self.step
         if self.central:
             yield from ((h, 1 / (2 * h)), (-h, -1 / (2 * h)))
-        else:
-            # Not from the bound itself, where the picture may jump: a lobe is left out, a formula branches.
-            yield from ((1e-3 * h, -3 / (2 * h)), (h, 2 / h), (2 * h, -1 / (2 * h)))
+            return
+        # Not from the bound itself, where the picture may jump: a lobe is left out, a formula branches.
+        first = 1e-3
+        yield first * h, -3 / ((1 - first) * (2 - first) * h)
+        yield h, (2 + first) / ((1 - first) * h)
+        yield 2 * h, -(1 + first) / ((2 - first) * h)
 
 
 def difference(parameter: Parameter, value: torch.Tensor) -> Difference | None:
@@ -76,6 +81,17 @@ def difference(parameter: Parameter, value: torch.Tensor) -> Difference | None:
         return Difference(step, True, reason)
     upwards = value + 2 * step <= high
     return Difference(torch.where(upwards, step, -step), False, reason)
+
+
+def lifted(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
+    """Return the value at which path replay takes the derivative: near its own, where that would lose it."""
+    # Not those of textures: a copy of each would be held for the sake of its black texels (see their caution).
+    if value.ndim > 1:
+        return value
+    if parameter.role == "eta" and "Plastic" in parameter.plugin:
+        # Without a step of the index there is no Fresnel term; rounding drowns it below this.
+        return torch.where(value == 1, JUST_ABOVE_ONE, value)
+    return value.clamp_min(LIFT[parameter.kind]) if parameter.kind in LIFT else value
 
 
 def is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:
@@ -108,7 +124,8 @@ def _blends_specular(p: Parameter, value: torch.Tensor) -> bool:
 
 
 def _ior_near_one(p: Parameter, value: torch.Tensor) -> bool:
-    dielectric = p.role == "eta" and "Conductor" not in p.plugin
+    # Our own plastics take their slopes from one side of 1.
+    dielectric = p.role == "eta" and "Conductor" not in p.plugin and "Plastic" not in p.plugin
     return dielectric and bool(((value - 1).abs() < 0.1).any())
 
 
