@@ -65,8 +65,8 @@ class Estimate:
 
     @property
     def is_nothing(self) -> bool:
-        """Whether it is 0 but for rounding: the metric itself is about 1."""
-        return abs(self.value) + self.error < 1e-6
+        """Whether it is 0 but for rounding, where the metric itself is about 1."""
+        return abs(self.value) + self.error < 1e-5
 
     def __str__(self) -> str:
         """Write the value to the digits that its error leaves."""
@@ -369,10 +369,10 @@ def verdict(ours: Estimate | None, difference: Estimate | None, z: float | None)
         return "unsupported"
     if difference is None or z is None:
         return "unresolved"
-    if not math.isfinite(ours.value) or abs(z) >= 4:
-        return "wrong"
     if ours.is_nothing and difference.is_nothing:
         return "right"
+    if not math.isfinite(ours.value) or abs(z) >= 4:
+        return "wrong"
     return "right" if max(ours.relative_error, difference.relative_error) <= GOOD else "unresolved"
 
 

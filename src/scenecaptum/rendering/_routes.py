@@ -23,6 +23,7 @@ JUST_ABOVE_ONE = 1.001
 # Half the distance of a central difference, by kind: long enough for the events that it moves to be many, short
 # enough for the curve to be straight.
 STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "media": 0.02, "emitters": 0.05}
+NEAR_ONE = 0.004  # for an index near 1, where the curve bends more
 RELATIVE = 0.05  # of the value itself, for what has no scale of its own
 
 # Lobes that a principled material leaves out where their weight is at a bound, so that nothing samples them there.
@@ -157,7 +158,7 @@ def _step(p: Parameter, value: torch.Tensor) -> torch.Tensor:
     if p.kind in STEPS and p.kind != "emitters" and p.bounds.high <= 2:
         return torch.full_like(value, STEPS[p.kind])
     if p.kind == "ior":
-        return torch.full_like(value, STEPS["ior"])
+        return torch.where((value - 1).abs() < 0.1, NEAR_ONE, torch.full_like(value, STEPS["ior"]))
     return torch.where(value == 0, torch.full_like(value, 0.02), RELATIVE * value.abs())
 
 
