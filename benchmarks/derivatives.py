@@ -39,10 +39,7 @@ GOOD = 0.10  # and up to which a row counts as resolved
 # 1 the plastics jump by 0.1 %).
 START = 1e-3  # steps
 STEP_BIAS = 0.005  # what a difference quotient is allowed for its step, as a fraction of its value
-BUDGET, QUICK_BUDGET = (
-    20.0,
-    4.0,
-)  # seconds of sampling for the difference of a row, and for ours of three rows
+BUDGET, QUICK_BUDGET = 30.0, 4.0  # seconds for the difference of a row, and for ours of three rows
 # Seeds of the three sides, apart so that their errors are independent.
 OURS, DIFFERENCE, STOCK = 0, 100_000, 200_000
 SIDES = {ABOVE: " ↑", BELOW: " ↓"}

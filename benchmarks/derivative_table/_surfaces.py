@@ -322,31 +322,53 @@ def _strand(curve: str, material: Scene) -> Scene:
     return scene
 
 
-def _hair() -> list[Case]:
-    roughness = {"longitudinal_roughness": 0.3, "azimuthal_roughness": 0.4}
-    pigments = {"eumelanin": 0.2, "pheomelanin": 0.3}
-    brown = {**roughness, "scale_tilt": 3.0, "int_ior": 1.55, "ext_ior": 1.0, **pigments}
-    dyed = {**roughness, "int_ior": 1.55, "sigma_a": {"type": "rgb", "value": [0.2, 0.4, 0.7]}}
-    names = {**roughness, "scale_tilt": 3.0, "eta": 1.55, **pigments}
+def _lit_strand(material: Scene) -> Scene:
+    """Return a strand from close by in the light of a small lamp, so that the width of its lobes shows."""
+    scene = _strand("bsplinecurve", material)
+    del scene["sky"]
+    scene["camera"]["fov"] = 8
+    scene["lamp"].update(center=[0.3, -2.5, 3], radius=0.3)
+    return scene
 
-    def case(title: str, curve: str, material: Scene, values: dict[str, float]) -> Case:
-        return Case(
-            "hair", title, lambda: _strand(curve, {"type": "hair", **material}), rows("ball0.bsdf", values)
+
+def _hair() -> list[Case]:
+    pigments = {"eumelanin": 0.2, "pheomelanin": 0.3}
+    index = {"int_ior": 1.55, "ext_ior": 1.0}
+    brown = {"type": "hair", "scale_tilt": 3.0, **index, **pigments}
+    colour = {"type": "rgb", "value": [0.2, 0.4, 0.7]}
+
+    def case(title: str, scene: Callable[[], Scene], **values: float) -> Case:
+        return Case("hair", title, scene, rows("ball0.bsdf", values))
+
+    def across(roughness: float) -> Case:
+        material = {**brown, "longitudinal_roughness": roughness}
+        return case(
+            f"lamp across, {roughness:g}", partial(_lit_strand, material), longitudinal_roughness=roughness
+        )
+
+    def around(roughness: float) -> Case:
+        material = {**brown, "azimuthal_roughness": roughness}
+        return case(
+            f"all light, {roughness:g}",
+            partial(_strand, "bsplinecurve", material),
+            azimuthal_roughness=roughness,
         )
 
     return [
-        case("B-spline", "bsplinecurve", brown, names),
-        case("polyline", "linearcurve", brown, {"eumelanin": 0.2, "eta": 1.55}),
-        case("dyed", "bsplinecurve", dyed, {"sigma_a": 0.4}),
+        case("B-spline", partial(_strand, "bsplinecurve", brown), scale_tilt=3.0, eta=1.55, **pigments),
+        case("polyline", partial(_strand, "linearcurve", brown), eta=1.55, **pigments),
         case(
-            "smooth",
-            "bsplinecurve",
-            {**brown, "longitudinal_roughness": 0.05, "azimuthal_roughness": 0.1},
-            {"longitudinal_roughness": 0.05, "azimuthal_roughness": 0.1},
+            "dyed",
+            partial(_strand, "bsplinecurve", {"type": "hair", **index, "sigma_a": colour}),
+            sigma_a=0.4,
         ),
         case(
-            "white", "bsplinecurve", {**brown, **dict.fromkeys(pigments, 0.0)}, dict.fromkeys(pigments, 0.0)
+            "white",
+            partial(_strand, "bsplinecurve", {**brown, **dict.fromkeys(pigments, 0.0)}),
+            **dict.fromkeys(pigments, 0.0),
         ),
+        *map(across, (0.05, 0.3)),
+        *map(around, (0.1, 0.4)),
     ]
 
 
