@@ -165,6 +165,30 @@ def test_a_property_that_a_plugin_does_not_know_is_named(mi: Any) -> None:
     assert "radiuss" in message(lambda: load_scene(small(ball={"type": "sphere", "radiuss": 2.0})))
 
 
+def test_a_failed_load_leaves_no_light_that_other_renders_would_reach(mi: Any) -> None:
+    """A lamp without its shape would end the process, for as long as someone holds the error."""
+    import drjit as dr
+
+    def lights() -> set[int]:
+        def lives(index: int) -> bool:
+            try:
+                return dr.reinterpret_array(mi.EmitterPtr, mi.UInt32(index))[0] is not None
+            except RuntimeError:
+                return False
+
+        return set(filter(lives, range(1, 200)))
+
+    before = lights()
+    lamp = {"type": "sphere", "emitter": {"type": "area"}}
+    loaded = load_scene(small(lamp=lamp))
+    assert lights() - before, "the lights of a scene that lives are not found"
+    del loaded
+    with pytest.raises(SceneCaptumError) as held:
+        load_scene(small(lamp=lamp, ball=ball({"type": "diffuse", "gloss": 1.0})))
+    assert "gloss" in str(held.value)
+    assert lights() <= before
+
+
 @pytest.mark.parametrize("scene", [None, 3, ["cornell-box"], object()])
 def test_a_scene_of_another_type_is_refused_by_its_type(mi: Any, scene: Any) -> None:
     assert type(scene).__name__ in message(lambda: load_scene(scene))

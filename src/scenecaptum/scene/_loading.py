@@ -100,14 +100,18 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
     # Merging would rename shapes to object_<address> and fuse materials that the user tells apart.
     config.merge_equivalent = False
     config.merge_meshes = False
+    state = None
     try:
         state = parse(config)
         mi.parser.transform_all(config, state)
-        for node in state.nodes:
-            _make_differentiable(node)
+        _make_differentiable(state)
         loaded = mi.parser.instantiate(config, state)
     except (RuntimeError, ValueError, TypeError) as error:
         raise SceneCaptumError(f"{name} cannot be loaded: {_reason(error)}") from error
+    finally:
+        # A traceback would keep what was made before the error: a lamp without its shape, which the next render
+        # of any scene reaches, and that ends the process.
+        state = None
     if isinstance(loaded, list) and len(loaded) == 1:
         loaded = loaded[0]
     if not isinstance(loaded, mi.Scene):
@@ -118,16 +122,17 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
     return loaded
 
 
-def _make_differentiable(node: Any) -> None:
+def _make_differentiable(state: Any) -> None:
     """Store texels as floats, since 8 bits carry no derivatives, record linear RGB, and take our own plastics."""
-    if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
-        node.props["format"] = "variant"
-    if node.props.plugin_name() == "hdrfilm":
-        node.props["pixel_format"] = "rgb"
-    if node.props.plugin_name() in ("plastic", "roughplastic"):
-        from . import _plastics  # noqa: F401 -- registers the plugins
+    for props in (node.props for node in state.nodes):
+        if props.plugin_name() == "bitmap" and props.get("format", "auto") == "auto":
+            props["format"] = "variant"
+        if props.plugin_name() == "hdrfilm":
+            props["pixel_format"] = "rgb"
+        if props.plugin_name() in ("plastic", "roughplastic"):
+            from . import _plastics  # noqa: F401 -- registers the plugins
 
-        node.props.set_plugin_name(f"scenecaptum_{node.props.plugin_name()}")
+            props.set_plugin_name(f"scenecaptum_{props.plugin_name()}")
 
 
 def _reason(error: Exception) -> str:
