@@ -208,3 +208,20 @@ def test_forward_mode_is_the_transpose_of_backward_mode(mi: Any) -> None:
     leaf = value.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(rendered(leaf).sum(), leaf)
     assert (gradient * tangent).sum().item() == pytest.approx(change.sum().item(), rel=1e-3)
+
+
+def test_samples_that_choose_their_pixels_give_the_same_derivatives(mi: Any) -> None:
+    names = [ALBEDO, DENSITY, "ball.bsdf.specular_reflectance.value"]
+    renderer = SceneRenderer(room(mi, homogeneous()), names, spp=8)
+    adjoint = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0)) ** 4
+
+    def derivatives(seed: int, seed_grad: int | None) -> list[float]:
+        leaves = renderer.leaves()
+        renderer(leaves, seed=seed, seed_grad=seed_grad).backward(adjoint)
+        return [leaf.grad.sum().item() for leaf in leaves.values()]
+
+    own = torch.tensor([derivatives(seed, None) for seed in range(16)])
+    chosen = torch.tensor([derivatives(0, 100 + seed) for seed in range(16)])
+    z = (own.mean(0) - chosen.mean(0)) / ((own.var(0) + chosen.var(0)) / 16).sqrt()
+    assert z.abs().max() < 4, f"{own.mean(0)} against {chosen.mean(0)}, z = {z}"
+    assert (own.std(0) / own.mean(0).abs() < 0.3).all(), "the derivatives are lost in their noise"

@@ -14,6 +14,8 @@ import mitsuba as mi
 import torch
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
+from ._sampler import SobolSampler
+
 
 class ChoosingIntegrator(RBIntegrator):
     """A path replay integrator that can be told which pixels to sample."""
@@ -26,7 +28,6 @@ class ChoosingIntegrator(RBIntegrator):
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
         seed: Any,
-        spp: int,
     ) -> None:
         """Carry an adjoint to the tracked parameters, from samples inside given pixels.
 
@@ -38,12 +39,12 @@ class ChoosingIntegrator(RBIntegrator):
             The pixel of each sample, counted along the rows, and what a sample inside each pixel counts.
         profile
             Profile and reach of the film's filter: see ``FilmFilter``.
-        seed, spp
-            Seed of the samples, and how many of them the sampler takes for one pixel's.
+        seed
+            Seed of the samples.
         """
         pixel, weight = samples
         with dr.suspend_grad():
-            sampler = _seeded(sensor, seed, spp, dr.width(pixel))
+            sampler = SobolSampler.of(dr.width(pixel), seed)
             ray, response, point = _camera_rays(sensor, sampler, pixel)
             emitted = response * dr.gather(mi.Float, weight, pixel)
             emitted *= _read(sensor.film(), adjoint, *profile, pixel, point)
@@ -60,14 +61,6 @@ class ChoosingIntegrator(RBIntegrator):
                 δL=emitted,
             )
             dr.eval()
-
-
-def _seeded(sensor: Any, seed: Any, spp: int, samples: int) -> Any:
-    sampler = sensor.sampler().clone()
-    sampler.set_sample_count(spp)
-    sampler.set_samples_per_wavefront(spp)
-    sampler.seed(seed, samples)
-    return sampler
 
 
 STEPS = 1024  # of a filter's profile

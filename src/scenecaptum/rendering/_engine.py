@@ -39,12 +39,10 @@ Values = Mapping[str, torch.Tensor]
 # How many times fewer samples a finite difference takes where a backward pass has samples of its own.
 CHEAPER = 4
 
-# Of the samples that choose their pixels, this share goes where surfaces are bright; the rest is spread evenly.
-BRIGHT = 0.7
-# Out of these, a share between these bounds goes to pixels that show a tracked roughness no higher than this: no
-# other derivatives are as noisy.
-SHINY, SHINY_ROUGHNESS = (0.1, 0.5), 0.2
-PILOT_SPP = 16
+# Of the samples that choose their pixels, this share goes where pixels are noisy, and this one to each tracked
+# surface alike; the rest is spread evenly.
+NOISY, ALIKE = 0.35, 0.35
+PILOTS, PILOT_SPP = 8, 2
 
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
@@ -95,6 +93,7 @@ class Engine:
         self._borrowed = borrowed
         self._plan = plan
         self._shown = shown
+        self._alike: dict[tuple[str, ...], torch.Tensor] = {}
         self._integrator = plan.create_integrator()
         self._render, self._render_backward, self._propagate = _frozen(
             self._integrator, sensor, state.forget_gradients
@@ -210,17 +209,18 @@ class Engine:
             def backward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
                 for one in self._passes(seed, spp):
-                    fixed = mi.UInt32(one.seed), one.spp, self._state.scalars
+                    number, scalars = mi.UInt32(one.seed), self._state.scalars
                     weighted = one.share * adjoint
                     if chosen_by is None:
-                        self._render_backward(self._scene, owned(mi.TensorXf(weighted)), *fixed)
+                        whole = owned(mi.TensorXf(weighted))
+                        self._render_backward(self._scene, whole, number, one.spp, scalars)
                     else:
                         strength = chosen_by.strength(adjoint)
                         pixel, weight = choose_pixels(strength, interests, one.spp, one.seed)
                         samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
                         profile = owned(mi.Float(chosen_by.profile.to(weight))), chosen_by.reach
                         scaled = owned(mi.TensorXf(weighted / chosen_by.caught.to(weight)))
-                        self._propagate(self._scene, scaled, *fixed, samples, profile)
+                        self._propagate(self._scene, scaled, number, scalars, samples, profile)
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
@@ -228,29 +228,38 @@ class Engine:
             return [g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)]
 
     def _interests(self, tracked: Sequence[str]) -> list[tuple[float, torch.Tensor]]:
-        """Return shares of the samples and where each goes: to bright surfaces, to low roughnesses among them."""
-        rough = [name for name in tracked if self._is_shiny(name)]
-        if not rough:
-            return [(BRIGHT, self._brightness)]
-        share = min(SHINY[1], max(SHINY[0], len(rough) / len(tracked)))
-        return [(BRIGHT - share, self._brightness), (share, self._brightness * self._shown(rough))]
+        """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
+        return [(NOISY, self._noise), (ALIKE, self._surfaces_alike(tuple(tracked)))]
 
-    def _is_shiny(self, name: str) -> bool:
-        shiny = self.original[name].numel() == 1 and bool(self.original[name] <= SHINY_ROUGHNESS)
-        return shiny and self._parameters[name].kind == "roughness"
+    def _surfaces_alike(self, tracked: tuple[str, ...]) -> torch.Tensor:
+        """Return the noise of the pixels, scaled to the same sum for every tracked parameter that they show.
+
+        What a small object adds would otherwise be lost beside the walls.
+        """
+        if tracked not in self._alike:
+            surfaces = [n for n in tracked if self._parameters[n].kind not in ("emitters", "media")]
+            seen = [self._noise * self._shown([name]) for name in surfaces]
+            total = sum((one / one.sum() for one in seen if one.any()), torch.zeros_like(self._noise))
+            self._alike[tracked] = total
+        return self._alike[tracked]
 
     @cached_property
-    def _brightness(self) -> torch.Tensor:
-        """Roughly what light each pixel's surface reflects: a pilot picture without the lights themselves.
+    def _noise(self) -> torch.Tensor:
+        """Roughly how noisy each pixel is: the spread of pilot pictures without the lights themselves.
 
         The noise of a pixel's derivatives goes with it, while a light that is seen directly has none.
         """
         integrator = self._plan.create_integrator(hide_emitters=True)
         render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
+
+        def luminance(seed: int) -> torch.Tensor:
+            image = _call(lambda: render(self._scene, mi.UInt32(seed), PILOT_SPP, self._state.scalars))
+            brightness: torch.Tensor = image.sum(-1)
+            return brightness
+
         with self._scene_at_hand():
-            image = _call(lambda: render(self._scene, mi.UInt32(0), PILOT_SPP, self._state.scalars))
-        luminance = image.sum(-1)[None, None]
-        return torch.nn.functional.avg_pool2d(luminance, 3, 1, 1, count_include_pad=False)[0, 0]
+            spread = torch.stack([luminance(seed) for seed in range(PILOTS)]).std(0)
+        return torch.nn.functional.avg_pool2d(spread[None, None], 3, 1, 1, count_include_pad=False)[0, 0]
 
     def _replay_forward(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         with self._scene_at_hand():
@@ -315,12 +324,11 @@ def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[C
         scene: Any,
         adjoint: Any,
         seed: Any,
-        spp: int,
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
     ) -> None:
-        integrator.propagate(scene, sensor, adjoint, samples, profile, seed, spp)
+        integrator.propagate(scene, sensor, adjoint, samples, profile, seed)
 
     functions = (render, render_backward, propagate)
     # Freezing does not see phase functions: a picture would stay that of the first.

@@ -194,7 +194,7 @@ class VolumetricReplayIntegrator(ChoosingIntegrator):
             # Drawn once, since a specular lobe is sampled again for its derivative.
             numbers = sampler.next_1d(), sampler.next_2d()
             direction, weight = bsdf.sample(mi.BSDFContext(), si, *numbers, goes_on)
-            context = mi.PhaseFunctionContext(sampler)
+            context = mi.PhaseFunctionContext()
             toward, phase_weight, phase_pdf = phase.sample(context, fog.event, *numbers, in_medium)
             weight = dr.select(in_medium, phase_weight, weight)
             pdf = dr.select(in_medium, phase_pdf, direction.pdf)
