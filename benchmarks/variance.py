@@ -2,8 +2,10 @@
 
 The gain is (variance × time of ``prb``) / (variance × time of ours), for the derivative of one fixed metric with
 respect to the parameters for which ``prb`` is right. Both sides propagate the same adjoint image, that of a
-converged render, with the same number of samples, taking turns in one process; the gain of the parameters is
-pooled as the geometric mean over all their elements, and its interval is a bootstrap over the repeats.
+converged render, with the same number of samples. They take turns in one process, some repeats each, and load the
+scene anew for every turn: one scene slows the other down while both are alive, since Dr.Jit traces them together.
+The gain of the parameters is pooled as the geometric mean over all their elements, and its interval is a bootstrap
+over the repeats.
 
     python benchmarks/variance.py [--repeats 100] [--spp 16] [--scene GLOB] [--metric GLOB]
 """
@@ -11,10 +13,12 @@ pooled as the geometric mean over all their elements, and its interval is a boot
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
@@ -28,6 +32,7 @@ from scenecaptum.scene.bundled import BUNDLED
 RESOLUTION, DEPTH = (64, 36), 6
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 BOOTSTRAPS = 2000
+TURNS = 4
 ROUGHNESS = 0.05
 
 # Where stock prb agrees with finite differences (docs/derivatives.md).
@@ -41,13 +46,15 @@ RIGHT = {
 }
 
 
+Scene = Any  # a path or a Mitsuba dict
+
+
 @dataclass
 class Case:
-    """A scene, what is differentiated in it, and at which values."""
+    """A scene, and the values at which it is differentiated."""
 
     name: str
-    ours: SceneRenderer
-    stock: Any
+    scene: Scene
     values: dict[str, torch.Tensor]
 
 
@@ -88,50 +95,47 @@ class Logit(torch.nn.Module):
         return logits[0, 3]
 
 
-METRICS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
+Metric = Callable[[torch.Tensor], torch.Tensor]
+
+METRICS: dict[str, Metric] = {
     "mean luminance": mean_luminance,
     "glare rating": glare,
     "network logit": Logit(),
 }
 
 
-def cases(rough: bool) -> Iterator[Case]:
-    """Load each scene for both sides."""
-    mi = activate()
-    width, height = RESOLUTION
+def scenes(rough: bool) -> Iterator[tuple[str, Scene]]:
+    """Name the scenes that are there; with ``rough``, the box gets something that has a roughness."""
+    activate()
     box = BUNDLED["cornell-box"]()
     if rough:
-        box["tall_box"] = {
-            "type": "roughconductor",
-            "material": "Al",
-            "distribution": "ggx",
-            "alpha": ROUGHNESS,
-        }
-    box["sensor"]["film"] |= {"width": width, "height": height}
-    yield _case("Cornell box", box, mi.load_dict(box, optimize=False), rough)
+        metal = {"type": "roughconductor", "material": "Al", "distribution": "ggx", "alpha": ROUGHNESS}
+        box["tall_box"] = metal
+    box["sensor"]["film"] |= dict(zip(("width", "height"), RESOLUTION, strict=True))
+    yield "Cornell box", box
     for room in ("living-room", "dining-room"):
         path = SCENES / room / "scene.xml"
-        if not path.is_file():
+        if path.is_file():
+            yield room, path
+        else:
             print(f"{room}: skipped, {path} does not exist")
-            continue
-        stock = mi.load_file(str(path), optimize=False, resx=width, resy=height, texture_format="variant")
-        yield _case(room, path, stock, rough)
 
 
-def _case(name: str, scene: Any, stock: Any, rough: bool) -> Case:
+def make_case(name: str, scene: Scene, rough: bool) -> Case:
+    """Choose the parameters: those for which stock prb is right, or the roughnesses, all set to 0.05."""
     whole = SceneRenderer(scene, "all", resolution=RESOLUTION, max_depth=DEPTH)
     table = whole.parameters_table()
-    names = [
-        n
-        for n in whole.inputs
+    right = {
+        n: value
+        for n, value in whole.inputs.items()
         if table[n].role in RIGHT.get(table[n].plugin, ()) and not table[n].is_texture
+    }
+    if rough:
+        values = {n: torch.full_like(v, ROUGHNESS) for n, v in right.items() if table[n].kind == "roughness"}
+    else:
         # At 0 stock prb loses the indirect part.
-        if rough or bool((whole.inputs[n] != 0).all())
-        if not rough or table[n].kind == "roughness"
-    ]
-    ours = SceneRenderer(scene, names, resolution=RESOLUTION, max_depth=DEPTH)
-    values = {n: torch.full_like(v, ROUGHNESS) if rough else v for n, v in ours.inputs.items()}
-    return Case(name, ours, stock, values)
+        values = {n: v for n, v in right.items() if bool((v != 0).all())}
+    return Case(name, scene, values)
 
 
 Backward = Callable[[torch.Tensor, int, int], tuple[torch.Tensor, float]]
@@ -142,77 +146,98 @@ def stock_backward(case: Case) -> Backward:
     mi = activate()
     import drjit as dr
 
+    if isinstance(case.scene, Path):
+        width, height = RESOLUTION
+        scene = mi.load_file(
+            str(case.scene), optimize=False, resx=width, resy=height, texture_format="variant"
+        )
+    else:
+        scene = mi.load_dict(case.scene, optimize=False)
     integrator = mi.load_dict({"type": "prb", "max_depth": DEPTH, "rr_depth": DEPTH + 1})
-    params = mi.traverse(case.stock)
+    params = mi.traverse(scene)
     params.keep(list(case.values))
     for name, value in case.values.items():
         kind, flat = type(params[name]), mi.Float(value.flatten())
         params[name] = dr.unravel(kind, flat) if dr.depth_v(kind) > 1 else kind(flat)
+        dr.enable_grad(params[name])
     params.update()
 
     def backward(adjoint: torch.Tensor, seed: int, spp: int) -> tuple[torch.Tensor, float]:
-        for name in case.values:
-            dr.enable_grad(params[name])
-        params.update()
         start = time.perf_counter()
-        integrator.render_backward(case.stock, params, mi.TensorXf(adjoint), 0, seed=seed, spp=spp)
-        gradient = torch.cat([mi.Float(dr.ravel(dr.grad(params[name]))).torch() for name in case.values])
-        seconds = time.perf_counter() - start
         for name in case.values:
-            # Another scene's tracked parameters would be differentiated along.
-            params[name] = dr.detach(params[name])
-        params.update()
-        return gradient, seconds
+            dr.clear_grad(params[name])
+        integrator.render_backward(scene, params, mi.TensorXf(adjoint), 0, seed=seed, spp=spp)
+        gradient = torch.cat([mi.Float(dr.ravel(dr.grad(params[name]))).torch() for name in case.values])
+        return gradient, time.perf_counter() - start
 
     return backward
 
 
 def our_backward(case: Case) -> Backward:
     """Return our backward pass, called as any user of torch would."""
+    renderer = SceneRenderer(case.scene, list(case.values), resolution=RESOLUTION, max_depth=DEPTH)
 
     def backward(adjoint: torch.Tensor, seed: int, spp: int) -> tuple[torch.Tensor, float]:
         leaves = {name: value.clone().requires_grad_() for name, value in case.values.items()}
-        image = case.ours(leaves, seed=seed + 1, seed_grad=seed, spp=spp)
+        image = renderer(leaves, seed=seed + 1, seed_grad=seed, spp=spp)
         start = time.perf_counter()
         image.backward(adjoint)
-        seconds = time.perf_counter() - start
-        return torch.cat([leaf.grad.flatten() for leaf in leaves.values()]), seconds
+        gradient = torch.cat([leaf.grad.flatten() for leaf in leaves.values()])
+        return gradient, time.perf_counter() - start
 
     return backward
 
 
-def converged_adjoint(case: Case, metric: Callable[[torch.Tensor], torch.Tensor]) -> torch.Tensor:
+SIDES: dict[str, Callable[[Case], Backward]] = {"prb": stock_backward, "ours": our_backward}
+
+
+def adjoints(case: Case, chosen: Sequence[Metric]) -> list[torch.Tensor]:
+    """Return the derivative of each metric with respect to a converged picture."""
+    renderer = SceneRenderer(case.scene, list(case.values), resolution=RESOLUTION, max_depth=DEPTH)
     with torch.no_grad():
-        image = torch.stack([case.ours(case.values, seed=10**6 + k, spp=256) for k in range(4)]).mean(0)
+        image = torch.stack([renderer(case.values, seed=10**6 + k, spp=256) for k in range(4)]).mean(0)
     image.requires_grad_()
-    metric(image).backward()
-    assert image.grad is not None
-    return image.grad
+    return [torch.autograd.grad(metric(image), image)[0] for metric in chosen]
 
 
-def compare(case: Case, metric: Callable[[torch.Tensor], torch.Tensor], repeats: int, spp: int) -> None:
-    """Print the gain and what it is made of."""
-    adjoint = converged_adjoint(case, metric)
-    sides = {"prb": stock_backward(case), "ours": our_backward(case)}
-    samples: dict[str, list[torch.Tensor]] = {side: [] for side in sides}
-    seconds: dict[str, list[float]] = {side: [] for side in sides}
-    for repeat in range(-2, repeats):  # two to compile and to record
-        for side, backward in sides.items():
-            gradient, took = backward(adjoint, 2 * repeat + 10, spp)
-            if repeat >= 0:
-                samples[side].append(gradient.double())
-                seconds[side].append(took)
-    prb, ours = (torch.stack(samples[side]) for side in ("prb", "ours"))
+def compare(case: Case, chosen: Mapping[str, Metric], repeats: int, spps: Sequence[int]) -> None:
+    """Print the gains and what they are made of."""
+    runs = [
+        (name, adjoint, spp)
+        for name, adjoint in zip(chosen, adjoints(case, list(chosen.values())), strict=True)
+        for spp in spps
+    ]
+    samples: dict[tuple[int, str], list[torch.Tensor]] = defaultdict(list)
+    seconds: dict[tuple[int, str], list[float]] = defaultdict(list)
+    for turn in range(TURNS):
+        for side, start in SIDES.items():
+            gc.collect()  # the other side's scene
+            backward = start(case)
+            for run, (_, adjoint, spp) in enumerate(runs):
+                for _ in range(2):  # to compile and to record
+                    backward(adjoint, 1, spp)
+                for repeat in range(turn * repeats // TURNS, (turn + 1) * repeats // TURNS):
+                    gradient, took = backward(adjoint, 2 * repeat + 10, spp)
+                    samples[run, side].append(gradient.double())
+                    seconds[run, side].append(took)
+            del backward
+    for run, (name, _, spp) in enumerate(runs):
+        prb, ours = (torch.stack(samples[run, side]) for side in SIDES)
+        times = [statistics.median(seconds[run, side]) for side in SIDES]
+        print(f"{case.name}, {name}, {spp} spp\n  {result(prb, ours, *times)}", flush=True)
+
+
+def result(prb: torch.Tensor, ours: torch.Tensor, prb_seconds: float, our_seconds: float) -> str:
+    """Put the gain of gradients of shape ``(repeats, numbers)`` into words."""
     reached = (prb.var(0) > 0) & (ours.var(0) > 0)
-    ratio = statistics.median(seconds["prb"]) / statistics.median(seconds["ours"])
     low, middle, high = _bootstrap(prb[:, reached], ours[:, reached])
-    z = (prb.mean(0) - ours.mean(0)) / ((prb.var(0) + ours.var(0)) / repeats).sqrt()
-    print(
-        f"  {spp:4d} spp  gain {middle * ratio:6.2f} [{low * ratio:.2f}, {high * ratio:.2f}]"
-        f"   variance {middle:.2f} [{low:.2f}, {high:.2f}] × time {ratio:.2f}"
-        f"   ({int(reached.sum())} numbers, largest |z| {z[reached].abs().max():.1f},"
-        f" prb {statistics.median(seconds['prb']):.3f} s)",
-        flush=True,
+    ratio = prb_seconds / our_seconds
+    z = (prb.mean(0) - ours.mean(0)) / ((prb.var(0) + ours.var(0)) / len(prb)).sqrt()
+    return (
+        f"gain {middle * ratio:.2f} [{low * ratio:.2f}, {high * ratio:.2f}]"
+        f"  = variance {middle:.2f} [{low:.2f}, {high:.2f}] × time {ratio:.2f}"
+        f"  ({int(reached.sum())} numbers, largest |z| {z[reached].abs().max():.1f};"
+        f" prb {1000 * prb_seconds:.0f} ms, ours {1000 * our_seconds:.0f} ms)"
     )
 
 
@@ -245,15 +270,9 @@ def main() -> None:
     for rough in (False, True):
         chosen = {f"roughness {ROUGHNESS}, mean luminance": mean_luminance} if rough else METRICS
         chosen = {name: metric for name, metric in chosen.items() if fnmatch(name, arguments.metric)}
-        if not chosen:
-            continue
-        for case in cases(rough):
-            if not fnmatch(case.name, arguments.scene):
-                continue
-            for name, metric in chosen.items():
-                print(f"{case.name}, {name}")
-                for spp in arguments.spp:
-                    compare(case, metric, arguments.repeats, spp)
+        for name, scene in scenes(rough):
+            if chosen and fnmatch(name, arguments.scene):
+                compare(make_case(name, scene, rough), chosen, arguments.repeats, arguments.spp)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 import torch
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
@@ -28,6 +29,7 @@ class ChoosingIntegrator(RBIntegrator):
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
         seed: Any,
+        splits: int,
     ) -> None:
         """Carry an adjoint to the tracked parameters, from samples inside given pixels.
 
@@ -41,6 +43,8 @@ class ChoosingIntegrator(RBIntegrator):
             Profile and reach of the film's filter: see ``FilmFilter``.
         seed
             Seed of the samples.
+        splits
+            Into how many samples to split the light that falls on glossy surfaces; a square number, or 0.
         """
         pixel, weight = samples
         with dr.suspend_grad():
@@ -59,6 +63,7 @@ class ChoosingIntegrator(RBIntegrator):
                 active=mi.Bool(True),
                 state_in=state,
                 δL=emitted,
+                splits=splits,
             )
             dr.eval()
 
@@ -86,17 +91,25 @@ class FilmFilter:
 
     def strength(self, adjoint: torch.Tensor) -> torch.Tensor:
         """Return the root mean square of the adjoint of samples inside each pixel, ``(H, W)``."""
-        image = (adjoint / self.caught.to(adjoint)).permute(2, 0, 1)[:, None]
-        offsets = torch.arange(-self.reach, self.reach + 1)
-        squares = torch.zeros_like(adjoint[..., 0])
-        for x, y in ((x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)):
-            down, across = (self._at(offsets - shift).to(adjoint) for shift in (y, x))
-            kernel = torch.outer(down, across)[None, None]
-            squares += torch.nn.functional.conv2d(image, kernel, padding=self.reach).square().sum((0, 1)) / 4
-        return squares.sqrt()
+        # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work.
+        image = (adjoint / self.caught.to(adjoint)).cpu().numpy()
+        quarters = (-0.25, 0.25)
+        squares = sum(
+            np.square(self._spread(self._spread(image, 0, y), 1, x)).sum(-1)
+            for y in quarters
+            for x in quarters
+        )
+        return torch.from_numpy(np.sqrt(squares / 4)).to(adjoint)
 
-    def _at(self, distance: torch.Tensor) -> torch.Tensor:
-        return self.profile[(distance.abs() * STEPS / (self.reach + 1)).round().long()]
+    def _spread(self, image: np.ndarray, axis: int, shift: float) -> np.ndarray:
+        """Weigh each pixel's neighbours along an axis, for samples at ``shift`` from its centre."""
+        reach = self.reach
+        border = [(reach, reach) if along == axis else (0, 0) for along in range(image.ndim)]
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, border), 2 * reach + 1, axis)
+        distance = abs(np.arange(-reach, reach + 1) - shift)
+        weights = self.profile.numpy()[(distance * STEPS / (reach + 1)).round().astype(int)]
+        spread: np.ndarray = windows @ weights
+        return spread
 
 
 def film_filter(film: Any) -> FilmFilter | None:

@@ -44,6 +44,9 @@ CHEAPER = 4
 NOISY, ALIKE = 0.35, 0.35
 PILOTS, PILOT_SPP = 8, 2
 
+# Up to this roughness its derivative is so noisy that the light on glossy surfaces is split into so many samples.
+SHINY, SPLITS = 0.2, 16
+
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
 
@@ -205,6 +208,7 @@ class Engine:
             stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             chosen_by = self._film_filter if choose else None
             interests = self._interests(tracked) if chosen_by else []
+            splits = SPLITS if any(self._is_shiny(name, values[name]) for name in tracked) else 0
 
             def backward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
@@ -220,7 +224,7 @@ class Engine:
                         samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
                         profile = owned(mi.Float(chosen_by.profile.to(weight))), chosen_by.reach
                         scaled = owned(mi.TensorXf(weighted / chosen_by.caught.to(weight)))
-                        self._propagate(self._scene, scaled, number, scalars, samples, profile)
+                        self._propagate(self._scene, scaled, number, scalars, samples, profile, splits)
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
@@ -230,6 +234,9 @@ class Engine:
     def _interests(self, tracked: Sequence[str]) -> list[tuple[float, torch.Tensor]]:
         """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
         return [(NOISY, self._noise), (ALIKE, self._surfaces_alike(tuple(tracked)))]
+
+    def _is_shiny(self, name: str, value: torch.Tensor) -> bool:
+        return self._parameters[name].kind == "roughness" and bool((value <= SHINY).any())
 
     def _surfaces_alike(self, tracked: tuple[str, ...]) -> torch.Tensor:
         """Return the noise of the pixels, scaled to the same sum for every tracked parameter that they show.
@@ -327,8 +334,9 @@ def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[C
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
+        splits: int,
     ) -> None:
-        integrator.propagate(scene, sensor, adjoint, samples, profile, seed)
+        integrator.propagate(scene, sensor, adjoint, samples, profile, seed, splits)
 
     functions = (render, render_backward, propagate)
     # Freezing does not see phase functions: a picture would stay that of the first.

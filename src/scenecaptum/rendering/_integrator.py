@@ -15,6 +15,7 @@ Zeltner, Speierer, Georgiev and Jakob, "Monte Carlo Estimators for Differential 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +54,7 @@ class ReplayIntegrator(ChoosingIntegrator):
         """
         primal = mode == dr.ADMode.Primal
         adjoint = options.get("δL")
+        splits = options.get("splits", 0)
         specular = _may_be_specular(scene)
 
         ray = mi.Ray3f(dr.detach(ray))
@@ -76,7 +78,7 @@ class ReplayIntegrator(ChoosingIntegrator):
             vertex = Vertex(si, si.bsdf(ray), throughput, active, goes_on)
             shown = active & ~(seen_directly & mi.Bool(self.hide_emitters))
             emitted = _emitted(scene, vertex, shown, previous, previous_pdf, previous_specular, primal)
-            reflected = _reflected(scene, sampler, vertex, primal)
+            reflected = _reflected(scene, sampler.next_2d(), vertex, primal)
             # Drawn once, since a specular lobe is sampled again for its derivative.
             numbers = sampler.next_1d(), sampler.next_2d()
             direction, weight = vertex.bsdf.sample(mi.BSDFContext(), si, *numbers, goes_on)
@@ -85,15 +87,23 @@ class ReplayIntegrator(ChoosingIntegrator):
                 radiance += emitted + reflected
             else:
                 radiance -= dr.detach(emitted + reflected)
+                later = mi.Spectrum(radiance)
+                if dr.hint(splits > 0, mode="scalar"):
+                    split = _is_split(vertex)
+                    later -= _arriving(scene, vertex, direction, weight, split)
                 with dr.resume_grad():
+                    if dr.hint(splits > 0, mode="scalar"):
+                        reflected = dr.select(split, dr.detach(reflected), reflected)
                     scattering = _scattering(vertex, direction, numbers, specular)
-                    total = emitted + reflected + radiance * dr.relative_grad(scattering)
+                    total = emitted + reflected + later * dr.relative_grad(scattering)
                     if dr.hint(not dr.grad_enabled(total), mode="scalar"):
                         raise RuntimeError("the contribution is not attached to the AD graph")
                     if dr.hint(mode == dr.ADMode.Backward, mode="scalar"):
                         dr.backward_from(derivative * total)
                     else:
                         derivative += dr.forward_to(total)
+                if dr.hint(splits > 0, mode="scalar"):
+                    _propagate_direct_light(scene, sampler.apart(), vertex, derivative, split, splits)
 
             previous = dr.detach(si, True)
             previous_pdf = direction.pdf
@@ -143,10 +153,9 @@ def _emitted(
         return vertex.throughput * weight * found.emitter.eval(vertex.si, shown)
 
 
-def _reflected(scene: Any, sampler: Any, vertex: Vertex, primal: bool) -> Any:
+def _reflected(scene: Any, number: Any, vertex: Vertex, primal: bool) -> Any:
     """Return the light of a sampled emitter that the surface reflects."""
     active = vertex.goes_on & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
-    number = sampler.next_2d()
     light, incoming = scene.sample_emitter_direction(vertex.si, number, True, active)
     active &= light.pdf != 0
     with dr.resume_grad(when=not primal):
@@ -161,6 +170,56 @@ def _reflected(scene: Any, sampler: Any, vertex: Vertex, primal: bool) -> Any:
         value, pdf = vertex.bsdf.eval_pdf(mi.BSDFContext(), vertex.si, vertex.si.to_local(light.d), active)
         weight = dr.detach(dr.select(light.delta, 1, mis_weight(light.pdf, pdf)))
         return vertex.throughput * weight * value * incoming
+
+
+def _is_split(vertex: Vertex) -> Any:
+    """Whether a surface is glossy and nothing else: what falls on it is sampled many times."""
+    flags = vertex.bsdf.flags()
+    diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse)
+    return vertex.goes_on & mi.has_flag(flags, mi.BSDFFlags.Glossy) & ~diffuse
+
+
+def _arriving(scene: Any, vertex: Vertex, direction: Any, weight: Any, active: Any) -> Any:
+    """Return what the path will find to be emitted from the sampled direction."""
+    active = active & ~mi.has_flag(direction.sampled_type, mi.BSDFFlags.Delta)
+    throughput = vertex.throughput * weight
+    return dr.select(active, throughput * _seen(scene, vertex.si, direction, active), 0)
+
+
+def _seen(scene: Any, si: Any, direction: Any, active: Any) -> Any:
+    """Return what is emitted from a sampled direction, weighted against having sampled the emitter."""
+    hit = scene.ray_intersect(si.spawn_ray(si.to_world(direction.wo)), active)
+    found = mi.DirectionSample3f(scene, si=hit, ref=si)
+    weight = mis_weight(direction.pdf, scene.pdf_emitter_direction(si, found, active))
+    return weight * found.emitter.eval(hit, active)
+
+
+@dr.syntax
+def _propagate_direct_light(
+    scene: Any, sampler: Any, vertex: Vertex, derivative: Any, active: Any, splits: int
+) -> None:
+    """Propagate to what reflects direct light and to what emits it, from stratified samples of both.
+
+    A lobe's derivative with respect to its roughness is positive here and negative there, which cancels within a
+    vertex only where enough samples are taken of it.
+    """
+    context, si = mi.BSDFContext(), vertex.si
+    side = math.isqrt(splits)
+    index = mi.UInt32(0)
+    active = mi.Bool(active)
+    while active & (index < splits):
+        corner = mi.Point2f(index % side, index // side)
+        direction, _ = vertex.bsdf.sample(
+            context, si, sampler.next_1d(), (corner + sampler.next_2d()) / side, active
+        )
+        rough = active & (direction.pdf > 0) & ~mi.has_flag(direction.sampled_type, mi.BSDFFlags.Delta)
+        seen = vertex.throughput * _seen(scene, si, direction, rough) / direction.pdf
+        number = (corner + sampler.next_2d()) / side
+        with dr.resume_grad():
+            value = vertex.bsdf.eval(context, si, direction.wo, rough)
+            total = dr.select(rough, seen * value, 0) + _reflected(scene, number, vertex, False)
+            dr.backward_from(derivative * total / splits)
+        index += 1
 
 
 def _scattering(vertex: Vertex, direction: Any, numbers: tuple[Any, Any], specular: bool) -> Any:

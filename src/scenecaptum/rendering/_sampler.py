@@ -40,6 +40,10 @@ class SobolSampler:
         """Return another that will draw the same."""
         return SobolSampler(mi.UInt32(self._index), mi.UInt32(self._seed), mi.UInt32(self._drawn))
 
+    def apart(self) -> SobolSampler:
+        """Return another whose numbers are independent of this one's: what it draws is not drawn here."""
+        return SobolSampler(mi.UInt32(self._index), ~self._seed, mi.UInt32(self._drawn))
+
     def next_1d(self, active: Any = True) -> Any:
         """Draw a number in [0, 1)."""
         first, _, along, _ = self._draw()
