@@ -130,8 +130,10 @@ class Engine:
                 self._state.write(stale, arrays, tracked)
                 with dr.suspend_grad():
                     return _sum(
-                        self._render(self._scene, mi.UInt32(one.seed), one.spp, self._state.scalars)
-                        * one.share
+                        _done(
+                            self._render(self._scene, mi.UInt32(one.seed), one.spp, self._state.scalars)
+                            * one.share
+                        )
                         for one in self._passes(seed, spp)
                     )
 
@@ -225,6 +227,7 @@ class Engine:
                         profile = owned(mi.Float(chosen_by.profile.to(weight))), chosen_by.reach
                         scaled = owned(mi.TensorXf(weighted / chosen_by.caught.to(weight)))
                         self._propagate(self._scene, scaled, number, scalars, samples, profile, splits)
+                    _done()
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
@@ -260,7 +263,8 @@ class Engine:
         render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
 
         def luminance(seed: int) -> torch.Tensor:
-            image = _call(lambda: render(self._scene, mi.UInt32(seed), PILOT_SPP, self._state.scalars))
+            fixed = mi.UInt32(seed), PILOT_SPP, self._state.scalars
+            image = _call(lambda: _done(render(self._scene, *fixed)))
             brightness: torch.Tensor = image.sum(-1)
             return brightness
 
@@ -278,10 +282,12 @@ class Engine:
                 self._state.write(stale, arrays[split:], tracked)
                 self._state.set_tangents(dict(zip(tracked, arrays[:split], strict=True)))
                 return _sum(
-                    self._integrator.render_forward(
-                        self._scene, None, self._sensor, seed=mi.UInt32(one.seed), spp=one.spp
+                    _done(
+                        self._integrator.render_forward(
+                            self._scene, None, self._sensor, seed=mi.UInt32(one.seed), spp=one.spp
+                        )
+                        * one.share
                     )
-                    * one.share
                     for one in self._passes(seed, spp)
                 )
 
@@ -368,6 +374,13 @@ class _Frozen:
 def _whole(error: BaseException | None) -> str:
     """Return the messages of an error and of its causes."""
     return "" if error is None else f"{error} {_whole(error.__cause__)}"
+
+
+def _done(*pictures: Any) -> Any:
+    """Wait for a pass: Dr.Jit would begin others beside it, each with memory of its own."""
+    dr.eval(*pictures)
+    dr.sync_thread()
+    return pictures[0] if pictures else None
 
 
 def _sum(terms: Iterable[Any]) -> Any:

@@ -1,0 +1,85 @@
+"""How much memory a large picture and its backward pass take, pass by pass.
+
+Renders at 1280×720 with as many samples as fill four passes of the planned size, propagates the derivative of mean
+luminance with respect to every material, and prints the largest resident memory of each pass.
+
+    python benchmarks/memory.py [SCENE] [--passes 4]
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from scenecaptum import SceneRenderer, metrics
+from scenecaptum.rendering import _passes
+
+RESOLUTION = (1280, 720)
+PAGE = 4096
+MEBIBYTE = 2**20
+
+
+def resident() -> int:
+    """Return this process's resident memory in bytes (Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
+
+
+class Peaks:
+    """Watches memory in the background, and keeps the largest of every pass."""
+
+    def __init__(self) -> None:
+        self.found: list[tuple[str, int]] = []
+        self._stop = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
+        while not self._stop.wait(0.02):
+            if self.found:
+                label, peak = self.found[-1]
+                self.found[-1] = (label, max(peak, resident()))
+
+    def begin(self, label: str) -> None:
+        """Let what follows count under this label."""
+        self.found.append((label, resident()))
+
+    def end(self) -> None:
+        """Stop watching."""
+        self._stop.set()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scene", nargs="?", default="cornell-box")
+    parser.add_argument("--passes", type=int, default=4)
+    arguments = parser.parse_args()
+    renderer = SceneRenderer(arguments.scene, "materials", resolution=RESOLUTION)
+    spp = arguments.passes * (_passes.SAMPLES // (RESOLUTION[0] * RESOLUTION[1]))
+    peaks = Peaks()
+    peaks.begin("loaded")
+    from scenecaptum.rendering import _engine
+
+    split, stage = _engine.passes, "picture"
+
+    def watched(*what: Any) -> Iterator[_passes.Pass]:
+        for index, one in enumerate(split(*what)):
+            peaks.begin(f"{stage}, pass {index + 1} of {one.spp} spp")
+            yield one
+
+    _engine.passes = watched
+    leaves = renderer.leaves()
+    metric = metrics.MeanLuminance()(renderer(leaves, seed=0, seed_grad=1, spp=spp))
+    peaks.begin("pilot pictures")
+    stage = "backward"
+    metric.backward()
+    peaks.end()
+    for label, peak in peaks.found:
+        print(f"{label:32s} {peak / MEBIBYTE:6.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()
