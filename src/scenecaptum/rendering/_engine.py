@@ -44,7 +44,8 @@ CHEAPER = 4
 NOISY, ALIKE = 0.35, 0.35
 PILOTS, PILOT_SPP = 8, 2
 
-# Up to this roughness its derivative is so noisy that the light on glossy surfaces is split into so many samples.
+# Up to this roughness its derivative is so noisy that the light on glossy surfaces is split into so many samples,
+# where most of what is tracked is such a roughness: others would pay for it without a gain.
 SHINY, SPLITS = 0.2, 16
 
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
@@ -210,7 +211,8 @@ class Engine:
             stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             chosen_by = self._film_filter if choose else None
             interests = self._interests(tracked) if chosen_by else []
-            splits = SPLITS if any(self._is_shiny(name, values[name]) for name in tracked) else 0
+            shiny = sum(self._is_shiny(name, values[name]) for name in tracked)
+            splits = SPLITS if 2 * shiny >= len(tracked) else 0
 
             def backward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
