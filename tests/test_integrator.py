@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from rooms import room
 
 from scenecaptum import SceneRenderer, metrics
 
@@ -18,29 +19,6 @@ GLASS = {"type": "dielectric", "specular_reflectance": 0.7, "specular_transmitta
 PANE = {"type": "thindielectric", "specular_reflectance": 0.7, "specular_transmittance": 0.8}
 LACQUER = {"type": "plastic", "diffuse_reflectance": 0.4, "specular_reflectance": 0.9}
 VEIL = {"type": "mask", "opacity": 0.6, "nested": {"type": "diffuse"}}
-
-
-def room(mi: Any, ball: dict[str, Any], **integrator: Any) -> dict[str, Any]:
-    """A ball over a floor under a white sky and a lamp."""
-    transform = mi.ScalarTransform4f
-    return {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 5, **integrator},
-        "camera": {
-            "type": "perspective",
-            "to_world": transform().look_at(origin=[0, -4, 1], target=[0, 0, 0], up=[0, 0, 1]),
-            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
-        },
-        "ball": {"type": "sphere", "bsdf": ball},
-        "floor": {"type": "rectangle", "to_world": transform().translate([0, 0, -1]).scale(3)},
-        "sky": {"type": "constant"},
-        "lamp": {
-            "type": "sphere",
-            "center": [2, -2, 3],
-            "radius": 0.5,
-            "emitter": {"type": "area", "radiance": 10.0},
-        },
-    }
 
 
 def assert_agrees_with_differences(renderer: SceneRenderer, name: str, step: float, *, central: bool) -> None:

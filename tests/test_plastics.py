@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from rooms import room
 from torch.autograd import forward_ad
 
 from scenecaptum import SceneCaptumError, SceneRenderer
@@ -60,26 +61,8 @@ def ours(mi: Any, config: Config) -> Any:
 
 
 def stage(mi: Any, material: Config) -> Config:
-    """A ball over a floor under a white sky and a lamp."""
-    transform = mi.ScalarTransform4f
-    return {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 5, "rr_depth": 100},
-        "camera": {
-            "type": "perspective",
-            "to_world": transform().look_at(origin=[0, -4, 1], target=[0, 0, 0], up=[0, 0, 1]),
-            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
-        },
-        "ball": {"type": "sphere", "bsdf": material},
-        "floor": {"type": "rectangle", "to_world": transform().translate([0, 0, -1]).scale(3)},
-        "sky": {"type": "constant"},
-        "lamp": {
-            "type": "sphere",
-            "center": [2, -2, 3],
-            "radius": 0.5,
-            "emitter": {"type": "area", "radiance": 10.0},
-        },
-    }
+    """A ball of a material, whose paths are all traced to their end."""
+    return room(mi, material, rr_depth=100)
 
 
 def nested(how: str, material: Config) -> Config:
