@@ -76,29 +76,6 @@ def test_chosen_pixels_give_the_derivative_of_the_picture(mi: Any, rfilter: str)
     assert (own.var(0) / chosen.var(0)).log().mean().exp() > 1.1
 
 
-def test_light_split_on_glossy_surfaces_gives_the_same_derivatives(mi: Any) -> None:
-    """Of the metal and of what shines on it, with far less noise for the roughness."""
-    from scenecaptum.scene.bundled import cornell_box
-
-    scene = cornell_box()
-    scene["tall_box"] = {"type": "roughconductor", "material": "Al", "distribution": "ggx", "alpha": 0.1}
-    scene["sensor"]["film"] |= {"width": 16, "height": 16}
-    names = ["tall_box.alpha.value", "light.emitter.radiance.value"]
-    renderer = SceneRenderer(scene, names, spp=16, max_depth=4)
-    adjoint = torch.ones(16, 16, 3) / (16 * 16 * 3)
-
-    def gradients(seed: int, seed_grad: int | None) -> torch.Tensor:
-        leaves = renderer.leaves()
-        renderer(leaves, seed=seed, seed_grad=seed_grad).backward(adjoint)
-        return torch.cat([leaves[name].grad.flatten() for name in names]).double()
-
-    own = torch.stack([gradients(seed, None) for seed in range(60)])
-    split = torch.stack([gradients(0, 100 + seed) for seed in range(60)])
-    z = (own.mean(0) - split.mean(0)) / ((own.var(0) + split.var(0)) / 60).sqrt()
-    assert z.abs().max() < 4, z
-    assert own.var(0)[0] > 2 * split.var(0)[0]
-
-
 def test_passes_share_out_all_samples() -> None:
     for resolution, spp in (((64, 64), 16), ((1280, 720), 64), ((3840, 2160), 7), ((1280, 720), 5)):
         split = list(passes(3, spp, resolution))

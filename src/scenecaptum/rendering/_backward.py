@@ -29,7 +29,7 @@ class ChoosingIntegrator(RBIntegrator):
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
         seed: Any,
-        splits: int,
+        seen: Any,
     ) -> None:
         """Carry an adjoint to the tracked parameters, from samples inside given pixels.
 
@@ -43,17 +43,23 @@ class ChoosingIntegrator(RBIntegrator):
             Profile and reach of the film's filter: see ``FilmFilter``.
         seed
             Seed of the samples.
-        splits
-            Into how many samples to split the light that falls on glossy surfaces; a square number, or 0.
+        seen
+            Marks of shapes, to propagate to nothing but where the camera sees these, directly or by specular
+            reflection; or None.
         """
         pixel, weight = samples
         with dr.suspend_grad():
             sampler = SobolSampler.of(dr.width(pixel), seed)
             ray, response, point = _camera_rays(sensor, sampler, pixel)
             emitted = response * dr.gather(mi.Float, weight, pixel)
-            emitted *= _read(sensor.film(), adjoint, *profile, pixel, point)
+            emitted *= read_adjoint(sensor.film(), adjoint, *profile, pixel, point)
             *_, state = self.sample(
-                mode=dr.ADMode.Primal, scene=scene, sampler=sampler.clone(), ray=ray, active=mi.Bool(True)
+                mode=dr.ADMode.Primal,
+                scene=scene,
+                sampler=sampler.clone(),
+                ray=ray,
+                active=mi.Bool(True),
+                seen=seen,
             )
             self.sample(
                 mode=dr.ADMode.Backward,
@@ -63,7 +69,7 @@ class ChoosingIntegrator(RBIntegrator):
                 active=mi.Bool(True),
                 state_in=state,
                 δL=emitted,
-                splits=splits,
+                seen=seen,
             )
             dr.eval()
 
@@ -154,7 +160,7 @@ def _camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
     return *sensor.sample_ray_differential(time, wavelength, position, lens), point
 
 
-def _read(film: Any, adjoint: Any, profile: Any, reach: int, pixel: Any, point: Any) -> Any:
+def read_adjoint(film: Any, adjoint: Any, profile: Any, reach: int, pixel: Any, point: Any) -> Any:
     """Return the adjoint of the radiance at a point: those of the pixels near it, weighted by the filter."""
     size = film.crop_size()
     home = mi.Point2i(mi.Int32(pixel % size.x), mi.Int32(pixel // size.x))

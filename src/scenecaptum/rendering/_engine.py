@@ -22,13 +22,15 @@ import torch
 
 from ..backend import device
 from ..errors import SceneCaptumError
-from ..scene import SceneParameters
+from ..scene import SceneParameters, SurfaceMap
+from ..scene._graph import SceneGraph
 from . import (
     _integrator,  # noqa: F401 -- registers the plugin
     _volumetric,
 )
 from ._backward import FilmFilter, film_filter
 from ._choice import choose_pixels
+from ._from_surfaces import Receiver, Surfaces, find_surfaces, propagate_from_surfaces
 from ._passes import Pass, passes
 from ._plan import RenderPlan
 from ._routes import Difference, difference, is_constant, lifted
@@ -44,9 +46,8 @@ CHEAPER = 4
 NOISY, ALIKE = 0.35, 0.35
 PILOTS, PILOT_SPP = 8, 2
 
-# Up to this roughness its derivative is so noisy that the light on glossy surfaces is split into so many samples,
-# where most of what is tracked is such a roughness: others would pay for it without a gain.
-SHINY, SPLITS = 0.2, 16
+# Up to this roughness its derivative is so noisy that samples start on the surface itself.
+SHINY = 0.2
 
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
@@ -61,7 +62,7 @@ class Engine:
 
     Parameters
     ----------
-    scene, sensor
+    graph, sensor
         The live scene and one of its sensors.
     state
         The scene's values.
@@ -71,32 +72,34 @@ class Engine:
         How to render.
     resolution
         ``(width, height)`` in pixels.
-    shown
-        The share of each pixel that shows any of the named parameters, ``(H, W)``.
+    look_at
+        Returns what each pixel shows.
     borrowed
         Whether the scene belongs to the caller and must be left as it was found.
     """
 
     def __init__(
         self,
-        scene: Any,
+        graph: SceneGraph,
         sensor: Any,
         state: SceneState,
         parameters: SceneParameters,
         plan: RenderPlan,
         resolution: tuple[int, int],
-        shown: Callable[[Sequence[str]], torch.Tensor],
+        look_at: Callable[[], SurfaceMap],
         *,
         borrowed: bool,
     ) -> None:
-        self._scene = scene
+        self._graph = graph
+        self._scene = graph.scene
         self._sensor = sensor
         self._state = state
         self._parameters = parameters
         self._resolution = resolution
         self._borrowed = borrowed
         self._plan = plan
-        self._shown = shown
+        self._look_at = look_at
+        self._starts: dict[tuple[str, ...], Surfaces | None] = {}
         self._alike: dict[tuple[str, ...], torch.Tensor] = {}
         self._integrator = plan.create_integrator()
         self._render, self._render_backward, self._propagate = _frozen(
@@ -132,7 +135,7 @@ class Engine:
                 with dr.suspend_grad():
                     return _sum(
                         _done(
-                            self._render(self._scene, mi.UInt32(one.seed), one.spp, self._state.scalars)
+                            self._render(self._scene, dr.opaque(mi.UInt32, one.seed), one.spp, self._state.scalars)
                             * one.share
                         )
                         for one in self._passes(seed, spp)
@@ -157,7 +160,14 @@ class Engine:
         same seed, which makes it the derivative of that very picture.
         """
         replayed = [name for name in tracked if self._difference(name, values) is None]
-        found = dict(zip(replayed, self._replay(values, replayed, adjoint, seed, spp, choose), strict=True))
+        shiny = [name for name in replayed if choose and self._is_shiny(name, values[name])]
+        surfaces = self._surfaces(tuple(shiny)) if 2 * len(shiny) >= len(replayed) else None
+        if surfaces is None:
+            found = self._replay(values, replayed, adjoint, seed, spp, choose=choose)
+        else:
+            rest = [name for name in replayed if name not in shiny]
+            found = self._replay(values, rest, adjoint, seed, spp, choose=choose)
+            found |= self._replay(values, shiny, adjoint, seed, spp, choose=choose, surfaces=surfaces)
         # Samples of its own need not be as many: a shared seed takes most of the noise out of a difference.
         fewer = max(1, spp // CHEAPER) if choose else spp
         for name in tracked:
@@ -203,21 +213,21 @@ class Engine:
         adjoint: torch.Tensor,
         seed: int,
         spp: int,
+        *,
         choose: bool,
-    ) -> list[torch.Tensor]:
+        surfaces: Surfaces | None = None,
+    ) -> dict[str, torch.Tensor]:
         if not tracked:
-            return []
+            return {}
         with self._scene_at_hand():
             stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             chosen_by = self._film_filter if choose else None
             interests = self._interests(tracked) if chosen_by else []
-            shiny = sum(self._is_shiny(name, values[name]) for name in tracked)
-            splits = SPLITS if 2 * shiny >= len(tracked) else 0
 
             def backward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
                 for one in self._passes(seed, spp):
-                    number, scalars = mi.UInt32(one.seed), self._state.scalars
+                    number, scalars = dr.opaque(mi.UInt32, one.seed), self._state.scalars
                     weighted = one.share * adjoint
                     if chosen_by is None:
                         whole = owned(mi.TensorXf(weighted))
@@ -228,17 +238,24 @@ class Engine:
                         samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
                         profile = owned(mi.Float(chosen_by.profile.to(weight))), chosen_by.reach
                         scaled = owned(mi.TensorXf(weighted / chosen_by.caught.to(weight)))
-                        self._propagate(self._scene, scaled, number, scalars, samples, profile, splits)
+                        self._propagate(self._scene, scaled, number, scalars, samples, profile, surfaces)
                     _done()
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
             gradients = _call(backward, *stale.values())
-            return [g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)]
+            return {n: g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)}
+
+    def _surfaces(self, shiny: tuple[str, ...]) -> Surfaces | None:
+        if shiny not in self._starts:
+            worn = self._look_at().parameters
+            self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
+        return self._starts[shiny]
 
     def _interests(self, tracked: Sequence[str]) -> list[tuple[float, torch.Tensor]]:
         """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
-        return [(NOISY, self._noise), (ALIKE, self._surfaces_alike(tuple(tracked)))]
+        alike = self._surfaces_alike(tuple(tracked))
+        return [(NOISY, self._noise), (ALIKE, alike)]
 
     def _is_shiny(self, name: str, value: torch.Tensor) -> bool:
         return self._parameters[name].kind == "roughness" and bool((value <= SHINY).any())
@@ -250,7 +267,8 @@ class Engine:
         """
         if tracked not in self._alike:
             surfaces = [n for n in tracked if self._parameters[n].kind not in ("emitters", "media")]
-            seen = [self._noise * self._shown([name]) for name in surfaces]
+            shown = (torch.from_numpy(self._look_at().shown([name])) for name in surfaces)
+            seen = [self._noise * one for one in shown]
             total = sum((one / one.sum() for one in seen if one.any()), torch.zeros_like(self._noise))
             self._alike[tracked] = total
         return self._alike[tracked]
@@ -265,7 +283,7 @@ class Engine:
         render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
 
         def luminance(seed: int) -> torch.Tensor:
-            fixed = mi.UInt32(seed), PILOT_SPP, self._state.scalars
+            fixed = dr.opaque(mi.UInt32, seed), PILOT_SPP, self._state.scalars
             image = _call(lambda: _done(render(self._scene, *fixed)))
             brightness: torch.Tensor = image.sum(-1)
             return brightness
@@ -286,7 +304,7 @@ class Engine:
                 return _sum(
                     _done(
                         self._integrator.render_forward(
-                            self._scene, None, self._sensor, seed=mi.UInt32(one.seed), spp=one.spp
+                            self._scene, None, self._sensor, seed=dr.opaque(mi.UInt32, one.seed), spp=one.spp
                         )
                         * one.share
                     )
@@ -342,9 +360,13 @@ def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[C
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
-        splits: int,
+        surfaces: Surfaces | None,
     ) -> None:
-        integrator.propagate(scene, sensor, adjoint, samples, profile, seed, splits)
+        seen = surfaces.among if surfaces else None
+        integrator.propagate(scene, sensor, adjoint, samples, profile, seed, seen)
+        if surfaces is not None:
+            receiver = Receiver(sensor, adjoint, profile)
+            propagate_from_surfaces(integrator, scene, receiver, surfaces, seed, dr.width(samples[0]))
 
     functions = (render, render_backward, propagate)
     # Freezing does not see phase functions: a picture would stay that of the first.

@@ -25,6 +25,9 @@ from mitsuba.python.ad.integrators.common import mis_weight
 
 from ._backward import ChoosingIntegrator
 
+# Into how many samples the light on a glossy surface is split, where that is what the noise comes from.
+STRATA = 16
+
 
 @dataclass
 class Vertex:
@@ -51,10 +54,15 @@ class ReplayIntegrator(ChoosingIntegrator):
 
         ``state_in`` is the radiance of the primal path. Subtracting what each vertex adds leaves what all later
         vertices add, which is what the derivative of a vertex's BSDF multiplies.
+
+        With ``seen``, marks of some shapes, nothing is propagated but to where the camera sees these, directly or
+        by specular reflection. ``arriving`` is where to add up the light that reaches the ray's origin: a target,
+        each ray's place in it, and how many lengths of path to tell apart.
         """
         primal = mode == dr.ADMode.Primal
         adjoint = options.get("δL")
-        splits = options.get("splits", 0)
+        seen = options.get("seen")
+        arriving = options.get("arriving")
         specular = _may_be_specular(scene)
 
         ray = mi.Ray3f(dr.detach(ray))
@@ -88,11 +96,11 @@ class ReplayIntegrator(ChoosingIntegrator):
             else:
                 radiance -= dr.detach(emitted + reflected)
                 later = mi.Spectrum(radiance)
-                if dr.hint(splits > 0, mode="scalar"):
+                if dr.hint(seen is not None, mode="scalar"):
                     split = _is_split(vertex)
                     later -= _arriving(scene, vertex, direction, weight, split)
                 with dr.resume_grad():
-                    if dr.hint(splits > 0, mode="scalar"):
+                    if dr.hint(seen is not None, mode="scalar"):
                         reflected = dr.select(split, dr.detach(reflected), reflected)
                     scattering = _scattering(vertex, direction, numbers, specular)
                     total = emitted + reflected + later * dr.relative_grad(scattering)
@@ -102,8 +110,10 @@ class ReplayIntegrator(ChoosingIntegrator):
                         dr.backward_from(derivative * total)
                     else:
                         derivative += dr.forward_to(total)
-                if dr.hint(splits > 0, mode="scalar"):
-                    _propagate_direct_light(scene, sampler.apart(), vertex, derivative, split, splits)
+                if dr.hint(seen is not None, mode="scalar"):
+                    _propagate_direct_light(scene, sampler.apart(), vertex, derivative, split)
+            if dr.hint(arriving is not None, mode="scalar"):
+                _record(arriving, depth, emitted, reflected, active)
 
             previous = dr.detach(si, True)
             previous_pdf = direction.pdf
@@ -113,6 +123,9 @@ class ReplayIntegrator(ChoosingIntegrator):
             eta *= direction.eta
             throughput *= weight
             hit_anything |= active & si.is_valid()
+
+            if dr.hint(seen is not None, mode="scalar"):
+                goes_on &= (depth > 0) | previous_specular | (_is_among(seen, si) & mi.Bool(primal))
 
             # Deep paths end at random; η² undoes the compression of radiance inside glass.
             brightest = dr.max(throughput)
@@ -172,6 +185,20 @@ def _reflected(scene: Any, number: Any, vertex: Vertex, primal: bool) -> Any:
         return vertex.throughput * weight * value * incoming
 
 
+def _is_among(shapes: Any, si: Any) -> Any:
+    """Whether a surface belongs to one of the shapes, marked by the numbers that Dr.Jit gives them."""
+    number = dr.reinterpret_array(mi.UInt32, si.shape)
+    return dr.gather(mi.Bool, shapes, number, number < dr.width(shapes))
+
+
+def _record(arriving: Any, depth: Any, emitted: Any, reflected: Any, active: Any) -> None:
+    """Add up what reaches the origin of a ray by segments on the way, without the emitters that it meets."""
+    target, start, lengths = arriving
+    for light, segments in ((emitted, depth + 1), (reflected, depth + 2)):
+        index = start + dr.minimum(segments, lengths) - 1
+        dr.scatter_add(target, light, index, active & (segments > 1))
+
+
 def _is_split(vertex: Vertex) -> Any:
     """Whether a surface is glossy and nothing else: what falls on it is sampled many times."""
     flags = vertex.bsdf.flags()
@@ -195,19 +222,17 @@ def _seen(scene: Any, si: Any, direction: Any, active: Any) -> Any:
 
 
 @dr.syntax
-def _propagate_direct_light(
-    scene: Any, sampler: Any, vertex: Vertex, derivative: Any, active: Any, splits: int
-) -> None:
+def _propagate_direct_light(scene: Any, sampler: Any, vertex: Vertex, derivative: Any, active: Any) -> None:
     """Propagate to what reflects direct light and to what emits it, from stratified samples of both.
 
     A lobe's derivative with respect to its roughness is positive here and negative there, which cancels within a
     vertex only where enough samples are taken of it.
     """
     context, si = mi.BSDFContext(), vertex.si
-    side = math.isqrt(splits)
+    side = math.isqrt(STRATA)
     index = mi.UInt32(0)
     active = mi.Bool(active)
-    while active & (index < splits):
+    while active & (index < STRATA):
         corner = mi.Point2f(index % side, index // side)
         direction, _ = vertex.bsdf.sample(
             context, si, sampler.next_1d(), (corner + sampler.next_2d()) / side, active
@@ -218,7 +243,7 @@ def _propagate_direct_light(
         with dr.resume_grad():
             value = vertex.bsdf.eval(context, si, direction.wo, rough)
             total = dr.select(rough, seen * value, 0) + _reflected(scene, number, vertex, False)
-            dr.backward_from(derivative * total / splits)
+            dr.backward_from(derivative * total / STRATA)
         index += 1
 
 

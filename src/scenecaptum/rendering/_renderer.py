@@ -99,13 +99,13 @@ class SceneRenderer(torch.nn.Module):
         chosen = {name: state.original[name] for name in self._names}
         self.plan = make_plan(self._graph, self._table, chosen, max_depth)
         self._engine = Engine(
-            loaded,
+            self._graph,
             self._sensor,
             state,
             self._table,
             self.plan,
             self.resolution,
-            lambda names: torch.from_numpy(self.surfaces.shown(names)),
+            lambda: self.surfaces,
             borrowed=isinstance(scene, mi.Scene),
         )
 

@@ -89,6 +89,10 @@ class SceneGraph:
         """Whether any object of the scene is of that Mitsuba class."""
         return any(isinstance(node, object_class) for node in self._children)
 
+    def class_names(self) -> set[str]:
+        """Return the names of the Mitsuba classes of all objects of the scene."""
+        return {node.class_name() for node in self._children}
+
     def _below(self, node: Any) -> Iterator[Any]:
         seen, pending = {node}, [node]
         while pending:
