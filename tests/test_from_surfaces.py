@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from rooms import room
@@ -40,24 +41,66 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ball", "changes"),
+    ("ball", "changes", "spp"),
     [
-        (METAL, {}),
-        (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}),
-        (FROSTED, {}),
-        (LACQUER, {"camera": LENS}),
-        (METAL, {"floor": {"bsdf": POLISHED}}),
-        (METAL, {"floor": {"bsdf": MIRROR}}),
+        (METAL, {}, 64),
+        (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 64),
+        (FROSTED, {}, 256),
+        (LACQUER, {"camera": LENS}, 64),
+        (METAL, {"floor": {"bsdf": POLISHED}}, 64),
+        (METAL, {"floor": {"bsdf": MIRROR}}, 64),
     ],
     ids=["metal", "two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor", "mirror"],
 )
 def test_what_a_glossy_ball_does_to_its_surroundings(
-    mi: Any, ball: dict[str, Any], changes: dict[str, dict[str, Any]]
+    mi: Any, ball: dict[str, Any], changes: dict[str, dict[str, Any]], spp: int
 ) -> None:
+    """The adjoint is that of all pixels that do not show the ball: path replay has little to add."""
     scene = room(mi, ball)
     for name, change in changes.items():
         scene[name] |= change
-    renderer = SceneRenderer(scene, "*alpha*", spp=64)
+    renderer = SceneRenderer(scene, "*alpha*", spp=spp)
     seen = torch.from_numpy(renderer.surfaces.shown(list(renderer.inputs)))
     adjoint = ((seen == 0).float() / seen.numel())[..., None].expand(*seen.shape, 3).contiguous()
     assert_agree(*both(renderer, adjoint))
+
+
+def test_a_low_roughness_is_less_noisy(mi: Any) -> None:
+    """Of a metal box in the Cornell box, beside another input that is found by path replay as ever."""
+    from scenecaptum.scene.bundled import cornell_box
+
+    scene = cornell_box()
+    scene["tall_box"] = METAL | {"alpha": 0.1}
+    scene["sensor"]["film"] |= {"width": 16, "height": 16}
+    names = ["tall_box.alpha.value", "light.emitter.radiance.value"]
+    renderer = SceneRenderer(scene, names, spp=16, max_depth=4)
+    replayed, started = both(renderer, torch.ones(16, 16, 3) / (16 * 16 * 3))
+    assert_agree(replayed, started)
+    assert replayed.var(0)[0] > 4 * started.var(0)[0]
+
+
+def test_what_cannot_be_started_from_is_found_by_path_replay(mi: Any) -> None:
+    """Where particles cannot be connected to the camera or a bump map bends their paths."""
+    from scenecaptum.rendering._from_surfaces import find_surfaces
+
+    relief = mi.Bitmap(np.random.default_rng(0).uniform(0, 0.1, (8, 8, 1)).astype(np.float32))
+    bumpy = {"type": "bumpmap", "map": {"type": "bitmap", "bitmap": relief, "raw": True}, "nested": METAL}
+    flat = {"type": "orthographic"}
+    for changes in ({}, {"ball": {"bsdf": bumpy}}, {"camera": flat}, {"integrator": {"hide_emitters": True}}):
+        scene = room(mi, METAL)
+        for name, change in changes.items():
+            scene[name] |= change
+        renderer = SceneRenderer(scene, "*alpha*", spp=4)
+        graph, worn = renderer._graph, renderer.surfaces.parameters
+        found = find_surfaces(graph, worn, renderer._sensor, renderer.plan, list(renderer.inputs))
+        assert (found is None) == bool(changes), changes
+        leaves = renderer.leaves()
+        renderer(leaves, seed=1, seed_grad=2).mean().backward()
+        assert all(leaf.grad.isfinite().all() and leaf.grad.any() for leaf in leaves.values())
+
+
+@pytest.mark.parametrize(("inputs", "expected"), [("*alpha*", True), ("materials", False)])
+def test_the_plan_says_what_is_started_from(mi: Any, inputs: str, expected: bool) -> None:
+    """One roughness among six other parameters would have them pay for it."""
+    plan = SceneRenderer(room(mi, METAL), inputs, spp=4).plan
+    assert ("1 of them from their surfaces" in str(plan)) == expected

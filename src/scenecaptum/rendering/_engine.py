@@ -33,7 +33,7 @@ from ._choice import choose_pixels
 from ._from_surfaces import Receiver, Surfaces, find_surfaces, propagate_from_surfaces
 from ._passes import Pass, passes
 from ._plan import RenderPlan
-from ._routes import Difference, difference, is_constant, lifted
+from ._routes import Difference, difference, is_constant, lifted, shiny_ones
 from ._state import SceneState, flat, owned
 
 Values = Mapping[str, torch.Tensor]
@@ -45,9 +45,6 @@ CHEAPER = 4
 # surface alike; the rest is spread evenly.
 NOISY, ALIKE = 0.35, 0.35
 PILOTS, PILOT_SPP = 8, 2
-
-# Up to this roughness its derivative is so noisy that samples start on the surface itself.
-SHINY = 0.2
 
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
@@ -135,7 +132,9 @@ class Engine:
                 with dr.suspend_grad():
                     return _sum(
                         _done(
-                            self._render(self._scene, dr.opaque(mi.UInt32, one.seed), one.spp, self._state.scalars)
+                            self._render(
+                                self._scene, dr.opaque(mi.UInt32, one.seed), one.spp, self._state.scalars
+                            )
                             * one.share
                         )
                         for one in self._passes(seed, spp)
@@ -160,8 +159,8 @@ class Engine:
         same seed, which makes it the derivative of that very picture.
         """
         replayed = [name for name in tracked if self._difference(name, values) is None]
-        shiny = [name for name in replayed if choose and self._is_shiny(name, values[name])]
-        surfaces = self._surfaces(tuple(shiny)) if 2 * len(shiny) >= len(replayed) else None
+        shiny = shiny_ones(self._parameters, {n: values[n] for n in replayed}) if choose else []
+        surfaces = self._surfaces(tuple(shiny)) if shiny else None
         if surfaces is None:
             found = self._replay(values, replayed, adjoint, seed, spp, choose=choose)
         else:
@@ -256,9 +255,6 @@ class Engine:
         """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
         alike = self._surfaces_alike(tuple(tracked))
         return [(NOISY, self._noise), (ALIKE, alike)]
-
-    def _is_shiny(self, name: str, value: torch.Tensor) -> bool:
-        return self._parameters[name].kind == "roughness" and bool((value <= SHINY).any())
 
     def _surfaces_alike(self, tracked: tuple[str, ...]) -> torch.Tensor:
         """Return the noise of the pixels, scaled to the same sum for every tracked parameter that they show.

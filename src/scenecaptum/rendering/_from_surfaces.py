@@ -227,7 +227,8 @@ def _propagate(
     si.wi = direction.wo
     with dr.resume_grad():
         value = si.bsdf().eval(mi.BSDFContext(), si, incoming, lit)
-        dr.backward_from(received * value)
+        # What a material derives from its parameters stays attached to them, for the next call.
+        dr.backward_from(received * value, flags=dr.ADFlag.ClearVertices)
 
 
 def _point(

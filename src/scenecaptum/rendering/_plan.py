@@ -12,7 +12,7 @@ import torch
 from ..backend import activate
 from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
-from ._routes import reason_against_replay
+from ._routes import reason_against_replay, shiny_ones
 
 # Up to this depth every path is traced to its end: the cost of the last bounces is small, and without
 # random termination the rendered number is a smooth function of the parameters.
@@ -114,6 +114,15 @@ def make_plan(
     if differences:
         reasons.append(
             (f"{len(differences)} of them by finite differences", "two or three more renders each, see below")
+        )
+    replayed = {name: value for name, value in inputs.items() if name not in dict(differences)}
+    shiny = shiny_ones(parameters, replayed)
+    if shiny:
+        reasons.append(
+            (
+                f"{len(shiny)} of them from their surfaces",
+                "low roughness (pinhole and lens cameras, no bump maps)",
+            )
         )
     cautions = tuple((n, caution) for n in inputs if (caution := parameters[n].caution) is not None)
     return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)

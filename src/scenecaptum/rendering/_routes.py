@@ -20,6 +20,9 @@ LIFT = {"reflectance": 1e-3, "ior": 3e-3}
 
 JUST_ABOVE_ONE = 1.001
 
+# Up to this roughness the derivative is so noisy that samples start on the surface itself.
+SHINY = 0.2
+
 # Half the distance of a central difference, by kind: long enough for the events that it moves to be many, short
 # enough for the curve to be straight.
 STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "media": 0.02, "emitters": 0.05}
@@ -82,6 +85,12 @@ def difference(parameter: Parameter, value: torch.Tensor) -> Difference | None:
         return Difference(step, True, reason)
     upwards = value + 2 * step <= high
     return Difference(torch.where(upwards, step, -step), False, reason)
+
+
+def shiny_ones(parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor]) -> list[str]:
+    """Return the low roughnesses where they are half of the parameters or more: others would pay for them."""
+    shiny = [n for n, v in values.items() if parameters[n].kind == "roughness" and bool((v <= SHINY).any())]
+    return shiny if 2 * len(shiny) >= len(values) else []
 
 
 def lifted(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
