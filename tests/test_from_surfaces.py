@@ -17,7 +17,6 @@ TWO_SIDED = {"type": "twosided", "nested": METAL}
 FROSTED = {"type": "roughdielectric", "alpha": 0.2}
 LACQUER = {"type": "roughplastic", "alpha": 0.2, "diffuse_reflectance": 0.3}
 POLISHED = {"type": "plastic", "diffuse_reflectance": 0.5}
-MIRROR = {"type": "conductor", "specular_reflectance": 0.8}
 LENS = {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 4.0}
 
 
@@ -43,14 +42,12 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
 @pytest.mark.parametrize(
     ("ball", "changes", "spp"),
     [
-        (METAL, {}, 64),
         (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 64),
         (FROSTED, {}, 256),
         (LACQUER, {"camera": LENS}, 64),
         (METAL, {"floor": {"bsdf": POLISHED}}, 64),
-        (METAL, {"floor": {"bsdf": MIRROR}}, 64),
     ],
-    ids=["metal", "two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor", "mirror"],
+    ids=["two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor"],
 )
 def test_what_a_glossy_ball_does_to_its_surroundings(
     mi: Any, ball: dict[str, Any], changes: dict[str, dict[str, Any]], spp: int
@@ -94,9 +91,6 @@ def test_what_cannot_be_started_from_is_found_by_path_replay(mi: Any) -> None:
         graph, worn = renderer._graph, renderer.surfaces.parameters
         found = find_surfaces(graph, worn, renderer._sensor, renderer.plan, list(renderer.inputs))
         assert (found is None) == bool(changes), changes
-        leaves = renderer.leaves()
-        renderer(leaves, seed=1, seed_grad=2).mean().backward()
-        assert all(leaf.grad.isfinite().all() and leaf.grad.any() for leaf in leaves.values())
 
 
 @pytest.mark.parametrize(("inputs", "expected"), [("*alpha*", True), ("materials", False)])
