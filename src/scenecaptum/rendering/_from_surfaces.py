@@ -33,6 +33,7 @@ from ._plan import RenderPlan
 from ._sampler import SobolSampler
 
 STRATA = 16  # of a lobe; a square number
+PARTICLES = 2  # for each sample of path replay, by light straight from emitters and by other light alike
 CAMERAS = ("PerspectiveCamera", "ThinLensCamera")  # which particles can be connected to
 
 
@@ -146,9 +147,9 @@ def propagate_from_surfaces(
     seed
         Seed of the samples.
     samples
-        How many particles to send from where emitters shine, and as many from where other light falls.
+        How many samples path replay takes.
     """
-    count = max(1, samples // STRATA)
+    count = max(1, PARTICLES * samples // STRATA)
     with dr.suspend_grad():
         for number, lit in enumerate((_lit_by_emitters, _lit_by_surfaces)):
             sampler = SobolSampler.of(count, _another(seed, 2 * number))
