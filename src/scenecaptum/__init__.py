@@ -10,6 +10,7 @@ from .attr import AttributionInterrupted as AttributionInterrupted
 from .attr import SceneAttribution as SceneAttribution
 from .attr import VanillaSceneGradient as VanillaSceneGradient
 from .backend import activate as activate
+from .camera import Camera as Camera
 from .errors import BackendError as BackendError
 from .errors import SceneCaptumError as SceneCaptumError
 from .rendering import SceneRenderer as SceneRenderer

@@ -1,0 +1,180 @@
+"""Where each pixel of a picture looks and how large it is on the sphere: directions and solid angles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from numbers import Real
+
+import torch
+
+from .errors import SceneCaptumError, whole_number
+
+_NODES = (-math.sqrt(0.6), 0.0, math.sqrt(0.6))  # Gauss–Legendre on [-1, 1], exact to degree 5
+_WEIGHTS = (5 / 9, 8 / 9, 5 / 9)
+_PANELS = 16  # of a pixel that the fisheye's circle crosses; the quadrature of a whole pixel needs one
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Directions and exact solid angles of a picture's pixels.
+
+    Example
+    -------
+    >>> Camera.perspective(320, 180, fov_x=60).solid_angles.shape
+    torch.Size([180, 320])
+
+    Attributes
+    ----------
+    width, height
+        The picture's size in pixels.
+    projection
+        ``"perspective"`` or ``"fisheye"``.
+    fov
+        Degrees: horizontal for a perspective view, across the image circle for a fisheye.
+    directions
+        ``(H, W, 3)``, float64: unit vectors of the pixel centres; x right, y up, z forward, row 0 at the top.
+    solid_angles
+        ``(H, W)``, float64, in steradians; 0 outside a fisheye's image circle.
+
+    Notes
+    -----
+    A pixel on a fisheye's circle counts with the part of it that is inside; its centre, and so its direction, may
+    lie outside.
+    """
+
+    width: int
+    height: int
+    projection: str
+    fov: float
+    directions: torch.Tensor = field(repr=False)
+    solid_angles: torch.Tensor = field(repr=False)
+
+    @classmethod
+    def perspective(
+        cls,
+        width: int,
+        height: int,
+        fov_x: float,
+        *,
+        principal_point_offset: tuple[float, float] = (0.0, 0.0),
+    ) -> Camera:
+        """Return a pinhole camera with square pixels.
+
+        Parameters
+        ----------
+        width, height
+            The picture's size in pixels.
+        fov_x
+            Horizontal field of view in degrees, above 0 and below 180.
+        principal_point_offset
+            Where the optical axis meets the picture, as an offset from its centre: a fraction of the width to the
+            right, and of the height downward.
+        """
+        width, height = whole_number("width", width), whole_number("height", height)
+        fov = _angle("fov_x", fov_x, below=180.0, of="perspective camera")
+        pitch = 2 * math.tan(math.radians(fov) / 2) / width
+        right, down = principal_point_offset
+        x = pitch * (_edges(width) - width * right)
+        y = -pitch * (_edges(height) - height * down)
+        middle_x, middle_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
+        up, across = torch.meshgrid(middle_y, middle_x, indexing="ij")
+        rays = torch.stack([across, up, torch.ones_like(up)], -1)
+        return cls(width, height, "perspective", fov, _unit(rays), _rectangles(x, y))
+
+    @classmethod
+    def fisheye(cls, width: int, height: int, fov: float = 180.0) -> Camera:
+        """Return an equidistant fisheye: the angle from the axis grows evenly with the distance from the centre.
+
+        Pixels are square and the image circle touches the picture's shorter sides (``-vta`` in Radiance, if the
+        picture is square).
+
+        Parameters
+        ----------
+        width, height
+            The picture's size in pixels.
+        fov
+            Field of view across the image circle, in degrees, above 0 and at most 360.
+        """
+        width, height = whole_number("width", width), whole_number("height", height)
+        angle = _angle("fov", fov, below=math.nextafter(360.0, math.inf), of="fisheye")
+        radius = min(width, height) / 2
+        scale = math.radians(angle) / 2 / radius
+        x, y = _edges(width), -_edges(height)
+        up, across = torch.meshgrid((y[1:] + y[:-1]) / 2, (x[1:] + x[:-1]) / 2, indexing="ij")
+        return cls(
+            width,
+            height,
+            "fisheye",
+            angle,
+            _from_disc(across, up, scale),
+            _disc_pixels(across, up, radius, scale),
+        )
+
+    @property
+    def sees_hemisphere(self) -> bool:
+        """Whether the whole hemisphere in front is in the picture: a fisheye of 180° or more."""
+        return self.projection == "fisheye" and self.fov >= 180.0
+
+
+def _angle(name: str, value: float, *, below: float, of: str) -> float:
+    if not isinstance(value, Real) or not 0 < value < below:
+        limit = "below 180" if below == 180 else "at most 360"
+        raise SceneCaptumError(f"{name} of a {of} must be above 0 and {limit} degrees, not {value!r}.")
+    return float(value)
+
+
+def _edges(count: int) -> torch.Tensor:
+    """Return the ``count + 1`` borders between pixels, in pixels from the middle."""
+    return torch.arange(count + 1, dtype=torch.float64) - count / 2
+
+
+def _unit(vectors: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.normalize(vectors, dim=-1)
+
+
+def _rectangles(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Return the solid angles of a grid of rectangles on the plane z = 1, seen from the origin.
+
+    The rectangle between the axis and the point (x, y) has ``atan(x y / √(1 + x² + y²))``; a pixel is the mixed
+    difference of that over its corners.
+    """
+    b, a = torch.meshgrid(y, x, indexing="ij")
+    corner = torch.atan(a * b / torch.sqrt(1 + a * a + b * b))
+    return corner.diff(dim=0).diff(dim=1).abs()
+
+
+def _from_disc(x: torch.Tensor, y: torch.Tensor, scale: float) -> torch.Tensor:
+    angle = scale * torch.hypot(x, y)
+    sideways = torch.sinc(angle / math.pi) * scale  # sin(angle) / distance, finite on the axis
+    return _unit(torch.stack([sideways * x, sideways * y, torch.cos(angle)], -1))
+
+
+def _disc_pixels(x: torch.Tensor, y: torch.Tensor, radius: float, scale: float) -> torch.Tensor:
+    """Integrate the solid angle per unit area, ``scale² sin(θ)/θ``, over each pixel's part inside the circle."""
+    far = torch.hypot(x.abs() + 0.5, y.abs() + 0.5)
+    near = torch.hypot((x.abs() - 0.5).clamp(min=0), (y.abs() - 0.5).clamp(min=0))
+    crossed = (far > radius) & (near < radius)
+    solid_angles = torch.zeros_like(x)
+    whole = far <= radius
+    solid_angles[whole] = _quadrature(x[whole], y[whole], radius, scale, panels=1)
+    solid_angles[crossed] = _quadrature(x[crossed], y[crossed], radius, scale, panels=_PANELS)
+    return solid_angles
+
+
+def _quadrature(
+    x: torch.Tensor, y: torch.Tensor, radius: float, scale: float, *, panels: int
+) -> torch.Tensor:
+    # By symmetry the pixel may be folded into the octant 0 ≤ a ≤ b, where the circle is nowhere steep over a.
+    a, b = torch.minimum(x.abs(), y.abs())[:, None], torch.maximum(x.abs(), y.abs())[:, None]
+    starts = torch.arange(panels, dtype=torch.float64) / panels - 0.5
+    nodes = torch.tensor(_NODES, dtype=torch.float64)
+    weights = torch.tensor(_WEIGHTS, dtype=torch.float64) / 2
+    across = a + (starts[:, None] + (nodes + 1) / 2 / panels).flatten()
+    height = torch.sqrt((radius**2 - across**2).clamp(min=0))
+    low = b - 0.5
+    length = (torch.minimum(b + 0.5, height) - low).clamp(min=0)
+    along = low[..., None] + length[..., None] * (nodes + 1) / 2
+    density = torch.sinc(scale * torch.hypot(across[..., None], along) / math.pi) * scale**2
+    strips = (density * weights).sum(-1) * length
+    return (strips * weights.repeat(panels)).sum(-1) / panels
