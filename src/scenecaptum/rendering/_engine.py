@@ -122,7 +122,7 @@ class Engine:
 
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
         """Render: ``(H, W, 3)`` linear radiance."""
-        with self._scene_at_hand():
+        with self.at_hand():
             # What an earlier adjoint left tracked does no harm here, and writing it again would cost.
             tracked = self._state.leaves.keys()
             stale = self._state.stale(values, tracked)
@@ -218,7 +218,7 @@ class Engine:
     ) -> dict[str, torch.Tensor]:
         if not tracked:
             return {}
-        with self._scene_at_hand():
+        with self.at_hand():
             stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             chosen_by = self._film_filter if choose else None
             interests = self._interests(tracked) if chosen_by else []
@@ -284,12 +284,12 @@ class Engine:
             brightness: torch.Tensor = image.sum(-1)
             return brightness
 
-        with self._scene_at_hand():
+        with self.at_hand():
             spread = torch.stack([luminance(seed) for seed in range(PILOTS)]).std(0)
         return torch.nn.functional.avg_pool2d(spread[None, None], 3, 1, 1, count_include_pad=False)[0, 0]
 
     def _replay_forward(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
-        with self._scene_at_hand():
+        with self.at_hand():
             tracked = tuple(tangents)
             stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             split = len(tangents)
@@ -314,7 +314,7 @@ class Engine:
         return passes(seed, spp, self._resolution)
 
     @contextlib.contextmanager
-    def _scene_at_hand(self) -> Iterator[None]:
+    def at_hand(self) -> Iterator[None]:
         """Have the process to ourselves, and leave a borrowed scene as it was found."""
         with _LOCK, _collector_paused():
             self._take_over_tracking()

@@ -89,6 +89,8 @@ def make_plan(
         integrator = "scenecaptum_replay"
         reasons.append((f"integrator {integrator}", "path replay, mirrors included; no medium in the scene"))
 
+    reasons.append((f"variant {mi.variant()}", "linear RGB; spectra are converted when the scene is loaded"))
+
     depth, reason = _depth(own, max_depth)
     reasons.append((f"max_depth {'unlimited' if depth == -1 else depth}", reason))
 

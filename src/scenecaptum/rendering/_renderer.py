@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 import torch
 
 from ..backend import activate, device
+from ..camera import Camera
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
 from ..scene._graph import SceneGraph
@@ -51,7 +52,8 @@ class SceneRenderer(torch.nn.Module):
     max_depth
         Longest path in segments (-1: no limit); the scene's own by default.
     sensor
-        Index of the sensor.
+        Index of the sensor, or ``"fisheye"``: a 180° equidistant fisheye in place of the first one, square unless
+        ``resolution`` says otherwise.
 
     Attributes
     ----------
@@ -77,7 +79,7 @@ class SceneRenderer(torch.nn.Module):
         resolution: tuple[int, int] | None = None,
         spp: int | None = None,
         max_depth: int | None = None,
-        sensor: int = 0,
+        sensor: int | str = 0,
     ) -> None:
         super().__init__()
         mi = activate()
@@ -90,7 +92,7 @@ class SceneRenderer(torch.nn.Module):
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
-        self._sensor = _sensor(loaded, sensor)
+        self._sensor = _sensor(loaded, sensor, resolution)
         self.resolution = _resolution(self._sensor, resolution)
         self.spp = whole_number("spp", self._sensor.sampler().sample_count() if spp is None else spp)
         if max_depth is not None and max_depth != -1:
@@ -128,6 +130,14 @@ class SceneRenderer(torch.nn.Module):
     def labels(self) -> dict[str, str]:
         """A readable name for each input."""
         return {name: self._table[name].label for name in self._names}
+
+    @property
+    def camera(self) -> Camera:
+        """Where each pixel looks and how large it is: directions and solid angles."""
+        from ._cameras import camera_of
+
+        with self._engine.at_hand():
+            return camera_of(self._sensor)
 
     @property
     def info(self) -> dict[str, Any]:
@@ -246,9 +256,16 @@ class SceneRenderer(torch.nn.Module):
         )
 
 
-def _sensor(scene: Any, index: int) -> Any:
+def _sensor(scene: Any, which: int | str, resolution: tuple[int, int] | None) -> Any:
     sensors = scene.sensors()
-    index = whole_number("sensor", index, 0, len(sensors) - 1)
+    if isinstance(which, str):
+        if which != "fisheye":
+            raise SceneCaptumError(f'sensor must be the index of a sensor or "fisheye", not {which!r}.')
+        from ._cameras import fisheye_at
+
+        side = min(sensors[0].film().crop_size())
+        return fisheye_at(sensors[0], _checked(resolution) if resolution else (side, side))
+    index = whole_number("sensor", which, 0, len(sensors) - 1)
     if "pixel_format = rgb," not in str(sensors[index].film()):
         raise SceneCaptumError(
             f'The film of sensor {index} does not record linear RGB. Give it pixel_format="rgb" (hdrfilm), or '
@@ -267,6 +284,10 @@ def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, i
             f"The film shows a crop of {width}×{height} pixels, so resolution= would be ambiguous: "
             "leave it out, or take the crop out of the scene."
         )
+    return _checked(resolution)
+
+
+def _checked(resolution: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = resolution
     except (TypeError, ValueError):

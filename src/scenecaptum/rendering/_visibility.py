@@ -31,7 +31,8 @@ def trace_surfaces(
     count = len(objects)
 
     pixel = np.repeat(np.arange(width * height), RAYS)
-    entries, hits = np.unique(pixel * count + met, return_counts=True)
+    shown = met >= 0
+    entries, hits = np.unique((pixel * count + met)[shown], return_counts=True)
     return SurfaceMap(
         shape=(height, width),
         pixel=(entries // count).astype(np.int32),
@@ -45,7 +46,10 @@ def trace_surfaces(
 
 
 def _first_hits(scene: Any, sensor: Any, resolution: tuple[int, int], shapes: list[Any]) -> NDArray[np.int64]:
-    """Index into ``shapes`` of what each ray meets first, ``len(shapes)`` for nothing; pixel-major."""
+    """Index into ``shapes`` of what each ray meets first, ``len(shapes)`` for nothing; pixel-major.
+
+    It is -1 where the sensor looks nowhere: outside a fisheye's circle.
+    """
     width, height = resolution
     index = dr.arange(mi.UInt32, width * height * RAYS)
     pixel, point = index // RAYS, index % RAYS
@@ -56,7 +60,7 @@ def _first_hits(scene: Any, sensor: Any, resolution: tuple[int, int], shapes: li
         (mi.Float(pixel // width) + (mi.Float(reversed_bits) + 0.5) / RAYS) / height,
     )
     with dr.suspend_grad():
-        ray, _ = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
+        ray, weight = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
         shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (hit.shape, hit.instance))
         registry = dr.select(hit.is_valid(), dr.select(instance != 0, instance, shape), 0)
@@ -66,7 +70,8 @@ def _first_hits(scene: Any, sensor: Any, resolution: tuple[int, int], shapes: li
     to_index = np.full(max(numbers, default=0) + 1, len(shapes), dtype=np.int64)
     to_index[numbers] = np.arange(len(shapes))
     met: NDArray[np.int64] = to_index[registry.numpy()]
-    return met
+    looks = np.broadcast_to((dr.max(weight) > 0).numpy(), met.shape)
+    return np.where(looks, met, -1)
 
 
 def _shown_parameters(

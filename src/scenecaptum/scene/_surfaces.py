@@ -14,7 +14,8 @@ class SurfaceMap:
     """The objects that each pixel shows, with the fraction of the pixel that each covers.
 
     It is a sparse matrix in coordinate form: entry ``k`` says that object ``object_index[k]`` covers the
-    fraction ``fraction[k]`` of pixel ``pixel[k]`` (row-major). The fractions of a pixel sum to 1.
+    fraction ``fraction[k]`` of pixel ``pixel[k]`` (row-major). The fractions of a pixel sum to 1, or to what lies
+    within a fisheye's circle.
 
     Attributes
     ----------

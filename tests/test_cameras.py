@@ -1,0 +1,98 @@
+"""The geometry of a renderer's pictures, and its fisheye."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from rooms import room
+
+from scenecaptum import SceneCaptumError, SceneRenderer
+
+
+def directions_of_rays(mi: Any, renderer: SceneRenderer) -> torch.Tensor:
+    """Return where Mitsuba's rays through the middles of the pixels go, in camera space."""
+    width, height = renderer.resolution
+    y, x = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
+    with renderer._engine.at_hand():
+        position = mi.Point2f(x.ravel(), y.ravel())
+        ray, _ = renderer._sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
+        local = renderer._sensor.world_transform().inverse() @ ray.d
+        return torch.from_numpy(np.array(local).T * [-1, 1, 1]).reshape(height, width, 3)
+
+
+@pytest.mark.parametrize(
+    ("camera", "options"),
+    [
+        ({}, {}),
+        ({}, {"resolution": (24, 10)}),
+        ({"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 4.0}, {}),
+        ({"principal_point_offset_x": 0.1, "principal_point_offset_y": -0.05}, {}),
+        ({"fov": 70.0, "fov_axis": "y"}, {"resolution": (8, 20)}),
+        ({}, {"sensor": "fisheye"}),
+        ({}, {"sensor": "fisheye", "resolution": (30, 20)}),
+    ],
+    ids=["pinhole", "wide", "lens", "shifted", "tall", "fisheye", "wide fisheye"],
+)
+def test_the_camera_looks_where_rays_go(mi: Any, camera: dict[str, Any], options: dict[str, Any]) -> None:
+    scene = room(mi, {"type": "diffuse"})
+    scene["camera"] |= camera
+    renderer = SceneRenderer(scene, "reflectance", spp=1, **options)
+    found, rays = renderer.camera, directions_of_rays(mi, renderer)
+    seen = found.solid_angles > 0
+    assert (found.directions - rays)[seen].abs().max() < 2e-6
+    if found.projection == "fisheye":
+        torch.testing.assert_close(found.solid_angles.sum().item(), 2 * math.pi, rtol=1e-4, atol=0)
+
+
+def test_a_crop_sees_its_part_of_the_whole(mi: Any) -> None:
+    scene = room(mi, {"type": "diffuse"})
+    scene["camera"]["film"] |= {"crop_width": 5, "crop_height": 7, "crop_offset_x": 2, "crop_offset_y": 8}
+    part = SceneRenderer(scene, "reflectance", spp=1).camera
+    whole = SceneRenderer(room(mi, {"type": "diffuse"}), "reflectance", spp=1).camera
+    torch.testing.assert_close(part.directions, whole.directions[8:15, 2:7], rtol=0, atol=2e-6)
+    torch.testing.assert_close(part.solid_angles, whole.solid_angles[8:15, 2:7], rtol=1e-4, atol=0)
+
+
+def test_a_fisheye_picture_is_differentiated_like_any_other(mi: Any) -> None:
+    """Against a difference quotient with shared samples, and as a mean over seeds with samples of its own."""
+    scene = room(mi, {"type": "diffuse", "reflectance": 0.5})
+    renderer = SceneRenderer(scene, "ball.*", sensor="fisheye", resolution=(16, 16), spp=64)
+    name = "ball.bsdf.reflectance.value"
+    weight = renderer.camera.solid_angles.float()[..., None]
+
+    def seen(value: torch.Tensor, **seeds: int) -> torch.Tensor:
+        return (weight * renderer({name: value}, **seeds)).sum()
+
+    value = renderer.leaves()[name]
+    (gradient,) = torch.autograd.grad(seen(value, seed=1), value)
+    with torch.no_grad():
+        slope = (seen(value + 0.02, seed=1) - seen(value - 0.02, seed=1)) / 0.04
+    torch.testing.assert_close(gradient.sum(), slope, rtol=3e-3, atol=0)
+    others = torch.stack(
+        [torch.autograd.grad(seen(value, seed=0, seed_grad=s), value)[0].sum() for s in range(10, 20)]
+    )
+    own = torch.stack([torch.autograd.grad(seen(value, seed=s), value)[0].sum() for s in range(10)])
+    z = (others.mean() - own.mean()) / ((others.var() + own.var()) / 10).sqrt()
+    assert z.abs() < 4, (others.mean(), own.mean())
+
+
+def test_what_lies_outside_the_circle_is_black_and_shows_nothing(mi: Any) -> None:
+    renderer = SceneRenderer(room(mi, {"type": "diffuse"}), "all", sensor="fisheye", spp=4)
+    outside = renderer.camera.solid_angles == 0
+    assert outside.any()
+    assert (renderer()[outside] == 0).all()
+    covered = np.bincount(renderer.surfaces.pixel, renderer.surfaces.fraction, outside.numel())
+    assert (covered.reshape(outside.shape)[outside] == 0).all()
+
+
+def test_other_cameras_are_named_in_the_error(mi: Any) -> None:
+    scene = room(mi, {"type": "diffuse"})
+    scene["camera"]["type"] = "orthographic"
+    with pytest.raises(SceneCaptumError, match=r"geometry of a .*rthographic.* is not known.*fisheye"):
+        _ = SceneRenderer(scene, "reflectance", spp=1).camera
+    with pytest.raises(SceneCaptumError, match=r'index of a sensor or "fisheye", not \'panorama\''):
+        SceneRenderer(scene, "reflectance", sensor="panorama")
