@@ -1,4 +1,13 @@
 """Image → number, as torch modules from an ``(H, W, 3)`` linear-radiance image to a scalar or a vector."""
 
+from ._contrast import ContrastRatio as ContrastRatio
+from ._dgi import DaylightGlareIndex as DaylightGlareIndex
+from ._dgp import DaylightGlareProbability as DaylightGlareProbability
+from ._glare import GlareRating as GlareRating
+from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
 from ._luminance import luminance as luminance
+from ._percentile import LuminancePercentile as LuminancePercentile
+from ._position_index import position_index as position_index
+from ._sources import GlareSource as GlareSource
+from ._ugr import UnifiedGlareRating as UnifiedGlareRating

@@ -1,0 +1,50 @@
+"""How much brighter the bright parts of a picture are than the dark ones."""
+
+from __future__ import annotations
+
+import torch
+
+from ..errors import SceneCaptumError
+from ._checks import like_input, photopic
+from ._percentile import banded_percentile, percent
+
+
+class ContrastRatio(torch.nn.Module):
+    """Ratio of a high to a low percentile of a picture's luminance; the exposure cancels.
+
+    Example
+    -------
+    >>> ContrastRatio()(torch.ones(4, 8, 3))
+    tensor(1.)
+
+    Parameters
+    ----------
+    low, high
+        The two percentiles, from 0 to 100.
+    width
+        Half-width, in percentile points, of the band over which each is averaged (see `LuminancePercentile`).
+    floor
+        Luminance below which the dark side counts as this much, so that a black picture has a finite ratio.
+    """
+
+    def __init__(
+        self, low: float = 5.0, high: float = 95.0, *, width: float = 1.0, floor: float = 1e-6
+    ) -> None:
+        super().__init__()
+        self.low, self.high, self.width = percent("low", low), percent("high", high), percent("width", width)
+        self.floor = floor
+        if self.low >= self.high:
+            raise SceneCaptumError(f"low must be below high; here low is {low!r} and high {high!r}.")
+        if not floor > 0:
+            raise SceneCaptumError(f"floor must be a positive luminance, not {floor!r}.")
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the ratio, a 0-d tensor without a unit."""
+        values = photopic(image, 1.0).flatten()
+        bright = banded_percentile(values, self.high, self.width)
+        dark = banded_percentile(values, self.low, self.width)
+        return like_input(bright.clamp(min=self.floor) / dark.clamp(min=self.floor), image)
+
+    def extra_repr(self) -> str:
+        """Show the two percentiles."""
+        return f"low={self.low:g}, high={self.high:g}, width={self.width:g}"

@@ -1,0 +1,79 @@
+"""The daylight glare probability of Wienold and Christoffersen."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+
+from ..camera import Camera
+from ._glare import Background, GlareRating, Grouping, choice
+from ._sources import Sources
+
+Constants = Literal["evalglare", "published"]
+
+_COEFFICIENTS = {"evalglare": (5.87e-5, 0.092, 0.159), "published": (5.87e-5, 0.0918, 0.16)}
+_LEAST_ILLUMINANCE = 1e-6  # lux; keeps the quotient finite where a source lights the eye edge-on
+
+
+class DaylightGlareProbability(GlareRating):
+    """Daylight glare probability, ``DGP = c₁ Ev + c₂ log10(1 + Σ L² ω / (Ev^1.87 P²)) + c₃``, at most 1.
+
+    Ev is the vertical illuminance at the eye in lux; L, ω and P are a source's luminance, solid angle and position
+    index. The formula was made for 180° pictures, ``Ev`` above 380 lux and values from 0.2 to 0.8. Without a
+    source it is ``c₁ Ev + c₃``. There is no background in it: ``background`` is accepted as by the other ratings
+    and changes nothing.
+
+    Parameters
+    ----------
+    camera, threshold, relaxation, threshold_factor, grouping, background, efficacy, task
+        As for every `GlareRating`.
+    low_light
+        Multiply by ``e / (1 + e)`` with ``e = exp(0.024 Ev − 4)`` where Ev is below 1000 lux (Wienold 2009).
+    constants
+        ``"evalglare"``: c₁ = 5.87e-5, c₂ = 0.092, c₃ = 0.159, as in evalglare 3.06; ``"published"``: 0.0918 and
+        0.16, as in the paper.
+
+    Notes
+    -----
+    Wienold and Christoffersen, Energy and Buildings 38 (2006), 743–757.
+    """
+
+    def __init__(  # noqa: PLR0913 - those of every rating and two of its own
+        self,
+        camera: Camera,
+        *,
+        threshold: float = 2000.0,
+        relaxation: float = 0.1,
+        threshold_factor: float | None = None,
+        grouping: Grouping = "evalglare",
+        background: Background = "auto",
+        efficacy: float = 179.0,
+        task: torch.Tensor | None = None,
+        low_light: bool = False,
+        constants: Constants = "evalglare",
+    ) -> None:
+        super().__init__(
+            camera,
+            threshold=threshold,
+            relaxation=relaxation,
+            threshold_factor=threshold_factor,
+            grouping=grouping,
+            background=background,
+            efficacy=efficacy,
+            task=task,
+        )
+        self.low_light = low_light
+        self.constants = choice("constants", constants, tuple(_COEFFICIENTS))
+
+    def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:
+        c1, c2, c3 = _COEFFICIENTS[self.constants]
+        illuminance = (self.view.projected.to(luminance) * luminance.flatten()).sum()
+        dgp = c1 * illuminance + c3
+        if found is not None:
+            total = (found.luminance**2 * found.solid_angle / found.index**2).sum()
+            dgp = dgp + c2 * torch.log10(1 + total / illuminance.clamp(min=_LEAST_ILLUMINANCE) ** 1.87)
+        dgp = dgp.clamp(max=1.0)
+        if self.low_light and illuminance < 1000:
+            dgp = dgp * torch.sigmoid(0.024 * illuminance - 4)
+        return dgp

@@ -1,0 +1,50 @@
+"""Illuminance at the eye."""
+
+from __future__ import annotations
+
+import torch
+
+from ..camera import Camera
+from ._checks import like_input, photopic
+
+
+class VerticalIlluminance(torch.nn.Module):
+    """Illuminance at the eye in lux, ``Ev = Σ L ω cos θ`` over the pixels in front.
+
+    Example
+    -------
+    >>> VerticalIlluminance(Camera.fisheye(64, 64), efficacy=1.0)(torch.ones(64, 64, 3)).round(decimals=3)
+    tensor(3.1420)
+
+    Parameters
+    ----------
+    camera
+        The picture's camera. One that sees less than the hemisphere gives the share of what it sees.
+    efficacy
+        Luminous efficacy in lm/W: with 179, as in Radiance, radiance gives lux.
+
+    Notes
+    -----
+    L is the luminance of a pixel, ω its solid angle and θ its angle from the line of sight.
+    """
+
+    projected: torch.Tensor
+
+    def __init__(self, camera: Camera, efficacy: float = 179.0) -> None:
+        super().__init__()
+        self.camera, self.efficacy = camera, efficacy
+        self.register_buffer("projected", projected_solid_angles(camera), persistent=False)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the illuminance, a 0-d tensor."""
+        values = photopic(image, self.efficacy, self.camera)
+        return like_input((self.projected.to(values) * values).sum(), image)
+
+    def extra_repr(self) -> str:
+        """Show the camera and the efficacy."""
+        return f"{self.camera!r}, efficacy={self.efficacy:g}"
+
+
+def projected_solid_angles(camera: Camera) -> torch.Tensor:
+    """Return ``ω cos θ`` of each pixel, ``(H, W)``, 0 behind the eye."""
+    return camera.solid_angles * camera.directions[..., 2].clamp(min=0)
