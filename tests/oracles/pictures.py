@@ -1,4 +1,4 @@
-"""Generated pictures with glare sources: flat and graded, merged and separate, near and far from the line of sight."""
+"""Generated pictures with glare sources: flat, graded, merged, separate, near and far from the line of sight."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class GlareRating(torch.nn.Module):
         return like_input(self._rate(values, self._find(values)), image)
 
     def sources(self, image: torch.Tensor) -> list[GlareSource]:
-        """Return the sources of a picture, the brightest first, with position, luminance, solid angle and index."""
+        """Return a picture's sources, the brightest first, with position, luminance, solid angle and index."""
         values = photopic(image.detach(), self.efficacy, self.camera)
         found = self._find(values)
         return [] if found is None else describe(found, self.view)
@@ -153,7 +153,7 @@ class GlareRating(torch.nn.Module):
             return None
         if self.threshold_factor is None:
             raise SceneCaptumError(
-                "task needs threshold_factor: how many times the zone's mean luminance makes a source (5 is usual)."
+                "task needs threshold_factor: how many times the zone's mean luminance makes a source (say 5)."
             )
         expected = (self.camera.height, self.camera.width)
         if tuple(task.shape) != expected:

@@ -154,7 +154,7 @@ def _background(
 
 
 def _centres(pixels: torch.Tensor, labels: torch.Tensor, light: torch.Tensor, width: int) -> torch.Tensor:
-    """Return the centres of the sources in rows and columns, each pixel weighted by ``L ω`` as in evalglare 3.06."""
+    """Return the centres of the sources in rows and columns, each pixel weighted by ``L ω`` (evalglare 3.06)."""
     places = torch.stack([pixels // width, pixels % width, torch.ones_like(pixels)], -1).to(light)
     sums = torch.zeros(int(labels.max()) + 1, 3, dtype=light.dtype, device=light.device)
     sums = sums.index_add(0, labels, light[:, None] * places)
@@ -162,7 +162,7 @@ def _centres(pixels: torch.Tensor, labels: torch.Tensor, light: torch.Tensor, wi
 
 
 def _centre_pixels(centre: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Return the flat index of the pixel that holds a centre: evalglare drops the fraction, rows counted upward."""
+    """Return the flat index of the pixel of a centre: evalglare drops the fraction, counting rows upward."""
     rounding = 1e-6  # a centre that is a whole pixel up to rounding is that pixel
     row = torch.ceil(centre[:, 0] - rounding).clamp(0, camera.height - 1)
     column = torch.floor(centre[:, 1] + rounding).clamp(0, camera.width - 1)
