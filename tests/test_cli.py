@@ -85,6 +85,15 @@ def test_json_is_all_that_is_printed(tmp_path, capsys, user_metrics):
     assert [row["name"] for row in numbers["ranking"]] == ["light.emitter.radiance.value"]
 
 
+@pytest.mark.parametrize("sensor", ["0", "fisheye"])
+def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
+    out = tmp_path / "out"
+    glare = ["--metric", "ugr", "--threshold-factor", "5", "--sensor", sensor]
+    assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *glare]) == 0
+    assert "UnifiedGlareRating" in capsys.readouterr().out
+    assert sorted(path.name for path in out.iterdir()) == sorted(cli.CONTENTS)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -104,6 +113,8 @@ def test_json_is_all_that_is_printed(tmp_path, capsys, user_metrics):
         ),
         (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
         (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
+        (["cornell-box", "--sensor", "panorama"], ["index of a sensor", "fisheye", "'panorama'"]),
+        (["cornell-box", "--metric", "ugr", "--threshold-factor", "-1"], ["threshold_factor", "-1"]),
         (["cornell-box", "--spp", "0"], ["spp", "at least 1"]),
         (["cornell-box", "--resolution", "0x10"], ["width", "at least 1"]),
         (["cornell-box", "--seed", "-1"], ["seed"]),

@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,12 @@ from .attr._metric import Metric
 from .errors import SceneCaptumError, near_misses
 from .rendering import SceneRenderer
 
-METRICS = {"luminance": metrics.MeanLuminance}
+GLARE = {
+    "ugr": metrics.UnifiedGlareRating,
+    "dgp": metrics.DaylightGlareProbability,
+    "dgi": metrics.DaylightGlareIndex,
+}
+METRICS = ("luminance", *GLARE)
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
@@ -72,6 +77,18 @@ def _parser() -> argparse.ArgumentParser:
         "all, a glob or a name; may be repeated (default: all)",
     )
     attribute.add_argument(
+        "--threshold-factor",
+        type=float,
+        metavar="X",
+        help="for glare ratings: a source is brighter than X times the mean luminance (default: than 2000 cd/m²)",
+    )
+    attribute.add_argument(
+        "--sensor",
+        default="0",
+        metavar="SENSOR",
+        help="index of the scene's sensor, or fisheye: a 180° fisheye in its place (default: 0)",
+    )
+    attribute.add_argument(
         "--target", type=int, help="which element, where the metric returns a vector", metavar="INDEX"
     )
     attribute.add_argument(
@@ -103,6 +120,8 @@ def _parser() -> argparse.ArgumentParser:
         scene="office",
         metrics=None,
         inputs=None,
+        threshold_factor=None,
+        sensor="0",
         target=None,
         resolution=(320, 180),
         spp=64,
@@ -137,7 +156,7 @@ def _resolution(text: str) -> tuple[int, int]:
 
 def _attribute(options: argparse.Namespace) -> int:
     names = options.metrics or ["luminance"]
-    chosen = {name: _metric(name) for name in names}
+    chosen = {name: _metric(name, options.threshold_factor) for name in names}
     with _writable(options.out):
         renderer = SceneRenderer(
             options.scene,
@@ -145,11 +164,12 @@ def _attribute(options: argparse.Namespace) -> int:
             resolution=options.resolution,
             spp=options.spp,
             max_depth=options.max_depth,
+            sensor=int(options.sensor) if options.sensor.isdigit() else options.sensor,
         )
-        for name, metric in chosen.items():
+        for name, create in chosen.items():
             folder = options.out if len(chosen) == 1 else options.out / _folder_name(name)
             try:
-                attribution = VanillaSceneGradient(renderer, metric).attribute(
+                attribution = VanillaSceneGradient(renderer, create(renderer)).attribute(
                     target=options.target,
                     seed=options.seed,
                     replicates=options.replicates,
@@ -162,10 +182,12 @@ def _attribute(options: argparse.Namespace) -> int:
     return 0
 
 
-def _metric(name: str) -> Metric:
-    """Return a metric by its name, or a function of the user's."""
-    if name in METRICS:
-        return METRICS[name]()
+def _metric(name: str, threshold_factor: float | None) -> Callable[[SceneRenderer], Metric]:
+    """Return what creates a metric for a renderer, by the metric's name, or a function of the user's."""
+    if name in GLARE:
+        return lambda renderer: GLARE[name](renderer.camera, threshold_factor=threshold_factor)
+    if name == "luminance":
+        return lambda _: metrics.MeanLuminance()
     place, separator, attribute = name.rpartition(":")
     if not separator:
         raise SceneCaptumError(
@@ -181,7 +203,7 @@ def _metric(name: str) -> Metric:
     metric: Metric = found() if isinstance(found, type) else found
     if not callable(metric):
         raise SceneCaptumError(f"The metric {name!r} is {type(metric).__name__}, not a function of an image.")
-    return metric
+    return lambda _: metric
 
 
 def _import(place: str) -> Any:
