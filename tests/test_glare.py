@@ -146,6 +146,22 @@ def test_parts_above_50_000_are_sources_of_their_own():
     assert (len(sun.pixels), len(window.pixels)) == (1, 99)
 
 
+def test_linking_agrees_with_comparing_every_pair():
+    from scenecaptum.metrics._grouping import linked
+
+    for seed, (count, angle) in enumerate(
+        [(5, 0.1), (60, 0.1), (200, 0.1), (400, 0.1), (300, 0.4), (50, 1.5)]
+    ):
+        generator = torch.Generator().manual_seed(seed)
+        rays = torch.randn(count, 3, generator=generator, dtype=torch.float64)
+        rays = torch.nn.functional.normalize(rays, dim=-1)
+        reach = rays @ rays.T >= math.cos(angle)
+        for _ in range(count):
+            reach = (reach.double() @ reach.double()) > 0
+        labels = torch.from_numpy(linked(rays.numpy(), angle))
+        assert torch.equal(labels[:, None] == labels[None], reach)
+
+
 def test_every_pixel_may_be_source():
     camera = Camera.fisheye(64, 64)
     (whole,) = UnifiedGlareRating(camera).sources(picture(torch.full((64, 64), 9_000.0)))
@@ -349,6 +365,13 @@ def test_contrast_does_not_depend_on_the_exposure_and_is_finite_in_black():
     half = torch.zeros(4, 4, 3)
     half[:2] = 1.0
     assert math.isfinite(ContrastRatio()(half).item())
+
+
+def test_a_rating_shows_its_settings():
+    assert repr(UnifiedGlareRating(Camera.fisheye(8, 8), threshold_factor=5)) == (
+        "UnifiedGlareRating(Camera(width=8, height=8, projection='fisheye', fov=180.0), threshold_factor=5, "
+        "relaxation=0.1, grouping='evalglare', background='hemisphere', efficacy=179)"
+    )
 
 
 # Errors

@@ -164,6 +164,10 @@ class GlareRating(torch.nn.Module):
             raise SceneCaptumError("task selects no pixel that the camera sees.")
         return task
 
+    def __repr__(self) -> str:
+        """Show the settings on one line; what the camera says about each pixel is no setting."""
+        return f"{type(self).__name__}({self.extra_repr()})"
+
     def extra_repr(self) -> str:
         """Show the camera and how sources are found."""
         limit = (

@@ -13,8 +13,8 @@ class VerticalIlluminance(torch.nn.Module):
 
     Example
     -------
-    >>> VerticalIlluminance(Camera.fisheye(64, 64), efficacy=1.0)(torch.ones(64, 64, 3)).round(decimals=3)
-    tensor(3.1420)
+    >>> VerticalIlluminance(Camera.fisheye(64, 64), efficacy=1.0)(torch.ones(64, 64, 3)).round(decimals=2)
+    tensor(3.1400)
 
     Parameters
     ----------
