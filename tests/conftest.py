@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 # The package is imported inside the fixtures, so that a fault in one room fails that room's tests only.
 
@@ -81,3 +84,25 @@ def shared_scenes() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no rooms to run on: {folder} does not exist (set SCENECAPTUM_SCENES)")
     return folder
+
+
+_KEPT: list[Any] = []  # operators exist as long as the library that defined them
+
+
+@pytest.fixture(scope="session")
+def torchvision() -> Any:
+    """torchvision, also where its wheel was built for CUDA and torch was not: then two operators are missing."""
+    try:
+        return importlib.import_module("torchvision")
+    except ModuleNotFoundError as error:
+        pytest.skip(f"torchvision is not installed: {error}")
+    except RuntimeError as error:
+        if "torchvision::nms" not in str(error):
+            raise
+    for name in [name for name in sys.modules if name.partition(".")[0] == "torchvision"]:
+        del sys.modules[name]  # half imported
+    library = torch.library.Library("torchvision", "FRAGMENT")
+    for name in ("nms", "qnms"):
+        library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+    _KEPT.append(library)
+    return importlib.import_module("torchvision")

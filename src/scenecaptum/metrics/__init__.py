@@ -1,5 +1,8 @@
 """Image → number, as torch modules from an ``(H, W, 3)`` linear-radiance image to a scalar or a vector."""
 
+from ._class_logit import ClassLogit as ClassLogit
+from ._comparison import MeanSquaredError as MeanSquaredError
+from ._comparison import StructuralSimilarity as StructuralSimilarity
 from ._contrast import ContrastRatio as ContrastRatio
 from ._dgi import DaylightGlareIndex as DaylightGlareIndex
 from ._dgp import DaylightGlareProbability as DaylightGlareProbability
@@ -8,6 +11,8 @@ from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
 from ._luminance import luminance as luminance
 from ._percentile import LuminancePercentile as LuminancePercentile
+from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
+from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
 from ._sources import GlareSource as GlareSource
 from ._ugr import UnifiedGlareRating as UnifiedGlareRating

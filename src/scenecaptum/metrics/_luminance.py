@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ..errors import SceneCaptumError
+from ._picture import channels_first
 
 
 def luminance(image: torch.Tensor) -> torch.Tensor:
@@ -20,13 +21,9 @@ def luminance(image: torch.Tensor) -> torch.Tensor:
     Tensor
         ``(H, W)``.
     """
-    if image.ndim != 3 or image.shape[-1] != 3:
-        raise SceneCaptumError(
-            f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
-        )
     from kornia.color import rgb_to_xyz
 
-    y: torch.Tensor = rgb_to_xyz(image.movedim(-1, 0))[1]
+    y: torch.Tensor = rgb_to_xyz(channels_first(image))[0, 1]
     return y
 
 

@@ -1,0 +1,144 @@
+"""What a classifier says of a render, before its softmax."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+
+from ..errors import SceneCaptumError, near_misses, whole_number
+from ._frozen import run_frozen
+from ._picture import check_exposure, srgb_picture
+from ._preprocessing import ResizeCropNormalize, own_preprocessing
+
+
+class ClassLogit(torch.nn.Module):
+    """A classifier's output for one class, before the softmax: ``model(transform(sRGB(exposure · L)))[target]``.
+
+    Example
+    -------
+    >>> model = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 1000))
+    >>> ClassLogit(model, target=559)(torch.rand(180, 320, 3)).shape
+    torch.Size([])
+
+    Parameters
+    ----------
+    model
+        Any classifier, of torchvision, timm or your own, that maps ``(1, 3, h, w)`` to ``(1, classes)`` logits.
+        It is run in evaluation mode and left as it is: its mode, its parameters and their ``grad`` do not change.
+    target
+        Index of the class, or its name in ``classes``. Without it the metric is the vector of all logits, of
+        which ``attribute(target=)`` chooses one.
+    transform
+        From an sRGB picture ``(1, 3, H, W)`` in [0, 1] to what the model takes, in differentiable operations:
+        for a torchvision model ``weights.transforms()``. By default the model's own ``preprocess`` where it has
+        one, otherwise ``ResizeCropNormalize()``, ImageNet's.
+    exposure
+        What radiance is multiplied by before it is clipped at white and encoded as sRGB. Above white the
+        derivative is 0, as in a photograph.
+    classes
+        The classes' names, in the order of the logits; by default ``model.classes`` where it exists.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the target is not one of the classes, or the model returns something other than ``(1, classes)``.
+
+    Notes
+    -----
+    A logit is the evidence for a class; the softmax would mix in the evidence against all others, and where it
+    saturates its derivative vanishes.
+    """
+
+    def __init__(
+        self,
+        model: Callable[[torch.Tensor], torch.Tensor],
+        target: int | str | None = None,
+        transform: Callable[[torch.Tensor], torch.Tensor] | None = None,
+        *,
+        exposure: float = 1.0,
+        classes: Sequence[str] | None = None,
+    ) -> None:
+        super().__init__()
+        own = getattr(model, "classes", None)
+        self.classes = tuple(classes if classes is not None else own if isinstance(own, list | tuple) else ())
+        self.target = self._index(target)
+        self.exposure = check_exposure(exposure)
+        self.transform = transform or own_preprocessing(model, ResizeCropNormalize())
+        self.model = model
+
+    @classmethod
+    def pretrained(
+        cls, name: str, weights: Any = "DEFAULT", target: int | str | None = None, *, exposure: float = 1.0
+    ) -> ClassLogit:
+        """Return the logit of a classifier that torchvision has weights for, with the preprocessing they ask for.
+
+        Parameters
+        ----------
+        name
+            The model's name in torchvision, such as ``"resnet50"``.
+        weights
+            A member of its weights enumeration, such as ``ResNet50_Weights.IMAGENET1K_V2``, or that member's
+            name.
+        target
+            As in ``ClassLogit``; the names are those of the weights' ``meta["categories"]``.
+        exposure
+            As in ``ClassLogit``.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where torchvision is missing, does not know the model or the weights, or cannot download them.
+        """
+        from ._torchvision import load_pretrained
+
+        model, chosen = load_pretrained(name, weights)
+        classes = chosen.meta.get("categories")
+        return cls(model, target, chosen.transforms(), exposure=exposure, classes=classes)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the logit, a 0-d tensor, or without a target all of them, ``(classes,)``."""
+        logits = run_frozen(self.model, self.transform(srgb_picture(image, self.exposure)))
+        if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != 1:
+            raise SceneCaptumError(_not_logits(self.model, logits))
+        if self.target is None:
+            return logits[0]
+        if self.target >= logits.shape[1]:
+            raise SceneCaptumError(
+                f"target={self.target} is not a class of {type(self.model).__name__}: it tells {logits.shape[1]} "
+                f"classes apart, 0 to {logits.shape[1] - 1}."
+            )
+        return logits[0, self.target]
+
+    def _index(self, target: int | str | None) -> int | None:
+        if target is None:
+            return None
+        if not isinstance(target, str):
+            return whole_number("target", target, 0, len(self.classes) - 1 if self.classes else None)
+        if target in self.classes:
+            return self.classes.index(target)
+        known = (
+            f"It has {len(self.classes)} classes.{near_misses(target, self.classes)}"
+            if self.classes
+            else "Give the names of its classes with classes=, or the class's index."
+        )
+        raise SceneCaptumError(f"The model has no class called {target!r}. {known}")
+
+    def extra_repr(self) -> str:
+        """Show the class and the exposure."""
+        name = f" ({self.classes[self.target]})" if self.target is not None and self.classes else ""
+        return f"target={self.target}{name}, exposure={self.exposure:g}"
+
+
+def _not_logits(model: object, output: Any) -> str:
+    name = type(model).__name__
+    got = f"shape {tuple(output.shape)}" if isinstance(output, torch.Tensor) else f"a {type(output).__name__}"
+    fix = (
+        "Pass a function that returns its logits, for example lambda x: model(x).logits."
+        if not isinstance(output, torch.Tensor)
+        else "Reduce it to one row of logits, for example with lambda x: model(x).mean((2, 3))."
+        if output.ndim == 4
+        else "Pass a function that returns one row of logits."
+    )
+    return f"A classifier must return logits of shape (1, classes); {name} returned {got}. {fix}"

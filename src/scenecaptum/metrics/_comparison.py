@@ -1,0 +1,101 @@
+"""Distances between a render and a reference image, pixel by pixel."""
+
+from __future__ import annotations
+
+import torch
+
+from ..errors import SceneCaptumError
+from ._picture import check_exposure, check_reference, check_same_shape, srgb_picture
+
+
+class MeanSquaredError(torch.nn.Module):
+    """Mean squared difference from a reference in linear radiance, ``mean((L − L_ref)²)``.
+
+    Example
+    -------
+    >>> MeanSquaredError(torch.zeros(4, 8, 3))(torch.full((4, 8, 3), 0.5))
+    tensor(0.2500)
+
+    Parameters
+    ----------
+    reference
+        ``(H, W, 3)`` linear radiance.
+
+    Notes
+    -----
+    The unit is that of radiance, squared, and bright pixels weigh most. The noise of a render adds its own
+    variance to the mean: render with more samples where that matters.
+    """
+
+    reference: torch.Tensor
+
+    def __init__(self, reference: torch.Tensor) -> None:
+        super().__init__()
+        self.register_buffer("reference", check_reference(reference))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the error, a 0-d tensor; 0 where the images are the same."""
+        check_same_shape(image, self.reference)
+        return (image - self.reference.to(image)).square().mean()
+
+    def extra_repr(self) -> str:
+        """Show the reference's size."""
+        return f"reference={tuple(self.reference.shape)}"
+
+
+class StructuralSimilarity(torch.nn.Module):
+    """Mean structural similarity (SSIM) of the sRGB picture with that of a reference: 1 where they are the same.
+
+    ``(2 μ_x μ_y + c₁)(2 σ_xy + c₂) / ((μ_x² + μ_y² + c₁)(σ_x² + σ_y² + c₂))`` with ``c₁ = 0.01²`` and
+    ``c₂ = 0.03²``, in a Gaussian window of σ = 1.5 pixels around every pixel, averaged over pixels and channels.
+
+    Example
+    -------
+    >>> picture = torch.rand(16, 16, 3)
+    >>> StructuralSimilarity(picture)(picture)
+    tensor(1.)
+
+    Parameters
+    ----------
+    reference
+        ``(H, W, 3)`` linear radiance.
+    exposure
+        What radiance is multiplied by before it is clipped at white and encoded as sRGB.
+    window
+        Width of the window in pixels, odd.
+
+    References
+    ----------
+    Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity", 2004; computed by
+    kornia.
+    """
+
+    reference: torch.Tensor
+
+    def __init__(self, reference: torch.Tensor, *, exposure: float = 1.0, window: int = 11) -> None:
+        super().__init__()
+        if window < 3 or window % 2 == 0:
+            raise SceneCaptumError(f"window must be an odd number of pixels, 3 or more, not {window!r}.")
+        if min(reference.shape[:2]) <= window // 2:
+            raise SceneCaptumError(
+                f"A window of {window} pixels needs pictures of more than {window // 2} pixels on each side; the "
+                f"reference is {tuple(reference.shape)}. Choose a smaller window= or a higher resolution."
+            )
+        self.exposure = check_exposure(exposure)
+        self.window = window
+        self.register_buffer("reference", check_reference(reference))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the similarity, a 0-d tensor in [−1, 1]."""
+        from kornia.metrics import ssim
+
+        check_same_shape(image, self.reference)
+        picture = srgb_picture(image, self.exposure)
+        reference = srgb_picture(self.reference.to(image), self.exposure)
+        # c₁c₂ > 0 keeps the quotient finite; kornia's extra eps would make black pictures differ from themselves.
+        similarity: torch.Tensor = ssim(picture, reference, self.window, eps=0.0).mean()
+        return similarity
+
+    def extra_repr(self) -> str:
+        """Show the settings."""
+        return f"exposure={self.exposure:g}, window={self.window}, reference={tuple(self.reference.shape)}"
