@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+
 import pytest
 import torch
 
 from scenecaptum import SceneCaptumError, metrics
 from scenecaptum.metrics._picture import srgb_picture
+
+WEIGHTS = Path(metrics.__file__).with_name("shape_classifier.pt")
 
 
 def ordinary(height: int = 16, width: int = 20, seed: int = 0) -> torch.Tensor:
@@ -220,6 +225,19 @@ def test_the_model_is_left_as_it_was():
         assert torch.equal(value, state[name]), name
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_scripted_models_and_other_precisions_work():
+    model, image = small_classifier().eval(), ordinary(40, 60).float()
+    expected = metrics.ClassLogit(model, 1)(image)
+    scripted = metrics.ClassLogit(torch.jit.trace(model, torch.rand(1, 3, 224, 224)), 1)
+    torch.testing.assert_close(scripted(image), expected)
+    assert torch.isfinite(gradient(scripted, image)).all()
+    torch.testing.assert_close(metrics.ClassLogit(model, 1)(image.double()), expected)
+    torch.testing.assert_close(
+        metrics.ClassLogit(model.bfloat16(), 1)(image).float(), expected, atol=0.02, rtol=0.02
+    )
+
+
 def test_class_logits_have_the_derivative_of_finite_differences():
     model = small_classifier().double()
     metric = metrics.ClassLogit(model, 3, metrics.ResizeCropNormalize(16, 12))
@@ -258,7 +276,7 @@ def test_a_target_beyond_the_classes_is_refused():
     with pytest.raises(SceneCaptumError, match="target=5 is not a class of Sequential: it tells 5 classes"):
         metrics.ClassLogit(small_classifier(), 5)(torch.rand(20, 30, 3))
     with pytest.raises(SceneCaptumError, match="from 0 to 2"):
-        metrics.ClassLogit(small_classifier(3), 3, classes="abc")
+        metrics.ClassLogit(metrics.ShapeClassifier(), 3)
 
 
 @pytest.mark.parametrize(
@@ -375,3 +393,39 @@ def test_a_missing_or_unfit_torchvision_is_explained(monkeypatch, error, message
     monkeypatch.setattr(builtins, "__import__", failing)
     with pytest.raises(SceneCaptumError, match=message):
         metrics.ClassLogit.pretrained("resnet50")
+
+
+# --- The shape classifier -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trainer():
+    path = Path(__file__).parents[1] / "examples" / "train_shape_classifier.py"
+    spec = importlib.util.spec_from_file_location("train_shape_classifier", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_weights_of_the_shape_classifier_are_small():
+    assert WEIGHTS.stat().st_size < 200_000
+    assert sum(p.numel() for p in metrics.ShapeClassifier().parameters()) < 15_000
+
+
+def test_the_shape_classifier_recognises_held_out_renders(mi, trainer):
+    count = 120
+    images, labels = trainer.dataset(2 * trainer.HELD_OUT, count)
+    measured = trainer.accuracy(metrics.ShapeClassifier.pretrained(), images, labels)
+    print(f"accuracy on {count} held-out renders: {measured:.1%}, allowed: 95 %")
+    assert measured >= 0.95, f"measured {measured:.1%} on {count} renders, allowed 95 %"
+
+
+def test_the_shape_classifier_is_a_metric_with_named_classes():
+    image = ordinary(60, 90).float()
+    model = metrics.ShapeClassifier.pretrained()
+    logits = metrics.ClassLogit(model)(image)
+    assert logits.shape == (3,)
+    torch.testing.assert_close(metrics.ClassLogit(model, target="cylinder")(image), logits[2])
+    torch.testing.assert_close(metrics.ClassLogit(model, target=0)(image), logits[0])
+    assert torch.isfinite(gradient(metrics.ClassLogit(model, "cube"), image)).all()
+    assert metrics.PerceptualDistance(image, model, layers=["features"])(image.flip(1)) >= 0

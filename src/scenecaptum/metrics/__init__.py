@@ -14,5 +14,6 @@ from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
 from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
+from ._shape_classifier import ShapeClassifier as ShapeClassifier
 from ._sources import GlareSource as GlareSource
 from ._ugr import UnifiedGlareRating as UnifiedGlareRating
