@@ -31,7 +31,7 @@ class ShapeClassifier(torch.nn.Module):
     Notes
     -----
     Trained on 4000 pictures of one shape on a floor before a wall, in random poses, colours and lights. Of 600
-    held-out pictures of that kind it names 98.2 % rightly. On other pictures it says something, but nothing to rely on.
+    held-out pictures of that kind it names 98.2 % rightly. On other pictures its answer is nothing to rely on.
     """
 
     classes = ("sphere", "cube", "cylinder")
