@@ -156,6 +156,10 @@ def _resolution(text: str) -> tuple[int, int]:
 
 def _attribute(options: argparse.Namespace) -> int:
     names = options.metrics or ["luminance"]
+    if options.threshold_factor is not None and not GLARE.keys() & set(names):
+        raise SceneCaptumError(
+            f"--threshold-factor belongs to a glare rating: add --metric {' or '.join(GLARE)}, or leave it out."
+        )
     chosen = {name: _metric(name, options.threshold_factor) for name in names}
     with _writable(options.out):
         renderer = SceneRenderer(
