@@ -98,3 +98,18 @@ def test_the_plan_says_what_is_started_from(mi: Any, inputs: str, expected: bool
     """One roughness among six other parameters would have them pay for it."""
     plan = SceneRenderer(room(mi, METAL), inputs, spp=4).plan
     assert ("1 of them from their surfaces" in str(plan)) == expected
+
+
+def test_what_is_left_to_path_replay_is_sampled_where_it_varies(mi: Any) -> None:
+    """Only pixels that show the ball have any; a highlight is where the derivative is, not where it is bright."""
+    renderer = SceneRenderer(room(mi, METAL | {"alpha": 0.05}), "*alpha*", spp=16)
+    (name,) = renderer.inputs
+    leaves = renderer.leaves()
+    renderer(leaves, seed=0, seed_grad=1).mean().backward()
+    ((_, noise), (_, alike)) = next(iter(renderer._engine._interest.values()))
+    shown = torch.from_numpy(renderer.surfaces.shown([name]))
+    near = torch.nn.functional.max_pool2d(shown[None], 5, 1, 2)[0]  # a grazed pixel, and its neighbours
+    assert noise.any()
+    assert not noise[near == 0].any()
+    assert alike.sum() == pytest.approx(1)
+    assert noise.max() > 3 * noise[near > 0].mean()

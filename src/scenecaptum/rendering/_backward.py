@@ -73,6 +73,23 @@ class ChoosingIntegrator(RBIntegrator):
             )
             dr.eval()
 
+    def strength(self, scene: Any, sensor: Any, spp: int, seed: Any, seen: Any) -> Any:
+        """Return the root mean square over samples inside each pixel of the derivative along the tangents.
+
+        A ``(H, W)`` tensor. ``seen`` is that of ``propagate``.
+        """
+        width, height = sensor.film().crop_size()
+        with dr.suspend_grad():
+            pixel = dr.arange(mi.UInt32, width * height * spp) // spp
+            sampler = SobolSampler.of(dr.width(pixel), seed)
+            ray, response, _ = _camera_rays(sensor, sampler, pixel)
+            fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "seen": seen}
+            *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
+            derivative, *_ = self.sample(mode=dr.ADMode.Forward, sampler=sampler, state_in=state, **fixed)
+            square = dr.zeros(mi.Float, width * height)
+            dr.scatter_add(square, dr.squared_norm(response * derivative) / spp, pixel)
+            return mi.TensorXf(dr.sqrt(square), (height, width))
+
 
 STEPS = 1024  # of a filter's profile
 

@@ -46,6 +46,9 @@ CHEAPER = 4
 NOISY, ALIKE = 0.35, 0.35
 PILOTS, PILOT_SPP = 8, 2
 
+# How many samples tell where the derivative of a low roughness is noisy: in all, and in a pixel at most.
+PILOT_SAMPLES, MOST_PILOTS = 2**20, 64
+
 # Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
 
@@ -97,7 +100,7 @@ class Engine:
         self._plan = plan
         self._look_at = look_at
         self._starts: dict[tuple[str, ...], Surfaces | None] = {}
-        self._alike: dict[tuple[str, ...], torch.Tensor] = {}
+        self._interest: dict[Any, Sequence[tuple[float, torch.Tensor]]] = {}
         self._integrator = plan.create_integrator()
         self._render, self._render_backward, self._propagate = _frozen(
             self._integrator, sensor, state.forget_gradients
@@ -219,9 +222,9 @@ class Engine:
         if not tracked:
             return {}
         with self.at_hand():
-            stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
             chosen_by = self._film_filter if choose else None
-            interests = self._interests(tracked) if chosen_by else []
+            interests = self._interests(values, tracked, surfaces) if chosen_by else []
+            stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
 
             def backward(*arrays: Any) -> Any:
                 self._state.write(stale, arrays, tracked)
@@ -251,23 +254,41 @@ class Engine:
             self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
         return self._starts[shiny]
 
-    def _interests(self, tracked: Sequence[str]) -> list[tuple[float, torch.Tensor]]:
+    def _interests(
+        self, values: Values, tracked: Sequence[str], surfaces: Surfaces | None
+    ) -> Sequence[tuple[float, torch.Tensor]]:
         """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
-        alike = self._surfaces_alike(tuple(tracked))
-        return [(NOISY, self._noise), (ALIKE, alike)]
+        # Where highlights are depends on the roughness, but not finely.
+        octaves = {n: values[n].clamp_min(1e-4).log2().round().exp2() for n in tracked} if surfaces else {}
+        key = tuple(tracked), tuple(value.numpy(force=True).tobytes() for value in octaves.values())
+        if key not in self._interest:
+            noise = self._noise_left_by(surfaces, octaves) if surfaces else self._noise
+            self._interest[key] = ((NOISY, noise), (ALIKE, self._for_each_surface(noise, tracked)))
+        return self._interest[key]
 
-    def _surfaces_alike(self, tracked: tuple[str, ...]) -> torch.Tensor:
+    def _for_each_surface(self, noise: torch.Tensor, tracked: Sequence[str]) -> torch.Tensor:
         """Return the noise of the pixels, scaled to the same sum for every tracked parameter that they show.
 
         What a small object adds would otherwise be lost beside the walls.
         """
-        if tracked not in self._alike:
-            surfaces = [n for n in tracked if self._parameters[n].kind not in ("emitters", "media")]
-            shown = (torch.from_numpy(self._look_at().shown([name])) for name in surfaces)
-            seen = [self._noise * one for one in shown]
-            total = sum((one / one.sum() for one in seen if one.any()), torch.zeros_like(self._noise))
-            self._alike[tracked] = total
-        return self._alike[tracked]
+        surfaces = [n for n in tracked if self._parameters[n].kind not in ("emitters", "media")]
+        shown = (torch.from_numpy(self._look_at().shown([name])) for name in surfaces)
+        seen = [noise * one for one in shown]
+        return sum((one / one.sum() for one in seen if one.any()), torch.zeros_like(noise))
+
+    def _noise_left_by(self, surfaces: Surfaces, values: Values) -> torch.Tensor:
+        """Roughly how noisy the derivatives of each pixel are where only some samples start on surfaces."""
+        width, height = self._resolution
+        spp = max(1, min(MOST_PILOTS, PILOT_SAMPLES // (width * height)))
+        stale = self._state.stale({**self.original, **values}, values.keys())
+
+        def pilot(*arrays: Any) -> Any:
+            self._state.write(stale, arrays, values.keys())
+            self._state.set_tangents({name: mi.TensorXf(1.0, value.shape) for name, value in values.items()})
+            strength = self._integrator.strength
+            return _done(strength(self._scene, self._sensor, spp, dr.opaque(mi.UInt32, 0), surfaces.among))
+
+        return _smooth(_call(pilot, *stale.values()))
 
     @cached_property
     def _noise(self) -> torch.Tensor:
@@ -286,7 +307,7 @@ class Engine:
 
         with self.at_hand():
             spread = torch.stack([luminance(seed) for seed in range(PILOTS)]).std(0)
-        return torch.nn.functional.avg_pool2d(spread[None, None], 3, 1, 1, count_include_pad=False)[0, 0]
+        return _smooth(spread)
 
     def _replay_forward(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         with self.at_hand():
@@ -334,6 +355,12 @@ class Engine:
         if previous is not None and previous is not self:
             previous._state.release()
         _tracking = weakref.ref(self)
+
+
+def _smooth(image: torch.Tensor) -> torch.Tensor:
+    """Average each pixel of an ``(H, W)`` image and its neighbours."""
+    smooth: torch.Tensor = torch.nn.functional.avg_pool2d(image[None, None], 3, 1, 1, count_include_pad=False)
+    return smooth[0, 0]
 
 
 def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[Callable[..., Any], ...]:

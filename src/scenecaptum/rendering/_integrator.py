@@ -25,8 +25,8 @@ from mitsuba.python.ad.integrators.common import mis_weight
 
 from ._backward import ChoosingIntegrator
 
-# Into how many samples the light on a glossy surface is split, where that is what the noise comes from.
-STRATA = 16
+# Into how many samples the light on a glossy surface is split, where that is what the noise comes from; a square.
+SPLIT = 4
 
 
 @dataclass
@@ -106,12 +106,11 @@ class ReplayIntegrator(ChoosingIntegrator):
                     total = emitted + reflected + later * dr.relative_grad(scattering)
                     if dr.hint(not dr.grad_enabled(total), mode="scalar"):
                         raise RuntimeError("the contribution is not attached to the AD graph")
-                    if dr.hint(mode == dr.ADMode.Backward, mode="scalar"):
-                        dr.backward_from(derivative * total)
-                    else:
-                        derivative += dr.forward_to(total)
+                    derivative = _propagated(mode, derivative, total)
                 if dr.hint(seen is not None, mode="scalar"):
-                    _propagate_direct_light(scene, sampler.apart(), vertex, derivative, split)
+                    derivative = _propagated_direct_light(
+                        mode, scene, sampler.apart(), vertex, derivative, split
+                    )
             if dr.hint(arriving is not None, mode="scalar"):
                 _record(arriving, depth, emitted, reflected, active)
 
@@ -221,18 +220,28 @@ def _seen(scene: Any, si: Any, direction: Any, active: Any) -> Any:
     return weight * found.emitter.eval(hit, active)
 
 
+def _propagated(mode: Any, derivative: Any, total: Any) -> Any:
+    """Propagate to a radiance or from it; return its adjoint, or the sum of the derivatives so far."""
+    if mode == dr.ADMode.Backward:
+        dr.backward_from(derivative * total)
+        return derivative
+    return derivative + dr.forward_to(total)
+
+
 @dr.syntax
-def _propagate_direct_light(scene: Any, sampler: Any, vertex: Vertex, derivative: Any, active: Any) -> None:
-    """Propagate to what reflects direct light and to what emits it, from stratified samples of both.
+def _propagated_direct_light(
+    mode: Any, scene: Any, sampler: Any, vertex: Vertex, derivative: Any, active: Any
+) -> Any:
+    """Do as ``_propagated`` with what a surface makes of direct light, from stratified samples of both.
 
     A lobe's derivative with respect to its roughness is positive here and negative there, which cancels within a
     vertex only where enough samples are taken of it.
     """
     context, si = mi.BSDFContext(), vertex.si
-    side = math.isqrt(STRATA)
+    side = math.isqrt(SPLIT)
     index = mi.UInt32(0)
     active = mi.Bool(active)
-    while active & (index < STRATA):
+    while active & (index < SPLIT):
         corner = mi.Point2f(index % side, index // side)
         direction, _ = vertex.bsdf.sample(
             context, si, sampler.next_1d(), (corner + sampler.next_2d()) / side, active
@@ -243,8 +252,9 @@ def _propagate_direct_light(scene: Any, sampler: Any, vertex: Vertex, derivative
         with dr.resume_grad():
             value = vertex.bsdf.eval(context, si, direction.wo, rough)
             total = dr.select(rough, seen * value, 0) + _reflected(scene, number, vertex, False)
-            dr.backward_from(derivative * total / STRATA)
+            derivative = _propagated(mode, derivative, total / SPLIT)
         index += 1
+    return derivative
 
 
 def _scattering(vertex: Vertex, direction: Any, numbers: tuple[Any, Any], specular: bool) -> Any:
