@@ -30,17 +30,37 @@ def view_line(camera: Camera) -> str:
     return f"-vtv -vh {camera.fov:.9g} -vv {math.degrees(vertical):.9g}"
 
 
+# Rec. 709 and Radiance's own RGB, both with white at a luminance of 1, from primaries and white points.
+def _to_xyz(primaries: list[tuple[float, float]], white: tuple[float, float]) -> np.ndarray:
+    columns = np.array([(x / y, 1, (1 - x - y) / y) for x, y in primaries]).T
+    return columns * np.linalg.solve(columns, [white[0] / white[1], 1, (1 - white[0] - white[1]) / white[1]])
+
+
+REC709 = _to_xyz([(0.64, 0.33), (0.30, 0.60), (0.15, 0.06)], (0.3127, 0.3290))
+RADIANCE = _to_xyz([(0.640, 0.330), (0.290, 0.600), (0.150, 0.060)], (1 / 3, 1 / 3))
+
+
 def write_picture(path: Path, luminance: np.ndarray, view: str) -> torch.Tensor:
     """Write a grey picture in cd/m² as RGBE, and return it as evalglare decodes it: ``(H, W, 3)`` radiance."""
-    mantissa, exponent = np.frexp(luminance / EFFICACY)
-    byte = np.floor(mantissa * 256).clip(0, 255).astype(np.uint8)
-    lit = luminance > 1e-30
-    pixels = np.stack([byte, byte, byte, (exponent + 128).astype(np.uint8)], -1) * lit[..., None]
-    height, width = luminance.shape
+    return torch.from_numpy(_write(path, np.repeat(luminance[..., None] / EFFICACY, 3, -1), view))
+
+
+def write_coloured(path: Path, radiance: np.ndarray, view: str) -> torch.Tensor:
+    """Write Rec. 709 radiance as RGBE of Radiance's primaries; return as evalglare decodes it, in Rec. 709."""
+    converted = radiance @ (np.linalg.solve(RADIANCE, REC709)).T
+    assert converted.min() >= 0, "the colour lies outside Radiance's gamut"
+    return torch.from_numpy(_write(path, converted, view) @ (np.linalg.solve(REC709, RADIANCE)).T)
+
+
+def _write(path: Path, radiance: np.ndarray, view: str) -> np.ndarray:
+    _, exponent = np.frexp(radiance.max(-1, keepdims=True))
+    byte = np.floor(np.ldexp(radiance, 8 - exponent)).clip(0, 255).astype(np.uint8)
+    lit = radiance.max(-1, keepdims=True) > 1e-32
+    pixels = np.concatenate([byte, (exponent + 128).astype(np.uint8)], -1) * lit
+    height, width, _ = radiance.shape
     header = f"#?RADIANCE\nVIEW= {view}\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
     path.write_bytes(header.encode() + pixels.astype(np.uint8).tobytes())
-    decoded = np.where(lit, np.ldexp((byte + 0.5) / 256, exponent), 0.0)
-    return torch.from_numpy(decoded)[..., None].expand(-1, -1, 3).contiguous()
+    return np.where(lit, np.ldexp((byte + 0.5) / 256, exponent), 0.0)
 
 
 def run_evalglare(program: Path, picture: Path, *options: str) -> Report:

@@ -18,7 +18,7 @@ from scenecaptum.metrics import (
 )
 
 from .pictures import Picture, disc, pictures, room
-from .radiance import run_evalglare, view_line, write_picture
+from .radiance import EFFICACY, run_evalglare, view_line, write_coloured, write_picture
 
 PICTURES = pictures()
 by_name = pytest.mark.parametrize("picture", PICTURES, ids=lambda picture: picture.name)
@@ -118,6 +118,35 @@ def test_a_threshold_relative_to_a_task_zone_is_that_of_evalglare(evalglare, tmp
     rating = UnifiedGlareRating(camera, threshold_factor=3, task=task, relaxation=0)
     assert len(rating.sources(image)) == len(report.sources) == 1
     within(rating(image).item(), report.ratings["ugr"], 1e-3)
+
+
+COLOURS = {"candle": (1.6, 0.9, 0.35), "sky": (0.7, 0.95, 2.2), "sodium": (1.9, 0.8, 0.1)}
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+@pytest.mark.parametrize("name", ["merged", "sun-in-a-window", "perspective-three", "window-of-three-panes"])
+def test_coloured_pictures_are_rated_alike_once_in_radiance_primaries(evalglare, tmp_path, name, colour):
+    # A render has Rec. 709 primaries, which evalglare does not know; luminance does not depend on the choice.
+    picture = next(picture for picture in PICTURES if picture.name == name)
+    lamp, wall = np.array(COLOURS[colour]), np.array([0.9, 1.05, 0.8])
+    bright = (picture.luminance > 2000)[..., None]
+    radiance = picture.luminance[..., None] / EFFICACY * np.where(bright, lamp, wall)
+    path = tmp_path / "coloured.hdr"
+    image = write_coloured(path, radiance, view_line(picture.camera))
+    report = run_evalglare(evalglare, path, "-b", "2000")
+    settings = {"relaxation": 0, "background": "hemisphere"}
+    rating = UnifiedGlareRating(picture.camera, **settings)
+    assert len(rating.sources(image)) == len(report.sources)
+    within(rating(image).item(), report.ratings["ugr"], 1e-2)
+    within(DaylightGlareProbability(picture.camera, **settings)(image).item(), report.ratings["dgp"], 3e-4)
+
+
+@pytest.mark.parametrize("name", ["dark-room", "none", "one-ahead", "bright-room"])
+def test_the_correction_for_low_light_is_that_of_evalglare(evaluated, name):
+    picture = next(picture for picture in PICTURES if picture.name == name)
+    image, report = evaluated(picture, "-b", "2000", "-C", "l+")
+    metric = DaylightGlareProbability(picture.camera, relaxation=0, low_light=True)
+    within(metric(image).item(), report.ratings["dgp"], 1e-4)
 
 
 def test_the_published_constants_differ_from_those_of_evalglare(evaluated):

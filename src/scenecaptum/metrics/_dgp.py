@@ -29,7 +29,8 @@ class DaylightGlareProbability(GlareRating):
     camera, threshold, relaxation, threshold_factor, grouping, background, efficacy, task
         As for every `GlareRating`.
     low_light
-        Multiply by ``e / (1 + e)`` with ``e = exp(0.024 Ev − 4)`` where Ev is below 1000 lux (Wienold 2009).
+        Multiply by ``e / (1 + e)`` with ``e = exp(0.024 Ev − 4)`` where Ev is below 1000 lux (Wienold 2009), as
+        ``evalglare -C l+`` does.
     constants
         ``"evalglare"``: c₁ = 5.87e-5, c₂ = 0.092, c₃ = 0.159, as in evalglare 3.06; ``"published"``: 0.0918 and
         0.16, as in the paper.

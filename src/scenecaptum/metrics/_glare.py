@@ -31,6 +31,9 @@ _COLOURS = (
 class GlareRating(torch.nn.Module):
     """Base of the glare ratings: a picture's sources, and what they add up to.
 
+    Luminance is weighed with Rec. 709's coefficients, the primaries of a render. evalglare takes a file to have
+    Radiance's primaries: it agrees on coloured pictures once they are converted (grey ones need not be).
+
     Parameters
     ----------
     camera

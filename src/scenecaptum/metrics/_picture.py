@@ -15,11 +15,21 @@ def channels_first(image: torch.Tensor) -> torch.Tensor:
     SceneCaptumError
         Where the image has another shape.
     """
+    check_image(image)
+    return image.movedim(-1, 0)[None]
+
+
+def channels_last(picture: torch.Tensor) -> torch.Tensor:
+    """Return a ``(1, 3, H, W)`` picture as the ``(H, W, 3)`` that renderers and figures take."""
+    return picture[0].movedim(0, -1)
+
+
+def check_image(image: torch.Tensor) -> None:
+    """Raise where a tensor is no ``(H, W, 3)`` image."""
     if image.ndim != 3 or image.shape[-1] != 3 or not image.numel():
         raise SceneCaptumError(
             f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
         )
-    return image.movedim(-1, 0)[None]
 
 
 def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
@@ -75,7 +85,7 @@ def check_exposure(exposure: float) -> float:
 
 def check_reference(reference: torch.Tensor) -> torch.Tensor:
     """Return a reference image as a constant of its own, or say what is wrong with it."""
-    channels_first(reference)
+    check_image(reference)
     if not torch.isfinite(reference).all():
         raise SceneCaptumError("The reference has values that are not finite: pass it through nan_to_num(0).")
     return reference.detach().clone()
