@@ -7,6 +7,7 @@ import os
 import torch
 
 from ..errors import SceneCaptumError
+from ..metrics._picture import channels_first, channels_last, check_image
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _MIDDLE_GREY = 0.18
@@ -49,15 +50,14 @@ def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.T
     """
     import kornia
 
-    if image.ndim != 3 or image.shape[-1] != 3:
-        raise SceneCaptumError(f"A picture has shape (H, W, 3), not {tuple(image.shape)}.")
+    check_image(image)
     if exposure is not None and not exposure > 0:
         raise SceneCaptumError(f"exposure must be a positive factor, not {exposure!r}.")
     radiance = image.detach().float().nan_to_num(0.0, _LARGEST, 0.0).clamp(0.0, _LARGEST)
     factor = _automatic_exposure(radiance) if exposure is None else exposure
     shown = _shoulder((radiance * factor).clamp(max=_LARGEST))
-    encoded: torch.Tensor = kornia.color.linear_rgb_to_rgb(shown.permute(2, 0, 1)).permute(1, 2, 0)
-    return encoded.clamp(0.0, 1.0)
+    encoded: torch.Tensor = kornia.color.linear_rgb_to_rgb(channels_first(shown))
+    return channels_last(encoded).clamp(0.0, 1.0)
 
 
 def save_render(image: torch.Tensor, path: str | os.PathLike[str], exposure: float | None = None) -> None:
