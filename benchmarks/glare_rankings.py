@@ -1,7 +1,7 @@
 """How the ranking by glare differs from the ranking by brightness, on real rooms.
 
-Prints Kendall's τ between the two rankings of a scene's materials and lights, the parameters that lead each, and
-writes both heatmaps.
+Prints Kendall's τ between the two rankings of a scene's materials and lights, the parameters that lead each, how
+much of all saliency lies on lights, mirrors and glossy surfaces (the rest is matt), and writes both heatmaps.
 
     python benchmarks/glare_rankings.py [--spp 64] [--out out/rankings]
 """
@@ -30,6 +30,13 @@ def kendall(first: SceneAttribution, second: SceneAttribution) -> float:
     return float((signs[0] * signs[1])[pairs].mean())
 
 
+def share_of_what_shines(attribution: SceneAttribution, renderer: SceneRenderer) -> float:
+    """Return the share of the summed saliency that is not that of matt surfaces."""
+    saliency, table = attribution.saliency(), renderer.parameters_table()
+    matt = sum(saliency[name] for name in attribution if table[name].plugin == "SmoothDiffuse")
+    return 1 - matt / sum(saliency.values())
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -53,7 +60,8 @@ def main() -> None:
         for name, attribution in found.items():
             attribution.plot_heatmap().savefig(arguments.out / f"{room}-{name}.png", dpi=100)
             leading = ", ".join(f"{row.label} {row.saliency:.3g}" for row in attribution.ranking(LEADING))
-            print(f"  {name} {attribution.metric_value:.4g}: {leading}")
+            share = share_of_what_shines(attribution, renderer)
+            print(f"  {name} {attribution.metric_value:.4g}: {share:.0%} on what shines; {leading}")
 
 
 if __name__ == "__main__":
