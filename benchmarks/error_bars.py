@@ -40,8 +40,8 @@ def passes(
     """Return ``(passes, parameters)`` gradients for both choices of adjoint."""
     budget = Budget.split(spp, PASSES, seed)
     images = [
-        renderer(leaves, seed=a, seed_grad=b, spp=budget.spp)
-        for a, b in zip(budget.seeds, budget.gradient_seeds, strict=True)
+        renderer(leaves, seed=a, seed_grad=b, spp=budget.spp[0])
+        for a, b in zip(budget.seeds[0], budget.gradient_seeds[0], strict=True)
     ]
     detached = [image.detach() for image in images]
     total = torch.stack(detached).sum(0)

@@ -2,5 +2,6 @@
 
 from ._attribution import Ranked as Ranked
 from ._attribution import SceneAttribution as SceneAttribution
+from ._input_x_gradient import InputXGradientScene as InputXGradientScene
 from ._interruption import AttributionInterrupted as AttributionInterrupted
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient

@@ -13,13 +13,15 @@ import torch
 
 from ..errors import SceneCaptumError, UnknownNameError, near_misses
 from ..scene import SurfaceMap
-from ._passes import Adjoints, Spread, channel_totals, covariance_of_mean
+from ._passes import Adjoints, channel_totals, covariance_of_mean
 from ._student import student_t
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from ._gradients import GradientSum
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -147,7 +149,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
             )
         if not 0 < level < 1:
             raise SceneCaptumError(f"level must lie between 0 and 1, not {level!r}.")
-        width = student_t(level, self.info["passes"] - 1)
+        width = student_t(level, self.info.get("degrees_of_freedom", self.info["passes"] - 1))
         return {
             name: (value - width * self.standard_error[name], value + width * self.standard_error[name])
             for name, value in self.items()
@@ -233,23 +235,27 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
 def make_attribution(
     renderer: Any,
-    spreads: Mapping[str, Spread],
+    gradients: GradientSum,
     adjoints: Adjoints,
-    bias: dict[str, torch.Tensor] | None,
     *,
     image: torch.Tensor,
     info: dict[str, Any],
 ) -> SceneAttribution:
-    """Put a result together from the passes, and ask the renderer for what it knows of itself."""
-    passes = min(len(spread.totals) for spread in spreads.values())
-    replicates = {name: torch.stack(spread.totals) for name, spread in spreads.items()}
-    barred = passes > 1
+    """Put a result together from the passes, and ask the renderer for what it knows of itself.
+
+    What Ctrl-C has left of a sum stands for the whole.
+    """
+    whole = 1 / gradients.share
+    names = list(gradients.mean)
+    replicates = {name: whole * gradients.rows(name) for name in names}
+    barred = gradients.degrees_of_freedom > 0
+    bias = gradients.bias
     return SceneAttribution(
-        attributions={name: spread.mean for name, spread in spreads.items()},
-        standard_error={n: spread.standard_error() for n, spread in spreads.items()} if barred else None,
+        attributions={name: whole * value for name, value in gradients.mean.items()},
+        standard_error={n: whole * gradients.variance(n).sqrt() for n in names} if barred else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
-        bias=bias,
+        bias=None if bias is None else {name: whole * value for name, value in bias.items()},
         replicates=replicates,
         covariance={n: covariance_of_mean(one) for n, one in replicates.items()} if barred else None,
         labels=dict(getattr(renderer, "labels", {})),
@@ -257,7 +263,8 @@ def make_attribution(
         surfaces=getattr(renderer, "surfaces", None),
         info={
             **info,
-            "passes": passes,
+            "passes": gradients.replicates,
+            "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
             **getattr(renderer, "info", {}),
             "versions": _versions(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ._attribution import SceneAttribution
+from typing import Any
 
 
 class AttributionInterrupted(KeyboardInterrupt):
@@ -11,9 +11,10 @@ class AttributionInterrupted(KeyboardInterrupt):
     Attributes
     ----------
     partial
-        The attribution from the passes that were finished; its bars are as wide as that makes them.
+        The attribution from the passes that were finished; its bars are as wide as that makes them. For a list
+        of targets a list of attributions.
     """
 
-    def __init__(self, partial: SceneAttribution) -> None:
+    def __init__(self, partial: Any) -> None:
         super().__init__("interrupted; .partial holds the result of the finished passes")
         self.partial = partial

@@ -17,35 +17,56 @@ DEFAULT_PASSES = 8
 
 @dataclass(frozen=True)
 class Budget:
-    """How samples are split: ``len(seeds)`` passes of ``spp`` samples per pixel, with seeds of their own.
+    """How samples are split: over points of parameter space, and at each of these over independent passes.
 
     Attributes
     ----------
     spp
-        Samples per pixel in each pass, or None where the renderer decides.
+        For each point, the samples per pixel of each of its passes, or None where the renderer decides.
     seeds, gradient_seeds
-        A seed for each primal and each backward pass, independent of each other: if the backward pass replayed
-        the primal's samples, their common noise would bias the gradient of a non-linear metric.
+        For each point, a seed for each primal and each backward pass, independent of each other: if the backward
+        pass replayed the primal's samples, their common noise would bias the gradient of a non-linear metric.
     """
 
-    spp: int | None
-    seeds: tuple[int, ...]
-    gradient_seeds: tuple[int, ...]
+    spp: tuple[int | None, ...]
+    seeds: tuple[tuple[int, ...], ...]
+    gradient_seeds: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def split(cls, spp: int | None, passes: int, seed: int) -> Budget:
-        """Split ``spp`` samples per pixel into at least ``passes`` passes of equal size.
+    def split(cls, spp: int | None, passes: int, seed: int, points: int = 1) -> Budget:
+        """Split ``spp`` samples per pixel over the points, at each into passes of equal size.
 
-        The number of passes is the smallest from ``passes`` to ``2·passes`` that divides ``spp``; where none
-        does, the samples of each pass are rounded up. Fewer samples than passes give one pass a sample.
+        A single point gets the smallest number from ``passes`` to ``2·passes`` that divides ``spp``; where none
+        does, the samples of each pass are rounded up. Fewer samples than passes give one pass a sample. Several
+        points share the passes, but have two each at least, and as many samples each as the others or one more.
         """
         passes = whole_number("replicates", passes)
         spp = None if spp is None else whole_number("spp", spp)
-        if spp is not None and passes > 1:
+        if passes > 1 and points > 1:
+            passes = max(2, math.ceil(passes / points))
+        elif spp is not None and passes > 1:
             passes = next((n for n in range(passes, 2 * passes + 1) if spp % n == 0), min(passes, spp))
-        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(2 * passes)
-        drawn = tuple(int(state) for state in states)
-        return cls(None if spp is None else math.ceil(spp / passes), drawn[:passes], drawn[passes:])
+        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(2 * passes * points)
+        drawn = states.reshape(2, points, passes).tolist()
+        return cls(_shares(spp, passes, points), *(tuple(tuple(row) for row in half) for half in drawn))
+
+    @property
+    def passes(self) -> int:
+        """Independent passes at each point."""
+        return len(self.seeds[0])
+
+    @property
+    def total(self) -> int | None:
+        """Samples per pixel in all, or None where the renderer decides."""
+        counts = [one for one in self.spp if one is not None]
+        return self.passes * sum(counts) if counts else None
+
+
+def _shares(spp: int | None, passes: int, points: int) -> tuple[int | None, ...]:
+    if spp is None:
+        return (None,) * points
+    rounds = max(points, math.ceil(spp / passes))
+    return tuple(rounds * (k + 1) // points - rounds * k // points for k in range(points))
 
 
 @dataclass(frozen=True)
@@ -68,6 +89,11 @@ class Adjoints:
     bias: float | None
     passes: tuple[torch.Tensor, ...]
     bias_adjoint: torch.Tensor | None
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the metric is linear, as far as can be seen here."""
+        return self.bias is not None and self.bias_adjoint is None
 
 
 def jackknife(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> Adjoints:

@@ -1,0 +1,190 @@
+"""What all gradient methods do alike: read the call, take gradients at points, and return results."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from ._attribution import SceneAttribution, make_attribution
+from ._gradients import Gradients, GradientSum, Point, input_values, sum_gradients
+from ._interruption import AttributionInterrupted
+from ._metric import Metric, Target, TargetedMetric
+from ._passes import Adjoints, Budget, jackknife
+
+Targets: TypeAlias = "Target | list[Target]"
+
+# A ``SceneAttribution``, or a list of them where ``target`` is a list.
+Result: TypeAlias = Any
+
+# One sample for so many shows the metric the inputs themselves, where gradients are taken elsewhere.
+OWN = 4
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What was asked for, in every method alike."""
+
+    seed: int
+    spp: int | None
+    replicates: int
+    show_progress: bool
+
+
+@dataclass(frozen=True)
+class Own:
+    """The metric at the inputs themselves, and their picture."""
+
+    adjoints: Adjoints
+    image: torch.Tensor
+
+
+@dataclass
+class Run:
+    """One call of ``attribute``.
+
+    Attributes
+    ----------
+    values
+        The inputs to attribute to.
+    metrics
+        One for each target.
+    several
+        Whether the targets were a list.
+    """
+
+    method: str
+    renderer: Any
+    values: dict[str, torch.Tensor]
+    metrics: list[TargetedMetric]
+    several: bool
+    settings: Settings
+    began: float = field(default_factory=time.perf_counter)
+
+    def finish(self, points: Sequence[Point], *, at_random: bool = False, **info: Any) -> Result:
+        """Sum the gradients of points, and return what ``attribute`` returns."""
+        budget = self.budget(len(points))
+        sums, gradients, interrupted = self.sums(points, budget, at_random=at_random)
+        if len(points) == 1:
+            owns = [Own(one.seen, gradients.image) for one in sums if one.seen is not None]
+        else:
+            owns = self.own([self.values])[0]
+        results = [
+            self.result(metric, one, own, budget, gradients, interrupted=interrupted, **info)
+            for metric, one, own in zip(self.metrics, sums, owns, strict=True)
+        ]
+        return self.hand_over(results, interrupted=interrupted)
+
+    def budget(self, points: int) -> Budget:
+        """Split the samples over so many points."""
+        settings = self.settings
+        return Budget.split(settings.spp, settings.replicates, settings.seed, points)
+
+    def sums(
+        self, points: Sequence[Point], budget: Budget, *, at_random: bool = False
+    ) -> tuple[list[GradientSum], Gradients, bool]:
+        """Sum the gradients of points for each target; say whether Ctrl-C ended it early."""
+        with tqdm(
+            total=2 * budget.passes * len(points),
+            disable=not self.settings.show_progress,
+            desc=self.metrics[0].name,
+            unit="pass",
+        ) as bar:
+            gradients = Gradients(self.renderer, self.metrics, budget, bar)
+            sums, interrupted = sum_gradients(gradients, points, at_random=at_random)
+        return sums, gradients, interrupted
+
+    def own(self, scenes: Sequence[Mapping[str, torch.Tensor]]) -> list[list[Own]]:
+        """Let every metric see some scenes, under the same seeds: for each scene, one for each metric."""
+        settings = self.settings
+        spp = None if settings.spp is None else math.ceil(settings.spp / OWN)
+        seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
+        budget = Budget.split(spp, settings.replicates, seed)
+        found = []
+        with torch.no_grad():
+            for values in scenes:
+                images = [self.renderer(values, seed=one, spp=budget.spp[0]) for one in budget.seeds[0]]
+                found.append([Own(jackknife(m, images), torch.stack(images).mean(0)) for m in self.metrics])
+        return found
+
+    def result(
+        self,
+        metric: TargetedMetric,
+        found: GradientSum,
+        own: Own,
+        budget: Budget,
+        gradients: Gradients,
+        *,
+        interrupted: bool,
+        **info: Any,
+    ) -> SceneAttribution:
+        """Put one result together."""
+        return make_attribution(
+            self.renderer,
+            found,
+            own.adjoints,
+            image=own.image,
+            info={
+                "method": self.method,
+                "metric": metric.name,
+                "seed": self.settings.seed,
+                "spp": budget.total,
+                "budget": _budget_info(budget, gradients),
+                "interrupted": interrupted,
+                "seconds": time.perf_counter() - self.began,
+                **info,
+            },
+        )
+
+    def hand_over(self, results: list[SceneAttribution], *, interrupted: bool) -> Result:
+        """Return the results as they were asked for, or raise them where Ctrl-C ended it early."""
+        asked = results if self.several else results[0]
+        if interrupted:
+            raise AttributionInterrupted(asked)
+        return asked
+
+
+def _budget_info(budget: Budget, gradients: Gradients) -> dict[str, Any]:
+    """Say how the samples were split."""
+    counts = [one for one in budget.spp if one is not None]
+    return {
+        "points": len(budget.spp),
+        "passes_per_point": budget.passes,
+        "spp_per_pass": [min(counts), max(counts)] if counts else None,
+        "spp_added_for_the_metric": gradients.extra,
+    }
+
+
+class GradientMethod:
+    """Base of the methods that take gradients.
+
+    Parameters
+    ----------
+    renderer
+        A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image torch can
+        differentiate.
+    metric
+        A torch function from the image to a scalar, or to a vector of which ``target`` names an element.
+    """
+
+    def __init__(self, renderer: Any, metric: Metric) -> None:
+        self.renderer = renderer
+        self.metric = metric
+
+    def _start(self, inputs: Mapping[str, torch.Tensor] | None, target: Targets, settings: Settings) -> Run:
+        targets = target if isinstance(target, list) else [target]
+        spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
+        return Run(
+            method=type(self).__name__,
+            renderer=self.renderer,
+            values=input_values(self.renderer, inputs),
+            metrics=[TargetedMetric(self.metric, one) for one in targets],
+            several=isinstance(target, list),
+            settings=Settings(settings.seed, spp, settings.replicates, settings.show_progress),
+        )
