@@ -8,7 +8,9 @@ __version__ = "0.1.0"
 from . import metrics as metrics
 from .attr import AttributionInterrupted as AttributionInterrupted
 from .attr import InputXGradientScene as InputXGradientScene
+from .attr import IntegratedGradientsScene as IntegratedGradientsScene
 from .attr import SceneAttribution as SceneAttribution
+from .attr import SmoothGradScene as SmoothGradScene
 from .attr import VanillaSceneGradient as VanillaSceneGradient
 from .backend import activate as activate
 from .camera import Camera as Camera

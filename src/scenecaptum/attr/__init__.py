@@ -3,5 +3,7 @@
 from ._attribution import Ranked as Ranked
 from ._attribution import SceneAttribution as SceneAttribution
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene
+from ._integrated_gradients import IntegratedGradientsScene as IntegratedGradientsScene
 from ._interruption import AttributionInterrupted as AttributionInterrupted
+from ._smooth_grad import SmoothGradScene as SmoothGradScene
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient

@@ -57,8 +57,9 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         For each parameter a ``(C, C)`` tensor: the covariance of its channel totals, or None like the errors.
     metric_value, metric_standard_error
         The metric at the rendered image, and its standard error where there is one.
-    convergence_delta
-        For methods that have one: what the attributions miss of the difference that they explain.
+    convergence_delta, convergence_delta_error
+        For methods that have one: by how much the sum of the attributions exceeds the difference that they
+        explain, and its standard error.
     labels
         A readable name for each parameter.
     image
@@ -74,6 +75,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     metric_value: float
     metric_standard_error: float | None = None
     convergence_delta: float | None = None
+    convergence_delta_error: float | None = None
     bias: Tensors | None = None
     replicates: Tensors = field(default_factory=dict)
     covariance: Tensors | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,8 +17,8 @@ from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife
 
 Tensors = Mapping[str, torch.Tensor]
 
-# Samples per pixel that a metric sees at least at each of several points, where it is not linear: what the noise of
-# fewer puts into its derivative is more than the jackknife can take out again.
+# Samples per pixel that a metric sees at least at each of several points, where it is not linear: what the noise
+# of fewer puts into its derivative is more than the jackknife can take out again.
 LEAST_SEEN = 16
 
 
@@ -75,9 +75,11 @@ class GradientSum:
         The sum of the shares so far: below 1 where Ctrl-C ended it.
     seen
         What the metric made of the last point.
+    kept
+        All points, where they are to be kept.
     """
 
-    def __init__(self, values: Tensors, *, at_random: bool = False) -> None:
+    def __init__(self, values: Tensors, *, at_random: bool = False, keep: bool = False) -> None:
         self.mean = {name: torch.zeros_like(value) for name, value in values.items()}
         self.bias: dict[str, torch.Tensor] | None = {n: torch.zeros_like(v) for n, v in values.items()}
         self.share = 0.0
@@ -86,6 +88,7 @@ class GradientSum:
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
         self._passes: list[int] = []
         self._points = {name: Spread(value) for name, value in values.items()} if at_random else None
+        self.kept: list[PointGradient] | None = [] if keep else None
 
     def add(self, point: PointGradient) -> None:
         """Take in a point, all of it or what Ctrl-C has left of it."""
@@ -105,6 +108,8 @@ class GradientSum:
         self.share += point.share
         self.seen = point.adjoints
         self._passes.append(point.passes)
+        if self.kept is not None:
+            self.kept.append(point)
 
     @property
     def replicates(self) -> int:
@@ -235,30 +240,28 @@ class Gradients:
 
 
 def sum_gradients(
-    gradients: Gradients, points: Sequence[Point], *, at_random: bool = False
+    gradients: Gradients, points: Iterable[Point], *, at_random: bool = False, keep: bool = False
 ) -> tuple[list[GradientSum], bool]:
     """Sum the gradients of points, one sum for each metric; and say whether Ctrl-C ended it early.
 
-    What is finished then is kept: the passes of a single point, or the points before the last.
+    What is finished then is kept: the points before the last, or the passes of the first.
     """
-    sums = [GradientSum(points[0].values, at_random=at_random) for _ in gradients.metrics]
-    interrupted = False
-    for index, point in enumerate(points):
-        try:
+    sums: list[GradientSum] = []
+    try:
+        for index, point in enumerate(points):
             found, interrupted = gradients.at(index, point)
-        except KeyboardInterrupt:
-            if not index:
-                raise
-            return sums, True
-        if interrupted and (index or not all(one.passes for one in found)):
-            if not index:
+            if interrupted and (index or not all(one.passes for one in found)):
                 raise KeyboardInterrupt
-            return sums, True
-        for one, into in zip(found, sums, strict=True):
-            into.add(one)
-        if interrupted:
-            break
-    return sums, interrupted
+            sums = sums or [GradientSum(point.values, at_random=at_random, keep=keep) for _ in found]
+            for one, into in zip(found, sums, strict=True):
+                into.add(one)
+            if interrupted:
+                return sums, True
+    except KeyboardInterrupt:
+        if not sums:
+            raise
+        return sums, True
+    return sums, False
 
 
 def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tensor]:

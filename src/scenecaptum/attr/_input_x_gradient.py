@@ -48,4 +48,4 @@ class InputXGradientScene(GradientMethod):
     ) -> Result:
         """Attribute the metric to each input; parameters, result and errors as ``VanillaSceneGradient``'s."""
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
-        return run.finish([Point(run.values, factors=run.values)])
+        return run.finish([Point(run.values, factors=run.values)], quantity="input × gradient")

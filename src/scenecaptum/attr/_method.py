@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -67,16 +67,35 @@ class Run:
     settings: Settings
     began: float = field(default_factory=time.perf_counter)
 
-    def finish(self, points: Sequence[Point], *, at_random: bool = False, **info: Any) -> Result:
-        """Sum the gradients of points, and return what ``attribute`` returns."""
-        budget = self.budget(len(points))
-        sums, gradients, interrupted = self.sums(points, budget, at_random=at_random)
-        if len(points) == 1:
+    def finish(
+        self,
+        points: Iterable[Point],
+        count: int = 1,
+        *,
+        at_random: bool = False,
+        moment: Callable[[GradientSum], GradientSum] | None = None,
+        **info: Any,
+    ) -> Result:
+        """Sum the gradients of so many points, and return what ``attribute`` returns.
+
+        With a ``moment`` the result is what this makes of all points.
+        """
+        budget = self.budget(count)
+        sums, gradients, interrupted = self.sums(points, budget, at_random=at_random, keep=moment is not None)
+        if count == 1:
             owns = [Own(one.seen, gradients.image) for one in sums if one.seen is not None]
         else:
-            owns = self.own([self.values])[0]
+            owns = self.own(self.own_images([self.values])[0])
         results = [
-            self.result(metric, one, own, budget, gradients, interrupted=interrupted, **info)
+            self.result(
+                metric,
+                moment(one) if moment else one,
+                own,
+                budget,
+                gradients,
+                interrupted=interrupted,
+                **info,
+            )
             for metric, one, own in zip(self.metrics, sums, owns, strict=True)
         ]
         return self.hand_over(results, interrupted=interrupted)
@@ -87,31 +106,34 @@ class Run:
         return Budget.split(settings.spp, settings.replicates, settings.seed, points)
 
     def sums(
-        self, points: Sequence[Point], budget: Budget, *, at_random: bool = False
+        self, points: Iterable[Point], budget: Budget, *, at_random: bool = False, keep: bool = False
     ) -> tuple[list[GradientSum], Gradients, bool]:
         """Sum the gradients of points for each target; say whether Ctrl-C ended it early."""
         with tqdm(
-            total=2 * budget.passes * len(points),
+            total=2 * budget.passes * len(budget.spp),
             disable=not self.settings.show_progress,
             desc=self.metrics[0].name,
             unit="pass",
         ) as bar:
             gradients = Gradients(self.renderer, self.metrics, budget, bar)
-            sums, interrupted = sum_gradients(gradients, points, at_random=at_random)
+            sums, interrupted = sum_gradients(gradients, points, at_random=at_random, keep=keep)
         return sums, gradients, interrupted
 
-    def own(self, scenes: Sequence[Mapping[str, torch.Tensor]]) -> list[list[Own]]:
-        """Let every metric see some scenes, under the same seeds: for each scene, one for each metric."""
+    def own(self, images: Sequence[torch.Tensor]) -> list[Own]:
+        """Let every metric see the inputs themselves."""
+        return [Own(jackknife(metric, images), torch.stack(tuple(images)).mean(0)) for metric in self.metrics]
+
+    def own_images(self, scenes: Sequence[Mapping[str, torch.Tensor]]) -> list[list[torch.Tensor]]:
+        """Render scenes in independent passes, all under the same seeds: their differences have less noise."""
         settings = self.settings
         spp = None if settings.spp is None else math.ceil(settings.spp / OWN)
         seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
         budget = Budget.split(spp, settings.replicates, seed)
-        found = []
         with torch.no_grad():
-            for values in scenes:
-                images = [self.renderer(values, seed=one, spp=budget.spp[0]) for one in budget.seeds[0]]
-                found.append([Own(jackknife(m, images), torch.stack(images).mean(0)) for m in self.metrics])
-        return found
+            return [
+                [self.renderer(values, seed=one, spp=budget.spp[0]) for one in budget.seeds[0]]
+                for values in scenes
+            ]
 
     def result(
         self,

@@ -54,6 +54,11 @@ class TargetedMetric:
             )
         return value.item(), adjoint
 
+    def value(self, image: torch.Tensor) -> float:
+        """Return the metric's value at an image, finite or not: a logarithm of a black image is -inf."""
+        with torch.no_grad():
+            return self._scalar(self.metric(image.detach())).item()
+
     def _scalar(self, output: Any) -> torch.Tensor:
         if not isinstance(output, torch.Tensor):
             raise SceneCaptumError(

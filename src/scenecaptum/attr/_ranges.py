@@ -1,17 +1,23 @@
-"""How far a parameter can go: the common scale of parameters of different kinds."""
+"""How far a parameter can go: the common scale of parameters of different kinds, and noise that keeps to it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from numbers import Real
 from typing import Any
 
 import torch
 
-from ..errors import SceneCaptumError
+from .._reflection import reflect
+from ..errors import SceneCaptumError, near_misses
+from ._baselines import table_of
+
+Tensors = Mapping[str, torch.Tensor]
 
 
-def ranges(renderer: Any, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def ranges(renderer: Any, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the length of each parameter's physical range, a 0-d tensor.
 
     Where it is infinite (the radiance of a lamp, the index of a metal) the largest magnitude of its value stands
@@ -22,16 +28,85 @@ def ranges(renderer: Any, values: Mapping[str, torch.Tensor]) -> dict[str, torch
     SceneCaptumError
         Where the renderer has no ``bounds``.
     """
-    bounds = getattr(renderer, "bounds", None)
+    bounds = _bounds(renderer)
+    return {name: _length(value, *bounds.get(name, (-math.inf, math.inf))) for name, value in values.items()}
+
+
+class Noise:
+    """Gaussian noise on parameters, as wide as a fraction of their ranges and reflected at their bounds.
+
+    Parameters
+    ----------
+    renderer
+        Tells bounds, and kinds where it has a ``parameters_table()``.
+    values
+        What is made noisy.
+    stdevs
+        Standard deviation as a fraction of each parameter's range: a number, or a mapping from names, globs or
+        kinds to numbers, 0 for what it does not name.
+    """
+
+    def __init__(self, renderer: Any, values: Tensors, stdevs: float | Mapping[str, float]) -> None:
+        self.values = values
+        self._scales = dict.fromkeys(values, 0.0)
+        given = _stdevs(renderer, values, stdevs)
+        if any(given.values()):
+            lengths = ranges(renderer, values)
+            self._scales = {name: given[name] * lengths[name].item() for name in values}
+            self._bounds = _bounds(renderer)
+        table = table_of(renderer)
+        self._open = {name: table is not None and table[name].bounds.open_low for name in values}
+
+    def draw(self, generator: torch.Generator) -> dict[str, torch.Tensor]:
+        """Return noisy values."""
+        return {name: self._noisy(name, value, generator) for name, value in self.values.items()}
+
+    def _noisy(self, name: str, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        # Drawn in any case: what one parameter gets does not depend on the width of another's noise.
+        noise = torch.randn(value.shape, generator=generator).to(value)
+        if not self._scales[name]:
+            return value
+        low, high = self._bounds.get(name, (-math.inf, math.inf))
+        return reflect(value + self._scales[name] * noise, low, high, open_low=self._open[name])
+
+
+def _bounds(renderer: Any) -> Mapping[str, tuple[float, float]]:
+    bounds: Mapping[str, tuple[float, float]] | None = getattr(renderer, "bounds", None)
     if bounds is None:
         raise SceneCaptumError(
             "A range takes physical bounds, which this renderer does not tell: give it an attribute `bounds`, "
             "a dict from parameter name to (low, high)."
         )
-    return {name: _length(value, *bounds.get(name, (-math.inf, math.inf))) for name, value in values.items()}
+    return bounds
 
 
 def _length(value: torch.Tensor, low: float, high: float) -> torch.Tensor:
     if math.isfinite(high - low):
         return value.new_tensor(high - low)
     return value.abs().amax() if bool(value.any()) else value.new_ones(())
+
+
+def _stdevs(renderer: Any, values: Tensors, stdevs: float | Mapping[str, float]) -> dict[str, float]:
+    if not isinstance(stdevs, Mapping):
+        return {name: _stdev("stdevs", stdevs) for name in values}
+    table = table_of(renderer)
+    kinds = {name: table[name].kind if table is not None else None for name in values}
+    found = dict.fromkeys(values, 0.0)
+    # The more exact key counts: kinds first, so that globs and then names overwrite them.
+    for matches in (lambda name, key: kinds[name] == key, fnmatchcase, lambda name, key: name == key):
+        for key, stdev in stdevs.items():
+            for name in values:
+                if matches(name, key):
+                    found[name] = _stdev(f"stdevs[{key!r}]", stdev)
+    for key in stdevs:
+        if not any(key in (name, kinds[name]) or fnmatchcase(name, key) for name in values):
+            raise SceneCaptumError(f"stdevs names {key!r}, which no input matches.{near_misses(key, values)}")
+    return found
+
+
+def _stdev(name: str, value: Any) -> float:
+    if not isinstance(value, Real) or not 0 <= float(value) < math.inf:
+        raise SceneCaptumError(
+            f"{name} must be a number of at least 0, the fraction of a parameter's range, not {value!r}."
+        )
+    return float(value)

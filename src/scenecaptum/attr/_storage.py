@@ -19,7 +19,7 @@ from ._attribution import SceneAttribution
 FORMAT = "scenecaptum attribution 1"
 
 _TENSOR_FIELDS = ("attributions", "standard_error", "bias", "replicates", "covariance")
-_SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta")
+_SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta", "convergence_delta_error")
 
 
 def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:

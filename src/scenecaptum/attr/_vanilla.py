@@ -15,6 +15,8 @@ from ._ranges import ranges
 
 Scale = Literal["unit", "range", "value"]
 
+_QUANTITIES = {"unit": "gradient per unit", "range": "gradient × range", "value": "gradient × value"}
+
 
 class VanillaSceneGradient(GradientMethod):
     """The gradient of a metric with respect to scene parameters, ``∂M(R(θ))/∂θ``.
@@ -90,7 +92,7 @@ class VanillaSceneGradient(GradientMethod):
         """
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
         factors = _factors(scale, self.renderer, run.values)
-        return run.finish([Point(run.values, factors=factors)], scale=scale)
+        return run.finish([Point(run.values, factors=factors)], scale=scale, quantity=_QUANTITIES[scale])
 
 
 def _factors(scale: Scale, renderer: Any, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

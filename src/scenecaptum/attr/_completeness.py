@@ -1,0 +1,72 @@
+"""Whether attributions add up to what they explain."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import torch
+
+from ._attribution import SceneAttribution
+from ._metric import TargetedMetric
+from ._passes import covariance_of_mean
+
+CONSISTENT = 3.0  # standard errors
+
+
+def difference(
+    metric: TargetedMetric, images: Sequence[torch.Tensor], references: Sequence[Sequence[torch.Tensor]]
+) -> tuple[float, float | None]:
+    """Return ``M(image) − mean of M(references)``, and its standard error where there are several passes.
+
+    The passes of all scenes share their seeds. The jackknife takes out the bias that their noise puts into a
+    metric that is not linear.
+    """
+
+    def rest(passes: Sequence[torch.Tensor], without: int | None) -> torch.Tensor:
+        kept = [image for number, image in enumerate(passes) if number != without]
+        return torch.stack(kept).mean(0)
+
+    def at(without: int | None) -> float:
+        others = [metric.value(rest(passes, without)) for passes in references]
+        return metric.value(rest(images, without)) - sum(others) / len(others)
+
+    count = len(images)
+    if count == 1:
+        return at(None), None
+    whole = count * at(None)
+    pseudo = [whole - (count - 1) * at(without) for without in range(count)]
+    mean = sum(pseudo) / count
+    return mean, math.sqrt(sum((one - mean) ** 2 for one in pseudo) / (count * (count - 1)))
+
+
+def convergence_delta(
+    attribution: SceneAttribution, explained: tuple[float, float | None]
+) -> tuple[float, float | None]:
+    """Return by how much attributions exceed the difference that they explain, and the standard error of that."""
+    total = sum(value.double().sum().item() for value in attribution.values())
+    value, error = explained
+    if attribution.covariance is None or error is None:
+        return total - value, None
+    rows = torch.stack([one.double().sum(1) for one in attribution.replicates.values()]).sum(0)
+    own = covariance_of_mean(rows[:, None]).item()
+    return total - value, math.sqrt(own + error**2)
+
+
+def completed(attribution: SceneAttribution, explained: tuple[float, float | None]) -> SceneAttribution:
+    """Return an attribution that says how far it adds up to the difference that it explains."""
+    delta, error = convergence_delta(attribution, explained)
+    info = {**attribution.info, "explained": explained[0], "convergence": verdict(delta, error)}
+    return dataclasses.replace(attribution, convergence_delta=delta, convergence_delta_error=error, info=info)
+
+
+def verdict(delta: float, error: float | None) -> str:
+    """Say whether a delta is consistent with 0."""
+    if not math.isfinite(delta):
+        return "the metric is not finite at the baseline"
+    if error is None:
+        return "without error bars"
+    if abs(delta) <= CONSISTENT * error:
+        return "consistent with 0"
+    return f"not consistent with 0, by {abs(delta) / error if error else math.inf:.1f} standard errors"

@@ -1,0 +1,173 @@
+"""Gradients along the way from a baseline scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ..errors import SceneCaptumError, near_misses, whole_number
+from ._attribution import SceneAttribution
+from ._baselines import Baselines, resolve_baselines
+from ._completeness import completed, difference
+from ._gradients import Point
+from ._method import GradientMethod, Result, Run, Settings, Targets
+from ._passes import DEFAULT_PASSES
+
+Quadrature = Literal["gausslegendre", "riemann_left", "riemann_right", "riemann_middle", "riemann_trapezoid"]
+
+
+class IntegratedGradientsScene(GradientMethod):
+    """Gradients averaged on the way from a baseline, times the way: ``(θ − θ₀) · ∫ ∂M(θ₀ + α(θ − θ₀)) dα``.
+
+    The attributions add up to ``M(θ) − M(θ₀)``: how much of the result is due to what, compared with a scene in
+    which it is absent. What they miss of it is ``convergence_delta``.
+
+    Example
+    -------
+    >>> from scenecaptum import SceneRenderer, metrics
+    >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(32, 32), spp=64)
+    >>> attribution = IntegratedGradientsScene(renderer, metrics.MeanLuminance()).attribute(n_steps=4)
+    >>> attribution.info["convergence"]
+    'consistent with 0'
+
+    Parameters
+    ----------
+    renderer, metric
+        As for ``VanillaSceneGradient``.
+
+    References
+    ----------
+    Sundararajan, Taly and Yan, "Axiomatic Attribution for Deep Networks", 2017.
+    """
+
+    def attribute(  # noqa: PLR0913 -- those of every method, and three of its own
+        self,
+        inputs: Mapping[str, torch.Tensor] | None = None,
+        baselines: Baselines = None,
+        target: Targets = None,
+        *,
+        n_steps: int = 32,
+        method: Quadrature = "gausslegendre",
+        return_convergence_delta: bool = False,
+        seed: int = 0,
+        spp: int | None = None,
+        replicates: int = DEFAULT_PASSES,
+        show_progress: bool = False,
+    ) -> Result:
+        """Attribute the metric's difference from the baseline to each input.
+
+        Parameters
+        ----------
+        inputs
+            Values by parameter name; the renderer's own by default.
+        baselines
+            The scene to compare with: ``"dark"`` (lights off), ``"black"`` (reflectances 0), ``"grey"`` (each
+            reflectance its mean), a number, a mapping from names, globs or kinds to values, or another scene. By
+            default lights and reflectances are 0 and everything else stays: it is attributed 0.
+        target
+            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
+            of results from the same renders.
+        n_steps
+            At how many scenes on the way gradients are taken. Each has a seed of its own.
+        method
+            How these are placed and weighted: ``"gausslegendre"`` or one of the Riemann sums, as in Captum. The
+            weights always sum to 1 (Captum 0.9's trapezoid misses 2 % at 50 steps).
+        return_convergence_delta
+            Return ``(attribution, delta)``.
+        seed
+            Seed from which those of all passes are drawn.
+        spp
+            Total samples per pixel, split over the steps and at least two passes of each. A metric that is not
+            linear sees at least 16 at each step; a quarter more goes to the two ends (``info["budget"]``).
+        replicates
+            Least number of independent passes in all; 1 for no error bars.
+        show_progress
+            Whether to show a progress bar.
+
+        Returns
+        -------
+        SceneAttribution
+            Signed contributions; a list of them for a list of targets.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where a baseline does not fit or lies outside the physical bounds, or as ``VanillaSceneGradient``.
+        AttributionInterrupted
+            On Ctrl-C after the first step: the steps so far stand for all.
+        """
+        places, weights = quadrature(method, n_steps)
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        start = resolve_baselines(self.renderer, run.values, baselines)
+        points = (_between(start, run.values, *one) for one in zip(places, weights, strict=True))
+        budget = run.budget(len(places))
+        sums, gradients, interrupted = run.sums(points, budget)
+        images, reference = run.own_images([run.values, start])
+        results = [
+            completed(
+                run.result(metric, one, own, budget, gradients, interrupted=interrupted, quadrature=method),
+                difference(metric, images, [reference]),
+            )
+            for metric, one, own in zip(run.metrics, sums, run.own(images), strict=True)
+        ]
+        return hand_over(run, results, interrupted=interrupted, with_delta=return_convergence_delta)
+
+
+def hand_over(run: Run, results: list[SceneAttribution], *, interrupted: bool, with_delta: bool) -> Result:
+    """Return results as they were asked for: alone or with their deltas, as Captum does."""
+    asked = run.hand_over(results, interrupted=interrupted)
+    if not with_delta:
+        return asked
+    deltas = [torch.tensor(one.convergence_delta) for one in results]
+    return asked, deltas if run.several else deltas[0]
+
+
+def quadrature(method: str, n_steps: int) -> tuple[list[float], list[float]]:
+    """Return where on [0, 1] to evaluate, and with which weights.
+
+    They are in an order in which any number of them is spread over the whole interval, so that what Ctrl-C leaves
+    is an integral as well.
+    """
+    n = whole_number("n_steps", n_steps)
+    k = np.arange(n)
+    if method == "gausslegendre":
+        nodes, weights = np.polynomial.legendre.leggauss(n)
+        places, weights = (nodes + 1) / 2, weights / 2
+    elif method == "riemann_trapezoid":
+        whole_number("n_steps of a trapezoid", n_steps, 2)
+        places, weights = k / (n - 1), np.where((k == 0) | (k == n - 1), 0.5, 1.0) / (n - 1)
+    elif method in RIEMANN:
+        places, weights = (k + RIEMANN[method]) / n, np.full(n, 1 / n)
+    else:
+        known = ("gausslegendre", "riemann_trapezoid", *RIEMANN)
+        raise SceneCaptumError(
+            f"method={method!r} is no quadrature.{near_misses(method, known)} Known are {', '.join(known)}."
+        )
+    spread = sorted(range(n), key=lambda number: _reversed_bits(number, n))
+    return places[spread].tolist(), weights[spread].tolist()
+
+
+RIEMANN = {"riemann_left": 0.0, "riemann_middle": 0.5, "riemann_right": 1.0}
+
+
+def _reversed_bits(number: int, count: int) -> int:
+    return int(f"{number:0{max(1, (count - 1).bit_length())}b}"[::-1], 2)
+
+
+def _between(
+    start: Mapping[str, torch.Tensor], end: Mapping[str, torch.Tensor], place: float, weight: float
+) -> Point:
+    # Not lerp: rounding must not lead beyond the ends, which may be physical bounds.
+    values = {
+        name: torch.minimum(
+            torch.maximum(
+                start[name] + place * (end[name] - start[name]), torch.minimum(start[name], end[name])
+            ),
+            torch.maximum(start[name], end[name]),
+        )
+        for name in end
+    }
+    return Point(values, weight, {name: end[name] - start[name] for name in end})

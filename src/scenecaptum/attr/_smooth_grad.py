@@ -1,0 +1,162 @@
+"""Gradients averaged over noisy scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ..errors import SceneCaptumError, check_seed, whole_number
+from ._gradients import GradientSum, Point, PointGradient
+from ._method import GradientMethod, Result, Settings, Targets
+from ._passes import DEFAULT_PASSES, Spread
+from ._ranges import Noise
+
+NoiseType = Literal["smoothgrad", "smoothgrad_sq", "vargrad"]
+
+_QUANTITIES = {
+    "smoothgrad": "mean gradient",
+    "smoothgrad_sq": "mean squared gradient",
+    "vargrad": "variance of the gradient",
+}
+
+
+class SmoothGradScene(GradientMethod):
+    """The mean, mean square or variance of the gradient over scenes whose parameters are noisy.
+
+    Example
+    -------
+    >>> from scenecaptum import SceneRenderer, metrics
+    >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(16, 16), spp=16)
+    >>> attribution = SmoothGradScene(renderer, metrics.MeanLuminance()).attribute(nt_samples=4, stdevs=0.05)
+    >>> attribution.info["nt_type"]
+    'smoothgrad'
+
+    Parameters
+    ----------
+    renderer, metric
+        As for ``VanillaSceneGradient``. The renderer must tell its ``bounds``, unless ``nt_samples`` is 1.
+
+    References
+    ----------
+    Smilkov et al., "SmoothGrad: removing noise by adding noise", 2017.
+    Adebayo et al., "Local Explanation Methods for Deep Neural Networks Lack Sensitivity to Parameter Values", 2018
+    (VarGrad).
+    """
+
+    def attribute(  # noqa: PLR0913 -- those of every method, and four of its own
+        self,
+        inputs: Mapping[str, torch.Tensor] | None = None,
+        target: Targets = None,
+        *,
+        nt_type: NoiseType = "smoothgrad",
+        nt_samples: int = 25,
+        stdevs: float | Mapping[str, float] = 0.1,
+        noise_free_last: bool = True,
+        seed: int = 0,
+        spp: int | None = None,
+        replicates: int = DEFAULT_PASSES,
+        show_progress: bool = False,
+    ) -> Result:
+        """Attribute the metric to each input.
+
+        Parameters
+        ----------
+        inputs
+            Values by parameter name; the renderer's own by default.
+        target
+            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
+            of results from the same renders.
+        nt_type
+            ``"smoothgrad"``: the mean of the gradients; ``"smoothgrad_sq"``: of their squares; ``"vargrad"``:
+            their variance. The noise of rendering is taken out of the last two: where ``stdevs`` is 0 the variance
+            is 0 within its error, and may come out negative.
+        nt_samples
+            How many scenes.
+        stdevs
+            Standard deviation of the noise as a fraction of each parameter's physical range (where that is
+            infinite, of its largest value): a number, or a mapping from names, globs or kinds. What the noise
+            carries beyond a bound is reflected there.
+        noise_free_last
+            Whether the last scene has no noise, so that ``nt_samples=1`` gives the plain gradient.
+        seed
+            Seed from which those of all passes and the noise are drawn.
+        spp
+            Total samples per pixel, split over the scenes and at least two passes of each. A metric that is not
+            linear sees at least 16 at each; a quarter more shows it the inputs themselves (``info["budget"]``).
+        replicates
+            Least number of independent passes in all.
+        show_progress
+            Whether to show a progress bar.
+
+        Returns
+        -------
+        SceneAttribution
+            With standard errors from the spread of the scenes, which holds both the noise that was added and that
+            of rendering; a list of them for a list of targets.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where a setting does not fit, or as ``VanillaSceneGradient``.
+        AttributionInterrupted
+            On Ctrl-C after the first scene, with the mean over the scenes so far.
+        """
+        if nt_type not in _QUANTITIES:
+            raise SceneCaptumError(f"nt_type must be one of {', '.join(_QUANTITIES)}, not {nt_type!r}.")
+        count = whole_number("nt_samples", nt_samples)
+        if nt_type != "smoothgrad" and whole_number("replicates", replicates) == 1:
+            raise SceneCaptumError(
+                f"nt_type={nt_type!r} takes replicates of 2 or more, to tell the noise of rendering."
+            )
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        noisy = count - 1 if noise_free_last else count
+        noise = Noise(self.renderer, run.values, stdevs if noisy else 0.0)
+        return run.finish(
+            (Point(values, 1 / count) for values in _scenes(noise, noisy, count, seed)),
+            count,
+            at_random=True,
+            moment=_MOMENTS[nt_type],
+            nt_type=nt_type,
+            quantity=f"{_QUANTITIES[nt_type]} per unit",
+        )
+
+
+def _scenes(noise: Noise, noisy: int, count: int, seed: int) -> Iterator[dict[str, torch.Tensor]]:
+    state = np.random.SeedSequence([check_seed("seed", seed), 2]).generate_state(1)[0]
+    generator = torch.Generator().manual_seed(int(state))
+    for number in range(count):
+        yield noise.draw(generator) if number < noisy else dict(noise.values)
+
+
+def _mean_square(found: GradientSum) -> GradientSum:
+    return _second_moment(found, {name: torch.zeros_like(mean) for name, mean in found.mean.items()}, 1.0)
+
+
+def _variance(found: GradientSum) -> GradientSum:
+    """Return the variance of the points: it divides by their number, as Captum's vargrad does."""
+    count = len(found.kept or ())
+    # Every point is part of the mean from which it deviates.
+    return _second_moment(found, {n: mean / found.share for n, mean in found.mean.items()}, 1 - 1 / count)
+
+
+def _second_moment(found: GradientSum, centre: dict[str, torch.Tensor], noise: float) -> GradientSum:
+    """Return the mean over points of the squared distance from a centre, less what the noise of rendering adds."""
+    squares = GradientSum(found.mean, at_random=True)
+    for point in found.kept or ():
+        spreads = {}
+        for name, spread in point.spreads.items():
+            error = spread.standard_error() if point.passes > 1 else torch.zeros_like(spread.mean)
+            spreads[name] = Spread(spread.mean)
+            spreads[name].add((spread.mean - centre[name]).square() - noise * error.square())
+        squares.add(PointGradient(spreads, point.adjoints, point.share))
+    return squares
+
+
+_MOMENTS: dict[str, Callable[[GradientSum], GradientSum] | None] = {
+    "smoothgrad": None,
+    "smoothgrad_sq": _mean_square,
+    "vargrad": _variance,
+}
