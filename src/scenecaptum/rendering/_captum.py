@@ -1,0 +1,129 @@
+"""The bridge to Captum: a renderer and a metric as the function of batched tensors that Captum's classes call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, Literal, TypeAlias
+
+import torch
+
+from .._reflection import reflect
+from ..errors import SceneCaptumError, check_seed
+
+Values: TypeAlias = dict[str, torch.Tensor]
+
+
+def as_captum(
+    renderer: Any,
+    metric: Callable[[torch.Tensor], torch.Tensor],
+    *,
+    seed: int | None = 0,
+    bounds: Literal["raise", "reflect"] = "raise",
+) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
+    """Return ``(forward, inputs)`` for Captum's classes; ``SceneRenderer.as_captum`` says how they are used.
+
+    Parameters
+    ----------
+    renderer
+        Any callable ``renderer(inputs, *, seed, spp)`` with an ``inputs`` attribute, and with ``bounds`` for
+        reflection. What ``parameters_table()`` says of open bounds is heeded where there is one.
+    metric, seed, bounds
+        As in ``SceneRenderer.as_captum``.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where ``bounds`` or ``seed`` is wrong, or the renderer lacks what they need.
+    """
+    if seed is not None:
+        check_seed("seed", seed)
+    own = {name: value.detach().clone() for name, value in (getattr(renderer, "inputs", None) or {}).items()}
+    if not own:
+        raise SceneCaptumError(
+            "The renderer has no inputs to hand to Captum: it needs an attribute inputs, a dict from parameter "
+            "name to tensor."
+        )
+    place = _placement(renderer, own, bounds)
+    spp = getattr(renderer, "spp", None)
+
+    def forward(*tensors: torch.Tensor) -> torch.Tensor:
+        """Measure the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
+        outputs = []
+        for row in _rows(tuple(own), tensors):
+            image = renderer(place(row), seed=_fresh_seed() if seed is None else seed, spp=spp)
+            outputs.append(_measure(metric, image))
+        return torch.stack(outputs)
+
+    return forward, tuple(value[None].clone() for value in own.values())
+
+
+def _placement(renderer: Any, own: Values, bounds: str) -> Callable[[Values], Values]:
+    """Return what is done with the values of a row before they are rendered."""
+    if bounds == "raise":
+        return lambda row: row
+    if bounds != "reflect":
+        raise SceneCaptumError(f'bounds must be "raise" or "reflect", not {bounds!r}.')
+    if not hasattr(renderer, "bounds"):
+        raise SceneCaptumError(
+            'bounds="reflect" needs a renderer that has bounds, a dict from parameter name to (low, high).'
+        )
+    limits = dict(renderer.bounds)
+    table = renderer.parameters_table() if hasattr(renderer, "parameters_table") else None
+    is_open = {name: table is not None and table[name].bounds.open_low for name in own}
+
+    def place(row: Values) -> Values:
+        placed = {}
+        for name, value in row.items():
+            # The scene's own values render wherever they lie, and stay what they are.
+            kept = torch.equal(value.detach(), own[name].to(value))
+            low, high = limits.get(name, (-math.inf, math.inf))
+            placed[name] = value if kept else reflect(value, low, high, open_low=is_open[name])
+        return placed
+
+    return place
+
+
+def _rows(names: tuple[str, ...], tensors: tuple[torch.Tensor, ...]) -> Iterator[Values]:
+    """Check a batch, and return its rows as values by name."""
+    if len(tensors) != len(names):
+        raise SceneCaptumError(
+            f"forward takes one tensor for each of the renderer's {len(names)} inputs, in their order, not "
+            f"{len(tensors)}. Hand the whole tuple to Captum, and no additional_forward_args."
+        )
+    for name, tensor in zip(names, tensors, strict=True):
+        if not isinstance(tensor, torch.Tensor) or tensor.ndim == 0:
+            came = "a 0-d tensor" if isinstance(tensor, torch.Tensor) else type(tensor).__name__
+            raise SceneCaptumError(
+                f"{name!r} must be a tensor whose first dimension counts the rows of the batch, not {came}."
+            )
+    sizes = {name: tensor.shape[0] for name, tensor in zip(names, tensors, strict=True)}
+    size = sizes[names[0]]
+    other = next((name for name in names if sizes[name] != size), None)
+    if other is not None:
+        raise SceneCaptumError(
+            f"All inputs must have the same number of rows; {names[0]!r} has {size} and {other!r} {sizes[other]}."
+        )
+    if size == 0:
+        raise SceneCaptumError("The batch has no rows; there is nothing to render.")
+    return (dict(zip(names, row, strict=True)) for row in zip(*tensors, strict=True))
+
+
+def _measure(metric: Callable[[torch.Tensor], torch.Tensor], image: torch.Tensor) -> torch.Tensor:
+    output = metric(image)
+    called = getattr(metric, "__name__", type(metric).__name__)
+    if not isinstance(output, torch.Tensor):
+        raise SceneCaptumError(
+            f"The metric {called} must return a torch tensor, not {type(output).__name__}. Write it in torch "
+            "operations, without .item(), float() or numpy."
+        )
+    if output.ndim > 1 or output.numel() == 0:
+        raise SceneCaptumError(
+            f"The metric {called} must return a scalar or a vector for one image of shape {tuple(image.shape)}; "
+            f"it returned shape {tuple(output.shape)}. It sees one image at a time, not a batch."
+        )
+    return output
+
+
+def _fresh_seed() -> int:
+    return int(torch.randint(2**32, ()))
