@@ -7,6 +7,7 @@ __version__ = "0.1.0"
 
 from . import metrics as metrics
 from .attr import AttributionInterrupted as AttributionInterrupted
+from .attr import GradientShapScene as GradientShapScene
 from .attr import InputXGradientScene as InputXGradientScene
 from .attr import IntegratedGradientsScene as IntegratedGradientsScene
 from .attr import SceneAttribution as SceneAttribution

@@ -2,6 +2,7 @@
 
 from ._attribution import Ranked as Ranked
 from ._attribution import SceneAttribution as SceneAttribution
+from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene
 from ._integrated_gradients import IntegratedGradientsScene as IntegratedGradientsScene
 from ._interruption import AttributionInterrupted as AttributionInterrupted

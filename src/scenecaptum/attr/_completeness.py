@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import torch
 
 from ._attribution import SceneAttribution
+from ._method import Result, Run
 from ._metric import TargetedMetric
 from ._passes import covariance_of_mean
 
@@ -70,3 +71,12 @@ def verdict(delta: float, error: float | None) -> str:
     if abs(delta) <= CONSISTENT * error:
         return "consistent with 0"
     return f"not consistent with 0, by {abs(delta) / error if error else math.inf:.1f} standard errors"
+
+
+def hand_over(run: Run, results: list[SceneAttribution], *, interrupted: bool, with_delta: bool) -> Result:
+    """Return results as they were asked for: alone or with their deltas, as Captum does."""
+    asked = run.hand_over(results, interrupted=interrupted)
+    if not with_delta:
+        return asked
+    deltas = [torch.tensor(one.convergence_delta) for one in results]
+    return asked, deltas if run.several else deltas[0]

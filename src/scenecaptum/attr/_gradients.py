@@ -41,6 +41,13 @@ class Point:
     factors: Tensors = field(default_factory=dict)
 
 
+def between(start: Tensors, end: Tensors, place: float, share: float) -> Point:
+    """Return a point on the straight line between two scenes, whose gradient is multiplied by the way."""
+    # lerp works from the nearer end, so that rounding does not lead beyond either: they may be physical bounds.
+    values = {name: torch.lerp(start[name], end[name], place) for name in end}
+    return Point(values, share, {name: end[name] - start[name] for name in end})
+
+
 @dataclass
 class PointGradient:
     """A point's gradients, times its factors: their spread over the passes, and what the metric saw.

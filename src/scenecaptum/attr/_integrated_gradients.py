@@ -9,11 +9,10 @@ import numpy as np
 import torch
 
 from ..errors import SceneCaptumError, near_misses, whole_number
-from ._attribution import SceneAttribution
 from ._baselines import Baselines, resolve_baselines
-from ._completeness import completed, difference
-from ._gradients import Point
-from ._method import GradientMethod, Result, Run, Settings, Targets
+from ._completeness import completed, difference, hand_over
+from ._gradients import between
+from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 
 Quadrature = Literal["gausslegendre", "riemann_left", "riemann_right", "riemann_middle", "riemann_trapezoid"]
@@ -102,7 +101,7 @@ class IntegratedGradientsScene(GradientMethod):
         places, weights = quadrature(method, n_steps)
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
         start = resolve_baselines(self.renderer, run.values, baselines)
-        points = (_between(start, run.values, *one) for one in zip(places, weights, strict=True))
+        points = (between(start, run.values, *one) for one in zip(places, weights, strict=True))
         budget = run.budget(len(places))
         sums, gradients, interrupted = run.sums(points, budget)
         images, reference = run.own_images([run.values, start])
@@ -114,15 +113,6 @@ class IntegratedGradientsScene(GradientMethod):
             for metric, one, own in zip(run.metrics, sums, run.own(images), strict=True)
         ]
         return hand_over(run, results, interrupted=interrupted, with_delta=return_convergence_delta)
-
-
-def hand_over(run: Run, results: list[SceneAttribution], *, interrupted: bool, with_delta: bool) -> Result:
-    """Return results as they were asked for: alone or with their deltas, as Captum does."""
-    asked = run.hand_over(results, interrupted=interrupted)
-    if not with_delta:
-        return asked
-    deltas = [torch.tensor(one.convergence_delta) for one in results]
-    return asked, deltas if run.several else deltas[0]
 
 
 def quadrature(method: str, n_steps: int) -> tuple[list[float], list[float]]:
@@ -155,19 +145,3 @@ RIEMANN = {"riemann_left": 0.0, "riemann_middle": 0.5, "riemann_right": 1.0}
 
 def _reversed_bits(number: int, count: int) -> int:
     return int(f"{number:0{max(1, (count - 1).bit_length())}b}"[::-1], 2)
-
-
-def _between(
-    start: Mapping[str, torch.Tensor], end: Mapping[str, torch.Tensor], place: float, weight: float
-) -> Point:
-    # Not lerp: rounding must not lead beyond the ends, which may be physical bounds.
-    values = {
-        name: torch.minimum(
-            torch.maximum(
-                start[name] + place * (end[name] - start[name]), torch.minimum(start[name], end[name])
-            ),
-            torch.maximum(start[name], end[name]),
-        )
-        for name in end
-    }
-    return Point(values, weight, {name: end[name] - start[name] for name in end})
