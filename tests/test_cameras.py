@@ -17,10 +17,10 @@ def directions_of_rays(mi: Any, renderer: SceneRenderer) -> torch.Tensor:
     """Return where Mitsuba's rays through the middles of the pixels go, in camera space."""
     width, height = renderer.resolution
     y, x = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
-    with renderer._engine.at_hand():
+    with renderer._engines[0].at_hand():
         position = mi.Point2f(x.ravel(), y.ravel())
-        ray, _ = renderer._sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
-        local = renderer._sensor.world_transform().inverse() @ ray.d
+        ray, _ = renderer._sensors[0].sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
+        local = renderer._sensors[0].world_transform().inverse() @ ray.d
         return torch.from_numpy(np.array(local).T * [-1, 1, 1]).reshape(height, width, 3)
 
 
@@ -96,3 +96,51 @@ def test_other_cameras_are_named_in_the_error(mi: Any) -> None:
         _ = SceneRenderer(scene, "reflectance", spp=1).camera
     with pytest.raises(SceneCaptumError, match=r'index of a sensor or "fisheye", not \'panorama\''):
         SceneRenderer(scene, "reflectance", sensor="panorama")
+
+
+def test_several_cameras_render_a_stack_that_is_differentiated_together(mi: Any) -> None:
+    """A list of sensors: each picture is that of a renderer of its own, and so is the gradient of their sum."""
+    from scenecaptum import VanillaSceneGradient
+    from scenecaptum.scene.bundled import cornell_box
+
+    scene = cornell_box()
+    scene["sensor"]["film"] |= {"width": 12, "height": 12}
+    both = SceneRenderer(scene, "reflectance", spp=8, sensor=[0, "fisheye"], resolution=(12, 12))
+    front, around = (
+        SceneRenderer(scene, "reflectance", spp=8, sensor=one, resolution=(12, 12)) for one in (0, "fisheye")
+    )
+    x = both.leaves()
+    images = both(x, seed=3)
+    assert images.shape == (2, 12, 12, 3)
+    torch.testing.assert_close(images[0], front(seed=3))
+    weights = torch.tensor([1.0, 0.5])[:, None, None, None]
+    (images * weights).mean().backward()
+
+    name = "floor.reflectance.value"
+    first = front.leaves()
+    front(first, seed=3).mean().backward()
+    second = around.leaves()
+    seed = int(np.random.SeedSequence([3, 1]).generate_state(1)[0])
+    around(second, seed=seed).mean().backward()
+    torch.testing.assert_close(
+        x[name].grad, first[name].grad / 2 + second[name].grad / 4, rtol=1e-4, atol=1e-7
+    )
+
+    assert [camera.projection for camera in both.cameras] == ["perspective", "fisheye"]
+    attribution = VanillaSceneGradient(both, lambda images: images.mean()).attribute()
+    assert attribution.image.shape == (2, 12, 12, 3)
+    with pytest.raises(SceneCaptumError, match="does not know which object"):
+        attribution.heatmap()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"), [([], "empty list"), ([0, 5], "sensor"), ([0, "round"], "fisheye")]
+)
+def test_a_list_of_sensors_that_cannot_be_is_refused(mi: Any, sensor: list[Any], message: str) -> None:
+    with pytest.raises(SceneCaptumError, match=message):
+        SceneRenderer("cornell-box", sensor=sensor)
+
+
+def test_a_list_of_sensors_has_cameras(mi: Any) -> None:
+    with pytest.raises(SceneCaptumError, match=r"renderer\.cameras"):
+        _ = SceneRenderer("cornell-box", sensor=[0]).camera

@@ -89,7 +89,7 @@ def test_what_cannot_be_started_from_is_found_by_path_replay(mi: Any) -> None:
             scene[name] |= change
         renderer = SceneRenderer(scene, "*alpha*", spp=4)
         graph, worn = renderer._graph, renderer.surfaces.parameters
-        found = find_surfaces(graph, worn, renderer._sensor, renderer.plan, list(renderer.inputs))
+        found = find_surfaces(graph, worn, renderer._sensors[0], renderer.plan, list(renderer.inputs))
         assert (found is None) == bool(changes), changes
 
 
@@ -106,7 +106,7 @@ def test_what_is_left_to_path_replay_is_sampled_where_it_varies(mi: Any) -> None
     (name,) = renderer.inputs
     leaves = renderer.leaves()
     renderer(leaves, seed=0, seed_grad=1).mean().backward()
-    ((_, noise), (_, alike)) = next(iter(renderer._engine._interest.values()))
+    ((_, noise), (_, alike)) = next(iter(renderer._engines[0]._interest.values()))
     shown = torch.from_numpy(renderer.surfaces.shown([name]))
     near = torch.nn.functional.max_pool2d(shown[None], 5, 1, 2)[0]  # a grazed pixel, and its neighbours
     assert noise.any()

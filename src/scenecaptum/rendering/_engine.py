@@ -352,7 +352,8 @@ class Engine:
     def _take_over_tracking(self) -> None:
         global _tracking  # noqa: PLW0603 -- there is one Dr.Jit, and it tracks for the whole process
         previous = _tracking() if _tracking is not None else None
-        if previous is not None and previous is not self:
+        # The cameras of one renderer share their state.
+        if previous is not None and previous._state is not self._state:
             previous._state.release()
         _tracking = weakref.ref(self)
 

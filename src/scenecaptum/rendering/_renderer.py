@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cached_property
-from typing import Any, Literal, NoReturn
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, NoReturn
 
+import numpy as np
 import torch
 
 from ..backend import activate, device
@@ -53,7 +54,8 @@ class SceneRenderer(torch.nn.Module):
         Longest path in segments (-1: no limit); the scene's own by default.
     sensor
         Index of the sensor, or ``"fisheye"``: a 180° equidistant fisheye in place of the first one, square unless
-        ``resolution`` says otherwise.
+        ``resolution`` says otherwise. A list of these renders a stack ``(cameras, H, W, 3)``, which the metric
+        reduces; such a result has no heatmap.
 
     Attributes
     ----------
@@ -79,7 +81,7 @@ class SceneRenderer(torch.nn.Module):
         resolution: tuple[int, int] | None = None,
         spp: int | None = None,
         max_depth: int | None = None,
-        sensor: int | str = 0,
+        sensor: int | str | Sequence[int | str] = 0,
     ) -> None:
         super().__init__()
         mi = activate()
@@ -92,30 +94,36 @@ class SceneRenderer(torch.nn.Module):
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
-        self._sensor = _sensor(loaded, sensor, resolution)
-        self.resolution = _resolution(self._sensor, resolution)
-        self.spp = whole_number("spp", self._sensor.sampler().sample_count() if spp is None else spp)
+        chosen = [sensor] if isinstance(sensor, int | str) else list(sensor)
+        self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
+        self._stacked = not isinstance(sensor, int | str)
+        self.resolution = _common_resolution(self._sensors, resolution)
+        self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         if max_depth is not None and max_depth != -1:
             whole_number("max_depth", max_depth)
         state = SceneState(loaded, [name for name, p in self._table.items() if not p.problem])
-        chosen = {name: state.original[name] for name in self._names}
-        self.plan = make_plan(self._graph, self._table, chosen, max_depth)
-        self._engine = Engine(
-            self._graph,
-            self._sensor,
-            state,
-            self._table,
-            self.plan,
-            self.resolution,
-            lambda: self.surfaces,
-            borrowed=isinstance(scene, mi.Scene),
-        )
+        values = {name: state.original[name] for name in self._names}
+        self.plan = make_plan(self._graph, self._table, values, max_depth)
+        self._surface_maps: dict[int, SurfaceMap] = {}
+        self._engines = [
+            Engine(
+                self._graph,
+                one,
+                state,
+                self._table,
+                self.plan,
+                self.resolution,
+                partial(self._surfaces_seen_by, index),
+                borrowed=isinstance(scene, mi.Scene),
+            )
+            for index, one in enumerate(self._sensors)
+        ]
 
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
         """The selected parameters with the scene's own values, detached copies made afresh at each access."""
-        self._engine.look()
-        return {name: self._engine.original[name].clone().to(device()) for name in self._names}
+        self._engines[0].look()
+        return {name: self._engines[0].original[name].clone().to(device()) for name in self._names}
 
     def leaves(self) -> dict[str, torch.Tensor]:
         """Return ``inputs`` again as leaves that require grad."""
@@ -133,11 +141,23 @@ class SceneRenderer(torch.nn.Module):
 
     @property
     def camera(self) -> Camera:
-        """Where each pixel looks and how large it is: directions and solid angles."""
+        """Where each pixel looks and how large it is: directions and solid angles. Of several, see ``cameras``."""
+        if self._stacked:
+            raise SceneCaptumError(
+                f"This renderer has a list of {len(self._sensors)} sensors: renderer.cameras lists their cameras."
+            )
+        return self.cameras[0]
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The camera of every sensor."""
         from ._cameras import camera_of
 
-        with self._engine.at_hand():
-            return camera_of(self._sensor)
+        found = []
+        for engine, sensor in zip(self._engines, self._sensors, strict=True):
+            with engine.at_hand():
+                found.append(camera_of(sensor))
+        return found
 
     @property
     def info(self) -> dict[str, Any]:
@@ -155,12 +175,19 @@ class SceneRenderer(torch.nn.Module):
         """Return every parameter of the scene with kind, shape, bounds, owner and status; prints as a table."""
         return self._table
 
-    @cached_property
-    def surfaces(self) -> SurfaceMap:
-        """Which objects each pixel shows; traced once, since nothing that can be an input moves geometry."""
+    @property
+    def surfaces(self) -> SurfaceMap | None:
+        """Which objects each pixel shows; None for a list of sensors."""
+        return None if self._stacked else self._surfaces_seen_by(0)
+
+    def _surfaces_seen_by(self, index: int) -> SurfaceMap:
+        """Trace what a sensor shows, once: nothing that can be an input moves geometry."""
         from ._visibility import trace_surfaces
 
-        return trace_surfaces(self._graph, self._table, self._sensor, self.resolution)
+        if index not in self._surface_maps:
+            sensor = self._sensors[index]
+            self._surface_maps[index] = trace_surfaces(self._graph, self._table, sensor, self.resolution)
+        return self._surface_maps[index]
 
     def forward(
         self,
@@ -188,7 +215,7 @@ class SceneRenderer(torch.nn.Module):
         Returns
         -------
         Tensor
-            ``(H, W, 3)`` linear radiance, float32.
+            ``(H, W, 3)`` linear radiance, float32; ``(cameras, H, W, 3)`` for a list of sensors.
 
         Raises
         ------
@@ -199,84 +226,37 @@ class SceneRenderer(torch.nn.Module):
         for name, value in given.items():
             self._check_tensor(name, value)
         seed = check_seed("seed", seed)
+        seed_grad = seed if seed_grad is None else check_seed("seed_grad", seed_grad)
         spp = whole_number("spp", self.spp if spp is None else spp)
-        call = RenderCall(
-            engine=self._engine,
-            names=tuple(given),
-            seed=seed,
-            seed_grad=seed if seed_grad is None else check_seed("seed_grad", seed_grad),
-            spp=spp,
-            check=self._check_values,
-        )
         tensors = [value.to(device(), torch.float32) for value in given.values()]
-        return render(call, *tensors)
-
-    def as_captum(
-        self,
-        metric: Callable[[torch.Tensor], torch.Tensor],
-        *,
-        seed: int | None = 0,
-        bounds: Literal["raise", "reflect"] = "raise",
-    ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
-        """Return ``(forward, inputs)``, on which Captum's own classes run.
-
-        Example
-        -------
-        >>> from captum.attr import IntegratedGradients
-        >>> from scenecaptum import metrics
-        >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), spp=4)
-        >>> forward, inputs = renderer.as_captum(metrics.MeanLuminance(), seed=1)
-        >>> attributions = IntegratedGradients(forward).attribute(inputs, n_steps=2)
-        >>> dict(zip(renderer.inputs, attributions))["light.emitter.radiance.value"].shape
-        torch.Size([1, 3])
-
-        Gradients are those of the very image that was rendered, its noise included; the standard errors and the
-        correction for that noise are what the library's own methods add. Methods that look inside a network
-        (DeepLift, LRP, layers and neurons) find none here. All rows of a batch share one graph;
-        ``internal_batch_size`` and ``nt_samples_batch_size`` bound what that holds.
-
-        Parameters
-        ----------
-        metric
-            A torch function from one image ``(H, W, 3)`` to a scalar, or to a vector that Captum's ``target``
-            indexes.
-        seed
-            Seed of the samples of every row: rows and calls then differ by their values alone. ``None`` draws a
-            fresh one for each row of each call from torch's global generator (``torch.manual_seed``).
-        bounds
-            What becomes of values beyond the physical bounds: ``"raise"`` refuses them, ``"reflect"`` folds them
-            back at the bounds before rendering, differentiably. Noise needs that, and so does a baseline of zero
-            where zero is unphysical (a roughness); attributions belong to the values before the fold.
-
-        Returns
-        -------
-        forward : callable
-            From one tensor ``(B, …)`` per input to ``(B,)``, or ``(B, K)`` for a metric with K elements.
-        inputs : tuple of Tensor
-            The renderer's inputs, in their order, with shape ``(1, …)``; a scalar is ``(1,)``.
-
-        Raises
-        ------
-        SceneCaptumError
-            Where an option is wrong. From ``forward``: where the tensors do not fit the inputs, the metric
-            returns neither scalar nor vector, or a value is unphysical.
-        """
-        from ._captum import as_captum
-
-        return as_captum(self, metric, seed=seed, bounds=bounds)
+        images = [
+            render(
+                RenderCall(
+                    engine=engine,
+                    names=tuple(given),
+                    seed=_seed_of_camera(seed, number),
+                    seed_grad=_seed_of_camera(seed_grad, number),
+                    spp=spp,
+                    check=self._check_values,
+                ),
+                *tensors,
+            )
+            for number, engine in enumerate(self._engines)
+        ]
+        return torch.stack(images) if self._stacked else images[0]
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Refuse what can be refused without looking at the numbers, which a transform may hide."""
-        if name not in self._engine.original:
+        if name not in self._engines[0].original:
             if name in self._table:
                 raise SceneCaptumError(f"{name!r} cannot be set: {self._table[name].problem}.")
             raise SceneCaptumError(
-                f"The scene has no parameter {name!r}.{near_misses(name, self._engine.original)}"
+                f"The scene has no parameter {name!r}.{near_misses(name, self._engines[0].original)}"
             )
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
             raise SceneCaptumError(f"{name!r} must be a floating point tensor, not {came}.")
-        expected = self._engine.original[name].shape
+        expected = self._engines[0].original[name].shape
         if value.shape != expected:
             raise SceneCaptumError(
                 f"{name!r} has shape {tuple(value.shape)}; the scene expects {tuple(expected)}."
@@ -285,7 +265,7 @@ class SceneRenderer(torch.nn.Module):
     def _check_values(self, values: Mapping[str, torch.Tensor]) -> None:
         for name, value in values.items():
             # The scene's own values are what Mitsuba accepted (a principled roughness of 0, say).
-            if torch.equal(value, self._engine.original[name]):
+            if torch.equal(value, self._engines[0].original[name]):
                 continue
             low, high = value.min().item(), value.max().item()
             bounds = self._table[name].bounds
@@ -308,6 +288,23 @@ class SceneRenderer(torch.nn.Module):
             "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Build it again "
             "from its scene file, in the worker process where there are several (spawn, not fork)."
         )
+
+
+def _seed_of_camera(seed: int, number: int) -> int:
+    """Return the seed of one camera of several, whose noise is its own; the first has the seed itself."""
+    return seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def _common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None) -> tuple[int, int]:
+    if not sensors:
+        raise SceneCaptumError("sensor is an empty list: name at least one sensor.")
+    found = {_resolution(sensor, resolution) for sensor in sensors}
+    if len(found) > 1:
+        sizes = ", ".join(f"{width}×{height}" for width, height in sorted(found))
+        raise SceneCaptumError(
+            f"The sensors have pictures of different sizes ({sizes}): give resolution= for all of them."
+        )
+    return found.pop()
 
 
 def _sensor(scene: Any, which: int | str, resolution: tuple[int, int] | None) -> Any:
