@@ -7,10 +7,13 @@ __version__ = "0.1.0"
 
 from . import metrics as metrics
 from .attr import AttributionInterrupted as AttributionInterrupted
+from .attr import FeatureAblationScene as FeatureAblationScene
 from .attr import GradientShapScene as GradientShapScene
 from .attr import InputXGradientScene as InputXGradientScene
 from .attr import IntegratedGradientsScene as IntegratedGradientsScene
+from .attr import OcclusionScene as OcclusionScene
 from .attr import SceneAttribution as SceneAttribution
+from .attr import ShapleyValueScene as ShapleyValueScene
 from .attr import SmoothGradScene as SmoothGradScene
 from .attr import VanillaSceneGradient as VanillaSceneGradient
 from .backend import activate as activate

@@ -17,8 +17,9 @@ def heatmap(attribution: SceneAttribution) -> torch.Tensor:
     """Paint each pixel with the saliency of the objects it shows, weighted by how much of it they cover.
 
     An object's saliency is the ℓ2 norm over all its parameters; where several materials, lights and media meet
-    in one object, over all of theirs. The scale is set by the most salient object or parameter, seen or not, so
-    a map never exceeds 1, and its brightest pixel stays below 1 where what matters most is out of sight.
+    in one object, over all of theirs; and where the attribution is to groups, over those that have any of them.
+    The scale is set by the most salient object, parameter or group, seen or not, so a map never exceeds 1, and its
+    brightest pixel stays below 1 where what matters most is out of sight.
 
     Returns
     -------
@@ -36,8 +37,11 @@ def heatmap(attribution: SceneAttribution) -> torch.Tensor:
             "This attribution does not know which object each pixel shows: only a SceneRenderer does."
         )
     saliency = attribution.saliency()
+    groups = attribution.info.get("groups") or {name: [name] for name in saliency}
+    group_of = {name: group for group, members in groups.items() for name in members if group in saliency}
     objects = [
-        math.hypot(*(saliency[name] for name in names if name in saliency)) for names in surfaces.parameters
+        math.hypot(*(saliency[group] for group in {group_of[name] for name in below if name in group_of}))
+        for below in surfaces.parameters
     ]
     brightest = max([*objects, *saliency.values()], default=0.0)
 

@@ -46,9 +46,9 @@ class GradientShapScene(GradientMethod):
     def attribute(  # noqa: PLR0913 -- those of every method, and four of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        baselines: Baselines | list[Baselines] = None,
         target: Targets = None,
         *,
+        baselines: Baselines | list[Baselines] = None,
         n_samples: int = 25,
         stdevs: float | Mapping[str, float] = 0.0,
         return_convergence_delta: bool = False,
@@ -63,12 +63,12 @@ class GradientShapScene(GradientMethod):
         ----------
         inputs
             Values by parameter name; the renderer's own by default.
-        baselines
-            A list of scenes to compare with, each as ``IntegratedGradientsScene`` takes it, or a single one. All
-            are equally likely.
         target
             Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
             of results from the same renders.
+        baselines
+            A list of scenes to compare with, each as ``IntegratedGradientsScene`` takes it, or a single one. All
+            are equally likely.
         n_samples
             How many random scenes.
         stdevs

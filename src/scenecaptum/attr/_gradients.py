@@ -278,6 +278,10 @@ def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tenso
         raise SceneCaptumError(
             "There is nothing to attribute to: give inputs=, a dict from parameter name to tensor."
         )
+    for name, value in values.items():
+        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+            came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
+            raise SceneCaptumError(f"{name!r} must be a floating point tensor, not {came}.")
     return {name: value.detach() for name, value in values.items()}
 
 

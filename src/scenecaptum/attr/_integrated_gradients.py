@@ -45,9 +45,9 @@ class IntegratedGradientsScene(GradientMethod):
     def attribute(  # noqa: PLR0913 -- those of every method, and three of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        baselines: Baselines = None,
         target: Targets = None,
         *,
+        baselines: Baselines = None,
         n_steps: int = 32,
         method: Quadrature = "gausslegendre",
         return_convergence_delta: bool = False,
@@ -62,13 +62,13 @@ class IntegratedGradientsScene(GradientMethod):
         ----------
         inputs
             Values by parameter name; the renderer's own by default.
+        target
+            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
+            of results from the same renders.
         baselines
             The scene to compare with: ``"dark"`` (lights off), ``"black"`` (reflectances 0), ``"grey"`` (each
             reflectance its mean), a number, a mapping from names, globs or kinds to values, or another scene. By
             default lights and reflectances are 0 and everything else stays: it is attributed 0.
-        target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
-            of results from the same renders.
         n_steps
             At how many scenes on the way gradients are taken. Each has a seed of its own.
         method

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from ._attribution import SceneAttribution
 
 
 class AttributionInterrupted(KeyboardInterrupt):
@@ -11,10 +11,12 @@ class AttributionInterrupted(KeyboardInterrupt):
     Attributes
     ----------
     partial
-        The attribution from the passes that were finished; its bars are as wide as that makes them. For a list
-        of targets a list of attributions.
+        The attribution from the passes that were finished; its bars are as wide as that makes them.
+    partials
+        One such attribution for each target, where there are several; ``partial`` is the first.
     """
 
-    def __init__(self, partial: Any) -> None:
+    def __init__(self, partial: SceneAttribution, *others: SceneAttribution) -> None:
         super().__init__("interrupted; .partial holds the result of the finished passes")
         self.partial = partial
+        self.partials = (partial, *others)

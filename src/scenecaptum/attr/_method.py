@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from ..errors import SceneCaptumError
 from ._attribution import SceneAttribution, make_attribution
 from ._gradients import Gradients, GradientSum, Point, input_values, sum_gradients
 from ._interruption import AttributionInterrupted
@@ -166,10 +167,9 @@ class Run:
 
     def hand_over(self, results: list[SceneAttribution], *, interrupted: bool) -> Result:
         """Return the results as they were asked for, or raise them where Ctrl-C ended it early."""
-        asked = results if self.several else results[0]
         if interrupted:
-            raise AttributionInterrupted(asked)
-        return asked
+            raise AttributionInterrupted(*results)
+        return results if self.several else results[0]
 
 
 def _budget_info(budget: Budget, gradients: Gradients) -> dict[str, Any]:
@@ -200,13 +200,19 @@ class GradientMethod:
         self.metric = metric
 
     def _start(self, inputs: Mapping[str, torch.Tensor] | None, target: Targets, settings: Settings) -> Run:
-        targets = target if isinstance(target, list) else [target]
         spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
         return Run(
             method=type(self).__name__,
             renderer=self.renderer,
             values=input_values(self.renderer, inputs),
-            metrics=[TargetedMetric(self.metric, one) for one in targets],
+            metrics=[TargetedMetric(self.metric, one) for one in listed(target)],
             several=isinstance(target, list),
             settings=Settings(settings.seed, spp, settings.replicates, settings.show_progress),
         )
+
+
+def listed(target: Targets) -> list[Target]:
+    """Return the targets as a list."""
+    if target == []:
+        raise SceneCaptumError("target is an empty list: name at least one element of the metric's output.")
+    return target if isinstance(target, list) else [target]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -58,6 +59,22 @@ class TargetedMetric:
         """Return the metric's value at an image, finite or not: a logarithm of a black image is -inf."""
         with torch.no_grad():
             return self._scalar(self.metric(image.detach())).item()
+
+    def value_of(self, output: Any) -> float:
+        """Return the value that is attributed, from an output of the metric.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where it is not a finite scalar.
+        """
+        value = self._scalar(output).item()
+        if not math.isfinite(value):
+            raise SceneCaptumError(
+                f"The metric {self.name} is {value}. A logarithm of 0 or a division by 0 is the usual cause: "
+                "add a small constant inside it, or choose other baselines=."
+            )
+        return value
 
     def _scalar(self, output: Any) -> torch.Tensor:
         if not isinstance(output, torch.Tensor):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import torch
@@ -244,6 +244,60 @@ class SceneRenderer(torch.nn.Module):
             for number, engine in enumerate(self._engines)
         ]
         return torch.stack(images) if self._stacked else images[0]
+
+    def as_captum(
+        self,
+        metric: Callable[[torch.Tensor], torch.Tensor],
+        *,
+        seed: int | None = 0,
+        bounds: Literal["raise", "reflect"] = "raise",
+    ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
+        """Return ``(forward, inputs)``, on which Captum's own classes run.
+
+        Example
+        -------
+        >>> from captum.attr import IntegratedGradients
+        >>> from scenecaptum import metrics
+        >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), spp=4)
+        >>> forward, inputs = renderer.as_captum(metrics.MeanLuminance(), seed=1)
+        >>> attributions = IntegratedGradients(forward).attribute(inputs, n_steps=2)
+        >>> dict(zip(renderer.inputs, attributions))["light.emitter.radiance.value"].shape
+        torch.Size([1, 3])
+
+        Gradients are those of the very image that was rendered, its noise included; the standard errors and the
+        correction for that noise are what the library's own methods add. Methods that look inside a network
+        (DeepLift, LRP, layers and neurons) find none here. All rows of a batch share one graph;
+        ``internal_batch_size`` and ``nt_samples_batch_size`` bound what that holds.
+
+        Parameters
+        ----------
+        metric
+            A torch function from one image ``(H, W, 3)`` to a scalar, or to a vector that Captum's ``target``
+            indexes.
+        seed
+            Seed of the samples of every row: rows and calls then differ by their values alone. ``None`` draws a
+            fresh one for each row of each call from torch's global generator (``torch.manual_seed``).
+        bounds
+            What becomes of values beyond the physical bounds: ``"raise"`` refuses them, ``"reflect"`` folds them
+            back at the bounds before rendering, differentiably. Noise needs that, and so does a baseline of zero
+            where zero is unphysical (a roughness); attributions belong to the values before the fold.
+
+        Returns
+        -------
+        forward : callable
+            From one tensor ``(B, …)`` per input to ``(B,)``, or ``(B, K)`` for a metric with K elements.
+        inputs : tuple of Tensor
+            The renderer's inputs, in their order, with shape ``(1, …)``; a scalar is ``(1,)``.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where an option is wrong. From ``forward``: where the tensors do not fit the inputs, the metric
+            returns neither scalar nor vector, or a value is unphysical.
+        """
+        from ._captum import as_captum
+
+        return as_captum(self, metric, seed=seed, bounds=bounds)
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Refuse what can be refused without looking at the numbers, which a transform may hide."""

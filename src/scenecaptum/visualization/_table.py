@@ -140,7 +140,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
         ],
         notes=[
             *_hidden(ranking, len(shown)),
-            *(["Σ texture: totals over its texels, as if all were raised alike"] if textures else []),
+            *(["Σ texture: totals over its texels"] if textures else []),
             *(_caution(markers[text], text, names) for text, names in groups.items()),
         ],
     )

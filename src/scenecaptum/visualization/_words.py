@@ -41,7 +41,7 @@ def sampling_words(attribution: SceneAttribution) -> list[str]:
     interrupted = attribution.info.get("interrupted", False)
     words = [] if spp is None else [f"{spp} spp"]
     if interrupted:
-        words.append(f"interrupted after {counted} of the gradient" if counted else "interrupted")
+        words.append(f"interrupted after {counted}" if counted else "interrupted")
     elif counted:
         words = [f"{' '.join([*words, 'in'])} {counted}" if words else counted]
     if attribution.covariance is None:

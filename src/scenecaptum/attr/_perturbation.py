@@ -1,0 +1,257 @@
+"""What all perturbation methods share: measuring changed scenes with the same samples, and their error bars."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from ..errors import SceneCaptumError, check_seed, whole_number
+from ._attribution import SceneAttribution, _versions
+from ._interruption import AttributionInterrupted
+from ._method import Result, Targets, listed
+from ._metric import Metric, TargetedMetric
+from ._passes import covariance_of_mean
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a perturbation method samples: what its four keywords of the same names say."""
+
+    seed: int
+    spp: int | None
+    replicates: int
+    show_progress: bool
+
+
+@dataclass(frozen=True)
+class ArmBudget:
+    """How samples are split over the arms, which are the unchanged scene and every changed one.
+
+    Attributes
+    ----------
+    arms
+        Number of scenes that are rendered.
+    spp
+        Samples per pixel in each replicate of each arm, or None where the renderer decides.
+    seeds
+        A seed for each replicate, the same for all arms: what two arms have in common cancels, noise included.
+    """
+
+    arms: int
+    spp: int | None
+    seeds: tuple[int, ...]
+
+    @classmethod
+    def split(cls, spp: int | None, arms: int, replicates: int, seed: int) -> ArmBudget:
+        """Give each arm ``⌈spp / arms⌉`` samples, split over the replicates, and each replicate one at least."""
+        replicates = whole_number("replicates", replicates)
+        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(replicates)
+        if spp is not None:
+            spp = math.ceil(math.ceil(whole_number("spp", spp) / arms) / replicates)
+        return cls(arms, spp, tuple(int(state) for state in states))
+
+    @property
+    def total(self) -> int | None:
+        """Samples per pixel over all arms and replicates."""
+        return None if self.spp is None else self.arms * self.spp * len(self.seeds)
+
+    def describe(self) -> dict[str, int | None]:
+        """Return the budget in plain values."""
+        count = len(self.seeds)
+        per_arm = None if self.spp is None else self.spp * count
+        return {"arms": self.arms, "spp_per_arm": per_arm, "replicates": count, "total_spp": self.total}
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One scene to be measured: what is special about it, in words, and its values."""
+
+    what: str
+    values: Callable[[], Mapping[str, torch.Tensor]]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the arms gave; fewer than asked for after an interruption.
+
+    Attributes
+    ----------
+    pseudo
+        ``(arms, replicates, targets)`` in float64: ``R·M(mean image) − (R − 1)·M(mean without image r)``. An
+        effect is a difference of two arms; its mean over the replicates is free of the bias of order ``1/R``
+        that noise puts into a non-linear metric, and its spread gives the standard error (the jackknife's).
+    values
+        ``(targets,)``: the metric at the mean image of the first arm, the unchanged scene.
+    image
+        That image.
+    """
+
+    pseudo: torch.Tensor
+    values: torch.Tensor
+    image: torch.Tensor
+    metrics: tuple[TargetedMetric, ...]
+    budget: ArmBudget
+    interrupted: bool
+    info: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An attribution with its errors (None for a single replicate).
+
+    Attributes
+    ----------
+    totals
+        ``(replicates, C)``: the channel totals in every replicate, where their spread is the whole error.
+    """
+
+    value: torch.Tensor
+    error: torch.Tensor | None
+    totals: torch.Tensor | None
+    covariance: torch.Tensor | None
+
+    @classmethod
+    def of_totals(cls, totals: torch.Tensor, like: torch.Tensor) -> Effect:
+        """Shape the ``(replicates, C)`` totals as a parameter; a texture's are spread evenly over its texels."""
+        covariance = covariance_of_mean(totals) if len(totals) > 1 else None
+        texels = 1 if like.ndim < 3 else like[..., 0].numel()
+
+        def shaped(channels: torch.Tensor) -> torch.Tensor:
+            even = (channels / texels).to(like)
+            return even.reshape(like.shape) if like.ndim < 3 else even.expand(like.shape).clone()
+
+        error = None if covariance is None else shaped(covariance.diagonal().sqrt())
+        return cls(shaped(totals.mean(0)), error, totals, covariance)
+
+
+Effects: TypeAlias = "dict[str, Effect]"
+
+
+class Perturbation:
+    """A method that compares renders of changed scenes, and never differentiates."""
+
+    def __init__(self, renderer: Any, metric: Metric) -> None:
+        self.renderer = renderer
+        self.metric = metric
+
+    def _measure(self, arms: Sequence[Arm], target: Targets, sampling: Sampling) -> Measured:
+        """Measure every arm with the same seeds; the first is the unchanged scene.
+
+        Only the images of one arm are in memory at any time.
+        """
+        start = time.perf_counter()
+        metrics = tuple(TargetedMetric(self.metric, one) for one in listed(target))
+        spp = getattr(self.renderer, "spp", None) if sampling.spp is None else sampling.spp
+        budget = ArmBudget.split(spp, len(arms), sampling.replicates, sampling.seed)
+        bar = tqdm(total=len(arms), disable=not sampling.show_progress, desc=metrics[0].name, unit="scene")
+        pseudo, interrupted = [], False
+        with bar, torch.no_grad():
+            images = self._images(arms[0], budget)
+            values, first = _pseudo_values(metrics, images, arms[0].what)
+            image = torch.stack(images).mean(0)
+            pseudo.append(first)
+            bar.update()
+            try:
+                for arm in arms[1:]:
+                    pseudo.append(_pseudo_values(metrics, self._images(arm, budget), arm.what)[1])
+                    bar.update()
+            except KeyboardInterrupt:
+                interrupted = True
+        info = {"method": type(self).__name__, "seed": sampling.seed, "seconds": time.perf_counter() - start}
+        return Measured(torch.stack(pseudo), values, image, metrics, budget, interrupted, info)
+
+    def _images(self, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
+        values = dict(arm.values())
+        return [self.renderer(values, seed=seed, spp=budget.spp).detach() for seed in budget.seeds]
+
+    def _results(
+        self,
+        measured: Measured,
+        target: Targets,
+        effects_of: Callable[[torch.Tensor], tuple[Effects, float | None]],
+        **info: Any,
+    ) -> Result:
+        """Return a result for each target: ``effects_of`` turns ``(arms, replicates)`` into its effects and delta.
+
+        Raises
+        ------
+        AttributionInterrupted
+            With what is finished, if the measurement was interrupted; KeyboardInterrupt if nothing is.
+        """
+        results = []
+        for index in range(len(measured.metrics)):
+            effects, delta = effects_of(measured.pseudo[..., index])
+            if not effects:
+                raise KeyboardInterrupt
+            results.append(self._result(measured, index, effects, delta, info))
+        if measured.interrupted:
+            raise AttributionInterrupted(*results)
+        return results if isinstance(target, list) else results[0]
+
+    def _result(
+        self, measured: Measured, index: int, effects: Effects, delta: float | None, info: Mapping[str, Any]
+    ) -> SceneAttribution:
+        value, unbiased = measured.values[index].item(), measured.pseudo[0, :, index]
+        count = len(unbiased)
+        about = {
+            **getattr(self.renderer, "info", {}),
+            "cautions": {},  # they are about derivatives, and there are none here
+            **measured.info,
+            "metric": measured.metrics[index].name,
+            "spp": measured.budget.total,
+            "passes": count,
+            "budget": measured.budget.describe(),
+            "metric_bias": value - unbiased.mean().item() if count > 1 else None,
+            "interrupted": measured.interrupted,
+            "versions": _versions(),
+            **info,
+        }
+        labels = getattr(self.renderer, "labels", {})
+        return SceneAttribution(
+            attributions={name: effect.value for name, effect in effects.items()},
+            standard_error=_all({name: effect.error for name, effect in effects.items()}),
+            metric_value=value,
+            metric_standard_error=(unbiased.std() / math.sqrt(count)).item() if count > 1 else None,
+            convergence_delta=delta,
+            replicates=_all({name: effect.totals for name, effect in effects.items()}) or {},
+            covariance=_all({name: effect.covariance for name, effect in effects.items()}),
+            labels={name: labels.get(name, name) for name in effects},
+            image=measured.image,
+            surfaces=getattr(self.renderer, "surfaces", None),
+            info=about,
+        )
+
+
+def _all(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:
+    """Return the tensors as they are saved and printed, or None where one is missing."""
+    present = {name: tensor.float() for name, tensor in tensors.items() if tensor is not None}
+    return present if len(present) == len(tensors) else None
+
+
+def _pseudo_values(
+    metrics: Sequence[TargetedMetric], images: Sequence[torch.Tensor], what: str
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the metrics at the mean image ``(targets,)``, and their pseudo-values ``(replicates, targets)``."""
+    count = len(images)
+    total = torch.stack(tuple(images)).sum(0)
+    whole = _at(metrics, total / count, what)
+    if count == 1:
+        return whole, whole[None]
+    without = torch.stack([_at(metrics, (total - image) / (count - 1), what) for image in images])
+    return whole, count * whole - (count - 1) * without
+
+
+def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
+    """Evaluate the metric once, for all targets."""
+    try:
+        output = metrics[0].metric(image)
+        return torch.tensor([metric.value_of(output) for metric in metrics], dtype=torch.float64)
+    except SceneCaptumError as error:
+        raise SceneCaptumError(f"On {what}: {error}") from error
