@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 import torch
 
+# Tests run in three processes, and Dr.Jit has threads in each: torch's own would only wait for a core.
+torch.set_num_threads(1)
+
 # The package is imported inside the fixtures, so that a fault in one room fails that room's tests only.
 
 

@@ -321,6 +321,19 @@ def test_smoothgrad_stays_inside_the_bounds(box):
     assert all(torch.isfinite(value).all() for value in attribution.values())
 
 
+def test_groups_add_up_their_members_and_their_errors(box):
+    method = IntegratedGradientsScene(box, metrics.MeanLuminance())
+    alone = method.attribute(n_steps=4, seed=1)
+    kinds = method.attribute(n_steps=4, seed=1, groups="kind")
+    assert set(kinds) == {"emitters", "reflectance"}
+    torch.testing.assert_close(kinds["emitters"], alone[LIGHT].sum(), rtol=1e-4, atol=0)
+    assert sum(kinds.values()).item() == pytest.approx(sum(v.sum().item() for v in alone.values()), rel=1e-4)
+    assert kinds.convergence_delta == pytest.approx(alone.convergence_delta, abs=1e-5)
+    # The channels of a colour share their paths: their errors do not add as if they were independent.
+    assert kinds.standard_error["emitters"] > alone.standard_error[LIGHT].norm()
+    assert kinds.heatmap().shape == (16, 16)
+
+
 # ------------------------------------------------------------------------------------------ bad input
 
 
@@ -339,6 +352,8 @@ def test_smoothgrad_stays_inside_the_bounds(box):
             "replicates of 2 or more",
         ),
         (lambda r: GradientShapScene(r, sigmoid).attribute(baselines=[]), "empty list"),
+        (lambda r: InputXGradientScene(r, sigmoid).attribute(groups="kind"), "parameters_table"),
+        (lambda r: InputXGradientScene(r, sigmoid).attribute(target=[]), "empty list"),
     ],
 )
 def test_bad_input_is_refused_with_the_reason(call, message):

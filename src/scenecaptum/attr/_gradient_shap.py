@@ -12,6 +12,7 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import completed, difference, hand_over
 from ._gradients import Point, between
+from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 from ._ranges import Noise
@@ -52,6 +53,7 @@ class GradientShapScene(GradientMethod):
         n_samples: int = 25,
         stdevs: float | Mapping[str, float] = 0.0,
         return_convergence_delta: bool = False,
+        groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
@@ -75,7 +77,7 @@ class GradientShapScene(GradientMethod):
             Noise on the inputs, as in ``SmoothGradScene``.
         return_convergence_delta
             Return ``(attribution, delta)``.
-        seed, spp, replicates, show_progress
+        groups, seed, spp, replicates, show_progress
             As in ``SmoothGradScene``.
 
         Returns
@@ -92,7 +94,7 @@ class GradientShapScene(GradientMethod):
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
         count = whole_number("n_samples", n_samples)
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")

@@ -1,14 +1,19 @@
-"""From ``groups=`` to the players of a perturbation: the parameters that are changed together."""
+"""From ``groups=`` to the parameters that are changed, or counted, together."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
+import torch
+
 from ..errors import SceneCaptumError, near_misses
 from ..scene import Parameter
+from ._attribution import SceneAttribution
 from ._baselines import table_of
+from ._passes import covariance_of_mean
 
 Groups: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
 
@@ -135,3 +140,31 @@ def _collect(
 def _abbreviated(holders: tuple[str, ...]) -> str:
     shown = ", ".join(holders[:2])
     return shown if len(holders) <= 2 else f"{shown} and {len(holders) - 2} more"
+
+
+def add_up(attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]) -> SceneAttribution:
+    """Return the sum of each group's attributions, 0-d by group, with the errors that their passes tell."""
+
+    def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:
+        return torch.stack([tensors[name].sum() for name in names]).sum()
+
+    rows = {
+        group: torch.stack([attribution.replicates[name].sum(1) for name in names]).sum(0)[:, None]
+        for group, names in members.items()
+    }
+    covariance = (
+        None
+        if attribution.covariance is None
+        else {group: covariance_of_mean(r) for group, r in rows.items()}
+    )
+    bias = attribution.bias
+    return dataclasses.replace(
+        attribution,
+        attributions={group: total(attribution, names) for group, names in members.items()},
+        standard_error=None if covariance is None else {g: c[0, 0].sqrt() for g, c in covariance.items()},
+        bias=None if bias is None else {group: total(bias, names) for group, names in members.items()},
+        replicates=rows,
+        covariance=covariance,
+        labels={group: attribution.labels.get(group, group) for group in members},
+        info={**attribution.info, "groups": {group: list(names) for group, names in members.items()}},
+    )

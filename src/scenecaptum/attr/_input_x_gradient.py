@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import torch
 
 from ._gradients import Point
+from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 
@@ -41,11 +42,12 @@ class InputXGradientScene(GradientMethod):
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
         *,
+        groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input; parameters, result and errors as ``VanillaSceneGradient``'s."""
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         return run.finish([Point(run.values, factors=run.values)], quantity="input × gradient")

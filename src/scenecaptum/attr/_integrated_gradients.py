@@ -12,6 +12,7 @@ from ..errors import SceneCaptumError, near_misses, whole_number
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import completed, difference, hand_over
 from ._gradients import between
+from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 
@@ -51,6 +52,7 @@ class IntegratedGradientsScene(GradientMethod):
         n_steps: int = 32,
         method: Quadrature = "gausslegendre",
         return_convergence_delta: bool = False,
+        groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
@@ -76,6 +78,9 @@ class IntegratedGradientsScene(GradientMethod):
             weights always sum to 1 (Captum 0.9's trapezoid misses 2 % at 50 steps).
         return_convergence_delta
             Return ``(attribution, delta)``.
+        groups
+            ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
+            members: the result has the sum of each group, and every other parameter alone.
         seed
             Seed from which those of all passes are drawn.
         spp
@@ -99,7 +104,7 @@ class IntegratedGradientsScene(GradientMethod):
             On Ctrl-C after the first step: the steps so far stand for all.
         """
         places, weights = quadrature(method, n_steps)
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (between(start, run.values, *one) for one in zip(places, weights, strict=True))
         budget = run.budget(len(places))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,6 +16,7 @@ from tqdm import tqdm
 from ..errors import SceneCaptumError
 from ._attribution import SceneAttribution, make_attribution
 from ._gradients import Gradients, GradientSum, Point, input_values, sum_gradients
+from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
 from ._metric import Metric, Target, TargetedMetric
 from ._passes import Adjoints, Budget, jackknife
@@ -36,6 +38,7 @@ class Settings:
     spp: int | None
     replicates: int
     show_progress: bool
+    groups: Groups = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class Run:
         One for each target.
     several
         Whether the targets were a list.
+    members
+        The parameters of each group, where there are groups.
     """
 
     method: str
@@ -65,6 +70,7 @@ class Run:
     values: dict[str, torch.Tensor]
     metrics: list[TargetedMetric]
     several: bool
+    members: dict[str, tuple[str, ...]] | None
     settings: Settings
     began: float = field(default_factory=time.perf_counter)
 
@@ -148,7 +154,7 @@ class Run:
         **info: Any,
     ) -> SceneAttribution:
         """Put one result together."""
-        return make_attribution(
+        attribution = make_attribution(
             self.renderer,
             found,
             own.adjoints,
@@ -164,6 +170,7 @@ class Run:
                 **info,
             },
         )
+        return attribution if self.members is None else add_up(attribution, self.members)
 
     def hand_over(self, results: list[SceneAttribution], *, interrupted: bool) -> Result:
         """Return the results as they were asked for, or raise them where Ctrl-C ended it early."""
@@ -201,13 +208,15 @@ class GradientMethod:
 
     def _start(self, inputs: Mapping[str, torch.Tensor] | None, target: Targets, settings: Settings) -> Run:
         spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
+        values, groups = input_values(self.renderer, inputs), settings.groups
         return Run(
             method=type(self).__name__,
             renderer=self.renderer,
-            values=input_values(self.renderer, inputs),
+            values=values,
+            members=None if groups is None else resolve_groups(self.renderer, values, groups),
             metrics=[TargetedMetric(self.metric, one) for one in listed(target)],
             several=isinstance(target, list),
-            settings=Settings(settings.seed, spp, settings.replicates, settings.show_progress),
+            settings=dataclasses.replace(settings, spp=spp),
         )
 
 

@@ -10,6 +10,7 @@ import torch
 
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._gradients import GradientSum, Point, PointGradient
+from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES, Spread
 from ._ranges import Noise
@@ -55,6 +56,7 @@ class SmoothGradScene(GradientMethod):
         nt_samples: int = 25,
         stdevs: float | Mapping[str, float] = 0.1,
         noise_free_last: bool = True,
+        groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
@@ -81,6 +83,9 @@ class SmoothGradScene(GradientMethod):
             carries beyond a bound is reflected there.
         noise_free_last
             Whether the last scene has no noise, so that ``nt_samples=1`` gives the plain gradient.
+        groups
+            ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
+            members: the result has the sum of each group, and every other parameter alone.
         seed
             Seed from which those of all passes and the noise are drawn.
         spp
@@ -111,7 +116,7 @@ class SmoothGradScene(GradientMethod):
             raise SceneCaptumError(
                 f"nt_type={nt_type!r} takes replicates of 2 or more, to tell the noise of rendering."
             )
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         noisy = count - 1 if noise_free_last else count
         noise = Noise(self.renderer, run.values, stdevs if noisy else 0.0)
         return run.finish(

@@ -9,6 +9,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ._gradients import Point
+from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 from ._ranges import ranges
@@ -49,6 +50,7 @@ class VanillaSceneGradient(GradientMethod):
         target: Targets = None,
         *,
         scale: Scale = "unit",
+        groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
@@ -67,6 +69,9 @@ class VanillaSceneGradient(GradientMethod):
             ``"unit"``: per unit of each parameter. ``"range"``: times its physical range, so that an albedo and an
             index of refraction compare; where that is infinite its largest value stands in. ``"value"``: times
             its value, the change per relative change (elasticity).
+        groups
+            ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
+            members: the result has the sum of each group, and every other parameter alone.
         seed
             Seed from which those of all passes are drawn.
         spp
@@ -90,7 +95,7 @@ class VanillaSceneGradient(GradientMethod):
         AttributionInterrupted
             On Ctrl-C after at least one backward pass, with the result so far.
         """
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         factors = _factors(scale, self.renderer, run.values)
         return run.finish([Point(run.values, factors=factors)], scale=scale, quantity=_QUANTITIES[scale])
 

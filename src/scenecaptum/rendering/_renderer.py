@@ -81,7 +81,7 @@ class SceneRenderer(torch.nn.Module):
         resolution: tuple[int, int] | None = None,
         spp: int | None = None,
         max_depth: int | None = None,
-        sensor: int | str | Sequence[int | str] = 0,
+        sensor: int | str | list[int | str] = 0,
     ) -> None:
         super().__init__()
         mi = activate()
@@ -94,9 +94,9 @@ class SceneRenderer(torch.nn.Module):
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
-        chosen = [sensor] if isinstance(sensor, int | str) else list(sensor)
+        self._stacked = isinstance(sensor, list)
+        chosen = sensor if isinstance(sensor, list) else [sensor]
         self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
-        self._stacked = not isinstance(sensor, int | str)
         self.resolution = _common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         if max_depth is not None and max_depth != -1:

@@ -1,0 +1,23 @@
+"""Whether error bars are honest: takes minutes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from interval_coverage import box, coverage, rated
+
+REPEATS = 200
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("metric", ["mean luminance", "unified glare rating"])
+def test_95_percent_intervals_cover_the_reference(metric: str) -> None:
+    renderer = box()
+    shares = coverage(renderer, rated(renderer)[metric], REPEATS)
+    bad = {name: f"{share:.1%}" for name, share in shares.items() if not 0.90 <= share <= 0.98}
+    assert not bad, f"allowed 90 to 98 %: {bad}"
