@@ -17,7 +17,7 @@ import torch
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 
-RESOLUTION, DEPTH, SPP, REFERENCE = 24, 4, 64, 8192
+RESOLUTION, DEPTH, SPP, REFERENCE = 24, 4, 64, 32768
 PRECISE = 0.2  # of the bar: how large the error of the reference may be
 
 METHODS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
@@ -49,7 +49,7 @@ def coverage(
     """Return the share of intervals that cover the reference, by parameter; and check the reference."""
     make, settings = METHODS[method]
     attribute = make(renderer, metric).attribute
-    truth = attribute(seed=10**6, spp=REFERENCE, replicates=32, **settings)
+    truth = attribute(seed=10**6, spp=REFERENCE, replicates=64, **settings)
     covered: dict[str, list[torch.Tensor]] = {name: [] for name in truth}
     bars: dict[str, list[torch.Tensor]] = {name: [] for name in truth}
     for seed in range(repeats):
