@@ -12,9 +12,9 @@ from ..errors import SceneCaptumError
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._groups import Groups, resolve_groups
-from ._method import Result, Targets
+from ._method import Result, Settings, Targets
 from ._passes import DEFAULT_PASSES, channel_totals
-from ._perturbation import Arm, Effect, Effects, Perturbation, Sampling
+from ._perturbation import Arm, Effect, Effects, Perturbation
 
 
 class FeatureAblationScene(Perturbation):
@@ -110,7 +110,7 @@ class FeatureAblationScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(one.what, partial(_without, one, values, absent)) for one in features]
-        measured = self._measure(arms, target, Sampling(seed, spp, replicates, show_progress))
+        measured = self._measure(arms, target, Settings(seed, spp, replicates, show_progress))
         likes = dict(values) if members is None else {group: torch.zeros(()) for group in members}
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, None]:

@@ -15,9 +15,9 @@ import torch
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
-from ._method import Result, Targets
+from ._method import Result, Settings, Targets
 from ._passes import DEFAULT_PASSES, covariance_of_mean
-from ._perturbation import Arm, Effect, Effects, Perturbation, Sampling
+from ._perturbation import Arm, Effect, Effects, Perturbation
 
 Extent: TypeAlias = "int | tuple[int, ...]"
 Extents: TypeAlias = "Extent | Mapping[str, Extent] | None"
@@ -129,7 +129,7 @@ class OcclusionScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(one.what, partial(_hide, one, values, hidden)) for one in patches]
-        measured = self._measure(arms, target, Sampling(seed, spp, replicates, show_progress))
+        measured = self._measure(arms, target, Settings(seed, spp, replicates, show_progress))
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, None]:
             return _effects(pseudo, patches, windows, textures), None

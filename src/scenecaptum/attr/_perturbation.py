@@ -15,19 +15,9 @@ from tqdm import tqdm
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions
 from ._interruption import AttributionInterrupted
-from ._method import Result, Targets, listed
+from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
 from ._passes import covariance_of_mean
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How a perturbation method samples: what its four keywords of the same names say."""
-
-    seed: int
-    spp: int | None
-    replicates: int
-    show_progress: bool
 
 
 @dataclass(frozen=True)
@@ -141,16 +131,16 @@ class Perturbation:
         self.renderer = renderer
         self.metric = metric
 
-    def _measure(self, arms: Sequence[Arm], target: Targets, sampling: Sampling) -> Measured:
+    def _measure(self, arms: Sequence[Arm], target: Targets, settings: Settings) -> Measured:
         """Measure every arm with the same seeds; the first is the unchanged scene.
 
         Only the images of one arm are in memory at any time.
         """
         start = time.perf_counter()
         metrics = tuple(TargetedMetric(self.metric, one) for one in listed(target))
-        spp = getattr(self.renderer, "spp", None) if sampling.spp is None else sampling.spp
-        budget = ArmBudget.split(spp, len(arms), sampling.replicates, sampling.seed)
-        bar = tqdm(total=len(arms), disable=not sampling.show_progress, desc=metrics[0].name, unit="scene")
+        spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
+        budget = ArmBudget.split(spp, len(arms), settings.replicates, settings.seed)
+        bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
         pseudo, interrupted = [], False
         with bar, torch.no_grad():
             images = self._images(arms[0], budget)
@@ -164,7 +154,7 @@ class Perturbation:
                     bar.update()
             except KeyboardInterrupt:
                 interrupted = True
-        info = {"method": type(self).__name__, "seed": sampling.seed, "seconds": time.perf_counter() - start}
+        info = {"method": type(self).__name__, "seed": settings.seed, "seconds": time.perf_counter() - start}
         return Measured(torch.stack(pseudo), values, image, metrics, budget, interrupted, info)
 
     def _images(self, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:

@@ -16,9 +16,9 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._groups import Groups, resolve_groups
-from ._method import Result, Targets
+from ._method import Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
-from ._perturbation import Arm, Effect, Effects, Perturbation, Sampling
+from ._perturbation import Arm, Effect, Effects, Perturbation
 
 Coalition: TypeAlias = "frozenset[str]"
 Order: TypeAlias = "tuple[str, ...]"
@@ -128,7 +128,7 @@ class ShapleyValueScene(Perturbation):
             Arm(_described(joined, players), partial(_scene, joined, members, values, absent))
             for joined in game.coalitions
         ]
-        measured = self._measure(arms, target, Sampling(seed, spp, replicates, show_progress))
+        measured = self._measure(arms, target, Settings(seed, spp, replicates, show_progress))
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, float | None]:
             return _effects(game, pseudo, members)
