@@ -245,6 +245,16 @@ def test_error_bars_and_deltas_of_integrated_gradients_are_honest(metric):
     assert deltas.std() == pytest.approx(errors.square().mean().sqrt().item(), rel=4 / math.sqrt(2 * repeats))
 
 
+def test_a_difference_has_the_difference_of_the_deltas():
+    renderer = Glowing(noise=0.3)
+    method = IntegratedGradientsScene(renderer, sigmoid)
+    one, other = (method.attribute(baselines=base, n_steps=4) for base in (0.1, 0.2))
+    both = one - other
+    assert both.convergence_delta == pytest.approx(one.convergence_delta - other.convergence_delta)
+    assert both.convergence_delta_error >= one.convergence_delta_error
+    assert (one - VanillaSceneGradient(renderer, sigmoid).attribute()).convergence_delta is None
+
+
 def test_samples_are_split_over_the_points():
     for points, spp, passes in ((32, 64, 2), (25, 64, 2), (3, 64, 3), (100, 64, 2)):
         budget = Budget.split(spp, 8, seed=0, points=points)

@@ -21,6 +21,8 @@ def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
         bias=None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a},
         replicates=replicates,
         covariance=_covariance(a, b, replicates),
+        convergence_delta=_minus(a.convergence_delta, b.convergence_delta),
+        convergence_delta_error=_hypot(a.convergence_delta_error, b.convergence_delta_error),
         metric_value=a.metric_value - b.metric_value,
         metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error),
         info={**a.info, "metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)},
@@ -52,6 +54,10 @@ def _errors(
         if a[name].ndim < 3:  # its channel totals are its elements
             errors[name] = covariance_of_mean(passes).diagonal().sqrt().reshape(a[name].shape)
     return errors
+
+
+def _minus(a: float | None, b: float | None) -> float | None:
+    return None if a is None or b is None else a - b
 
 
 def _hypot(a: float | None, b: float | None) -> float | None:
