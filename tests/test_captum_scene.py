@@ -1,0 +1,188 @@
+"""Captum's classes through the bridge against ours, on the Cornell box: the same numbers within their errors.
+
+Captum has no error bars. Its classes run many times, every time with samples, noise and permutations of their own,
+and the spread of the runs is their error; ours run once and say theirs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+import torch
+
+import scenecaptum as sc
+from scenecaptum import SceneAttribution, SceneRenderer, metrics
+
+captum = pytest.importorskip("captum.attr", reason="captum is not installed")
+
+pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already require gradients")
+
+WALL, FLOOR, LIGHT = "right_wall.reflectance.value", "floor.reflectance.value", "light.emitter.radiance.value"
+
+# 20 runs tell their spread to 16 %. By Student's distribution |z| exceeds 4 once in 1 300 times where all of the
+# error is Captum's, and once in 2 000 with a third of ours: 87 numbers, of which three are much alike, rarely do.
+RUNS = 20
+ALLOWED = 4.0
+
+# A wall that is to become darker, a floor and a light that are to become brighter: contributions of both signs.
+BASELINES = {WALL: 0.5, FLOOR: 0.5, LIGHT: 3.0}
+
+# Ours are fractions of a parameter's range, which for a light is its brightest channel. All values are five
+# deviations from their bounds: what is reflected there changes the sign of Captum's gradient, and not of ours.
+OUR_STDEVS = {WALL: 0.015, FLOOR: 0.015, LIGHT: 0.07}
+CAPTUMS_STDEVS = {WALL: 0.015, FLOOR: 0.015, LIGHT: 0.07 * 18.387}
+
+PLAYERS = {name: torch.full((1, 3), number) for number, name in enumerate((WALL, FLOOR, LIGHT))}
+
+# Of the lower half, which does not show the light: its edges would make most of the noise.
+SIDE = 16
+mean_luminance = metrics.MeanLuminance(mask=torch.arange(SIDE)[:, None].expand(SIDE, SIDE) >= SIDE // 2)
+
+
+def log_luminance(image: torch.Tensor) -> torch.Tensor:
+    return torch.log(mean_luminance(image) + 0.01)
+
+
+METRICS = {"mean": mean_luminance, "log": log_luminance}
+
+
+def smooth_saliency(forward: Callable[..., torch.Tensor]) -> Any:
+    return captum.NoiseTunnel(captum.Saliency(forward))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A class of Captum's and ours, with settings that mean the same.
+
+    ``scenes`` is among how many scenes ours splits its samples, where Captum's renders each with all of them, and
+    ``fresh`` whether each row of a run of Captum's has samples of its own: a difference is better without.
+    """
+
+    captums: Callable[..., Any]
+    ours: Callable[..., Any]
+    captums_settings: dict[str, Any] = field(default_factory=dict)
+    our_settings: dict[str, Any] = field(default_factory=dict)
+    metrics: tuple[str, ...] = ("mean", "log")
+    scenes: int = 1
+    fresh: bool = True
+
+
+PAIRS = {
+    "saliency": Pair(captum.Saliency, sc.VanillaSceneGradient, {"abs": False}),
+    "input x gradient": Pair(captum.InputXGradient, sc.InputXGradientScene),
+    "integrated gradients": Pair(
+        captum.IntegratedGradients,
+        sc.IntegratedGradientsScene,
+        {"baselines": BASELINES, "n_steps": 3},
+        {"baselines": BASELINES, "n_steps": 3},
+    ),
+    "noise tunnel": Pair(
+        smooth_saliency,
+        sc.SmoothGradScene,
+        {"stdevs": CAPTUMS_STDEVS, "nt_samples": 4, "abs": False},
+        {"stdevs": OUR_STDEVS, "nt_samples": 40, "noise_free_last": False},
+        metrics=("mean",),
+    ),
+    "feature ablation": Pair(
+        captum.FeatureAblation,
+        sc.FeatureAblationScene,
+        {"baselines": BASELINES},
+        {"baselines": BASELINES},
+        scenes=10,
+        fresh=False,
+    ),
+    "shapley value sampling": Pair(
+        captum.ShapleyValueSampling,
+        sc.ShapleyValueScene,
+        {"baselines": BASELINES, "feature_mask": PLAYERS, "n_samples": 3},
+        {"baselines": BASELINES, "n_samples": 2 * RUNS},
+        scenes=8,
+        fresh=False,
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def box(mi: Any) -> SceneRenderer:
+    return SceneRenderer("cornell-box", [WALL, FLOOR, LIGHT], resolution=(SIDE, SIDE), spp=16, max_depth=4)
+
+
+def run_captums(pair: Pair, box: SceneRenderer, metric: Any, first_seed: int) -> dict[str, torch.Tensor]:
+    """Return what Captum's class gives in each run, ``(RUNS, 3)`` by name."""
+    settings = {
+        setting: tuple(value[name] for name in box.inputs) if isinstance(value, dict) else value
+        for setting, value in pair.captums_settings.items()
+    }
+    runs = []
+    for seed in range(first_seed, first_seed + RUNS):
+        torch.manual_seed(seed)
+        forward, inputs = box.as_captum(metric, seed=None if pair.fresh else seed)
+        runs.append(pair.captums(forward).attribute(inputs, **settings))
+    return {
+        name: torch.cat(one).detach() for name, one in zip(box.inputs, zip(*runs, strict=True), strict=True)
+    }
+
+
+def deviations(
+    ours: SceneAttribution, runs: dict[str, torch.Tensor], factor: float = 1.0
+) -> dict[str, torch.Tensor]:
+    """Return how far ours, times a factor, lies from the mean of Captum's runs, in standard errors."""
+    found = {}
+    for name, value in ours.items():
+        # Captum gives every number of a player the player's value, which is a single one here.
+        rows = runs[name].mean(1) if value.ndim == 0 else runs[name]
+        error = torch.hypot(factor * ours.standard_error[name], rows.std(0) / math.sqrt(RUNS))
+        found[name] = (factor * value - rows.mean(0)) / error
+    return found
+
+
+@pytest.mark.parametrize(
+    ("method", "metric"), [(method, metric) for method, pair in PAIRS.items() for metric in pair.metrics]
+)
+def test_captums_classes_and_ours_agree_within_their_errors(box, method, metric):
+    pair, number = PAIRS[method], list(PAIRS).index(method)
+    # Twice Captum's samples in half as many parts: what these few tell of their error weighs little in the sum.
+    ours = pair.ours(box, METRICS[metric]).attribute(
+        **pair.our_settings,
+        seed=number,
+        spp=2 * RUNS * box.spp * pair.scenes,
+        replicates=RUNS // 2,
+    )
+    runs = run_captums(pair, box, METRICS[metric], first_seed=RUNS * number)
+    for name, z in deviations(ours, runs).items():
+        both = f"{ours[name]} ± {ours.standard_error[name]} against {runs[name].mean(0)}"
+        assert z.abs().max() < ALLOWED, f"{name}: {both}, z = {z}"
+
+    # Where most is attributed the errors are so small that a wrong factor could not hide in them.
+    leading = max(ours, key=lambda name: ours[name].abs().max())
+    for wrong in (1.2, 1 / 1.2):
+        z = deviations(ours, runs, wrong)[leading].abs().max()
+        assert z > 2 * ALLOWED, f"{leading}: a factor of {wrong:.2f} would be {z:.1f} standard errors"
+
+
+def test_the_variance_of_gradients_tells_that_the_noise_is_the_same(box):
+    """It is as wide as the noise, of which a mean of gradients shows next to nothing."""
+    theirs, ours = 10, 160
+    # The samples of a run are common to its scenes: Captum's variance would hold that of rendering.
+    pair = Pair(
+        smooth_saliency,
+        sc.SmoothGradScene,
+        {"stdevs": CAPTUMS_STDEVS, "nt_samples": theirs, "nt_type": "vargrad", "abs": False},
+        fresh=False,
+    )
+    # Both divide by the number of scenes, which is not the same.
+    runs = run_captums(pair, box, mean_luminance, first_seed=1000)
+    runs = {name: value * theirs / (theirs - 1) for name, value in runs.items()}
+    found = pair.ours(box, mean_luminance).attribute(
+        stdevs=OUR_STDEVS, nt_samples=ours, nt_type="vargrad", noise_free_last=False, spp=ours * 16
+    )
+    factor = ours / (ours - 1)
+    for name, z in deviations(found, runs, factor).items():
+        assert z.abs().max() < ALLOWED, f"{name}: {found[name]} against {runs[name].mean(0)}, z = {z}"
+    for wrong in (4, 1 / 4):  # noise of twice or half the width
+        z = deviations(found, runs, wrong * factor)[WALL].abs().max()
+        assert z > 1.5 * ALLOWED, f"a factor of {wrong} would be {z:.1f} standard errors"
