@@ -49,14 +49,17 @@ def reflect(values: torch.Tensor, low: float, high: float, *, open_low: bool = F
     """
     if not low < high:
         raise SceneCaptumError(f"The bounds must be a low and a higher value, not {low!r} and {high!r}.")
-    inside = (values > low if open_low else values >= low) & (values <= high)
-    folded = _fold(values, low, high)
+    outside = (values <= low if open_low else values < low) | (values > high)
+    # Of millions of texels few lie outside, and finding their numbers is quicker than a mask.
+    (where,) = outside.reshape(-1).nonzero(as_tuple=True)
+    flat = values.reshape(-1)
+    folded = _fold(flat[where], low, high)
     floor = low
     if open_low and math.isfinite(low):
         floor += OPEN_MARGIN * (high - low if math.isfinite(high) else max(1.0, abs(low)))
     # The fold rounds, so that it may end one float beyond a bound; correcting this must not stop the derivative.
     correction = (folded.clamp(floor, high) - folded).detach()
-    return torch.where(inside, values, folded + correction)
+    return flat.index_copy(0, where, folded + correction).reshape(values.shape)
 
 
 def _fold(values: torch.Tensor, low: float, high: float) -> torch.Tensor:

@@ -117,21 +117,20 @@ class FilmFilter:
         # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work.
         image = (adjoint / self.caught.to(adjoint)).cpu().numpy()
         quarters = (-0.25, 0.25)
-        squares = sum(
-            np.square(self._spread(self._spread(image, 0, y), 1, x)).sum(-1)
-            for y in quarters
-            for x in quarters
-        )
+        columns = [self._spread(image, 0, y) for y in quarters]
+        squares = sum(np.square(self._spread(one, 1, x)).sum(-1) for one in columns for x in quarters)
         return torch.from_numpy(np.sqrt(squares / 4)).to(adjoint)
 
     def _spread(self, image: np.ndarray, axis: int, shift: float) -> np.ndarray:
         """Weigh each pixel's neighbours along an axis, for samples at ``shift`` from its centre."""
-        reach = self.reach
+        reach, length = self.reach, image.shape[axis]
         border = [(reach, reach) if along == axis else (0, 0) for along in range(image.ndim)]
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, border), 2 * reach + 1, axis)
+        padded = np.pad(image, border)
         distance = abs(np.arange(-reach, reach + 1) - shift)
         weights = self.profile.numpy()[(distance * STEPS / (reach + 1)).round().astype(int)]
-        spread: np.ndarray = windows @ weights
+        spread = np.zeros_like(image)
+        for step, weight in enumerate(weights):
+            spread += weight * padded[(slice(None),) * axis + (slice(step, step + length),)]
         return spread
 
 

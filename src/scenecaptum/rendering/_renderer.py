@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, NoReturn
@@ -321,9 +322,9 @@ class SceneRenderer(torch.nn.Module):
             # The scene's own values are what Mitsuba accepted (a principled roughness of 0, say).
             if torch.equal(value, self._engines[0].original[name]):
                 continue
-            low, high = value.min().item(), value.max().item()
+            low, high = (extreme.item() for extreme in value.aminmax())
             bounds = self._table[name].bounds
-            if not torch.isfinite(value).all():
+            if not (math.isfinite(low) and math.isfinite(high)):
                 raise SceneCaptumError(f"{name!r} holds a value that is not finite.")
             if low < bounds.low or high > bounds.high or (bounds.open_low and low == bounds.low):
                 worst = high if high > bounds.high else low

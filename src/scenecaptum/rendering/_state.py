@@ -12,8 +12,6 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
-LARGE = 2**22  # numbers, 16 MiB
-
 
 class SceneState:
     """Writes parameter values into a scene, and only those that differ from what it holds.
@@ -77,9 +75,6 @@ class SceneState:
             self._params[name] = value
         if stale:
             self._params.update()
-        if sum(tensor.numel() for tensor in stale.values()) > LARGE:
-            # Dr.Jit would keep the memory of the textures that were replaced, beside that of the new ones.
-            dr.flush_malloc_cache()
         self._held.update(stale)
         self.leaves = leaves
         self.forget_gradients()
