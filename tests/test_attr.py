@@ -55,7 +55,7 @@ def exact_gradient(renderer: ToyRenderer, metric) -> torch.Tensor:
 )
 def test_budget_is_split_evenly_and_never_smaller_than_asked(spp, replicates, passes, each):
     budget = Budget.split(spp, replicates, seed=0)
-    assert (budget.passes, budget.spp) == (passes, (each,))
+    assert (budget.passes, budget.spp) == ((passes,), (each,))
     if spp is not None:
         assert passes * each >= spp
 

@@ -342,6 +342,5 @@ def test_what_has_no_noise_has_no_error(renderer, metric, method, settings):
     assert max(found.saliency().values()) > 0
     assert not any(error.any() for error in found.standard_error.values())
     assert found.metric_standard_error == 0
-    for name, error in found.saliency_error().items():
-        assert error <= 1e-6 * found.saliency()[name]
+    assert not any(found.saliency_error().values())
     assert all(torch.equal(value, other[name]) for name, value in found.items())

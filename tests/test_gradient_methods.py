@@ -225,13 +225,15 @@ def test_the_noise_of_rendering_is_no_variance_of_the_gradient(nt_type):
 
 
 @pytest.mark.parametrize("metric", [torch.mean, sigmoid])
-def test_error_bars_and_deltas_of_integrated_gradients_are_honest(metric):
+@pytest.mark.parametrize("n_steps", [8, 24])
+def test_error_bars_and_deltas_of_integrated_gradients_are_honest(metric, n_steps):
+    """With 24 steps only every third tells its noise."""
     renderer, repeats = Glowing(noise=0.3), 100
     found = [
-        IntegratedGradientsScene(renderer, metric).attribute(baselines=0.1, n_steps=8, seed=seed)
+        IntegratedGradientsScene(renderer, metric).attribute(baselines=0.1, n_steps=n_steps, seed=seed)
         for seed in range(repeats)
     ]
-    truth = IntegratedGradientsScene(Glowing(), metric).attribute(baselines=0.1, n_steps=8)
+    truth = IntegratedGradientsScene(Glowing(), metric).attribute(baselines=0.1, n_steps=n_steps)
     for name in renderer.inputs:
         values = torch.stack([one[name] for one in found])
         bars = torch.stack([one.standard_error[name] for one in found]).square().mean(0).sqrt()
@@ -255,14 +257,20 @@ def test_a_difference_has_the_difference_of_the_deltas():
     assert (one - VanillaSceneGradient(renderer, sigmoid).attribute()).convergence_delta is None
 
 
-def test_samples_are_split_over_the_points():
-    for points, spp, passes in ((32, 64, 2), (25, 64, 2), (3, 64, 3), (100, 64, 2)):
-        budget = Budget.split(spp, 8, seed=0, points=points)
-        assert (len(budget.spp), budget.passes) == (points, passes)
-        assert max(budget.spp) - min(budget.spp) <= 1
-        assert spp <= budget.total < spp + 3 or min(budget.spp) == max(budget.spp) == 1
-        seeds = [seed for half in (budget.seeds, budget.gradient_seeds) for row in half for seed in row]
-        assert len(set(seeds)) == len(seeds)
+@pytest.mark.parametrize(("points", "passes"), [(32, 2), (25, 2), (3, 3), (100, 2)])
+@pytest.mark.parametrize("pairs", [None, 1, 8])
+def test_samples_are_split_over_the_points(points, passes, pairs):
+    spp, single = 64, 1 if points > 3 else passes
+    budget = Budget.split(spp, 8, seed=0, points=points, pairs=pairs)
+    paired = min(points, pairs or points)
+    assert budget.passes == (passes,) * paired + (single,) * (points - paired)
+    seen = [one * count for one, count in zip(budget.spp, budget.passes, strict=True)]
+    assert abs(budget.total - spp) <= passes or min(budget.spp) == max(budget.spp) == 1
+    assert max(seen) - min(seen) <= passes
+    # Every point can show the metric as many pictures as any other.
+    assert {len(row) for row in budget.seeds} == {passes}
+    seeds = [seed for half in (budget.seeds, budget.gradient_seeds) for row in half for seed in row]
+    assert len(set(seeds)) == len(seeds)
 
 
 def test_a_metric_that_is_not_linear_sees_enough_at_every_step():
@@ -273,6 +281,32 @@ def test_a_metric_that_is_not_linear_sees_enough_at_every_step():
     )
     assert linear.info["budget"]["spp_added_for_the_metric"] == 0
     assert bent.info["budget"]["spp_added_for_the_metric"] == 16 * 16
+
+
+def test_a_metric_that_bends_only_later_on_the_way_is_noticed():
+    """Each of the steps with a single pass is held against the first, where the metric was linear."""
+
+    def overexposed(image: torch.Tensor) -> torch.Tensor:
+        return image.clamp(max=3.5).mean()
+
+    renderer = Glowing(noise=1.0)
+    found = IntegratedGradientsScene(renderer, overexposed).attribute(n_steps=24, replicates=2, spp=48)
+    assert 0 < found.info["budget"]["spp_added_for_the_metric"] < 24 * 16
+    exact = IntegratedGradientsScene(Glowing(), overexposed).attribute(n_steps=24)
+    repeats = [
+        IntegratedGradientsScene(renderer, overexposed).attribute(n_steps=24, seed=seed, spp=2400)
+        for seed in range(60)
+    ]
+    values = torch.stack([one["x"] for one in repeats])
+    z = (values.mean(0) - exact["x"]) / (values.std(0) / math.sqrt(len(values)))
+    assert z.abs().max() < 4, f"z = {z}"
+
+
+def test_rounding_is_no_failure_to_add_up():
+    found = IntegratedGradientsScene(Glowing(), sigmoid).attribute(n_steps=32)
+    assert found.info["convergence"] == "consistent with 0"
+    coarse = IntegratedGradientsScene(Glowing(), sigmoid).attribute(n_steps=2, method="riemann_left")
+    assert coarse.info["convergence"].startswith("not consistent with 0, and there is no noise")
 
 
 def test_what_ctrl_c_leaves_stands_for_the_whole():

@@ -15,6 +15,9 @@ from ._passes import covariance_of_mean
 
 CONSISTENT = 3.0  # standard errors
 
+# What rounding may leave, relative to the sum of the magnitudes: single precision, some operations.
+ROUNDING = 16 * torch.finfo(torch.float32).eps
+
 
 def difference(
     metric: TargetedMetric, images: Sequence[torch.Tensor], references: Sequence[Sequence[torch.Tensor]]
@@ -58,19 +61,23 @@ def convergence_delta(
 def completed(attribution: SceneAttribution, explained: tuple[float, float | None]) -> SceneAttribution:
     """Return an attribution that says how far it adds up to the difference that it explains."""
     delta, error = convergence_delta(attribution, explained)
-    info = {**attribution.info, "explained": explained[0], "convergence": verdict(delta, error)}
+    magnitude = sum(value.double().abs().sum().item() for value in attribution.values())
+    statement = verdict(delta, error, ROUNDING * (magnitude + abs(explained[0])))
+    info = {**attribution.info, "explained": explained[0], "convergence": statement}
     return dataclasses.replace(attribution, convergence_delta=delta, convergence_delta_error=error, info=info)
 
 
-def verdict(delta: float, error: float | None) -> str:
-    """Say whether a delta is consistent with 0."""
+def verdict(delta: float, error: float | None, rounding: float = 0.0) -> str:
+    """Say whether a delta is consistent with 0, given its standard error and what rounding may leave."""
     if not math.isfinite(delta):
         return "the metric is not finite at the baseline"
     if error is None:
         return "without error bars"
-    if abs(delta) <= CONSISTENT * error:
+    if abs(delta) <= CONSISTENT * error + rounding:
         return "consistent with 0"
-    return f"not consistent with 0, by {abs(delta) / error if error else math.inf:.1f} standard errors"
+    if error <= rounding:
+        return "not consistent with 0, and there is no noise that would explain it"
+    return f"not consistent with 0, by {abs(delta) / error:.1f} standard errors"
 
 
 def hand_over(run: Run, results: list[SceneAttribution], *, interrupted: bool, with_delta: bool) -> Result:

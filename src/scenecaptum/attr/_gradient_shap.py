@@ -100,9 +100,9 @@ class GradientShapScene(GradientMethod):
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")
         starts = [resolve_baselines(self.renderer, run.values, one) for one in given]
         noise = Noise(self.renderer, run.values, stdevs)
-        budget = run.budget(count)
+        budget = run.budget(count, pairs=1)
         sums, gradients, interrupted = run.sums(_points(noise, starts, count, seed), budget, at_random=True)
-        images, *references = run.own_images([run.values, *starts])
+        images, *references = run.own_images([run.values, *starts], sums)
         results = [
             completed(
                 run.result(metric, one, own, budget, gradients, interrupted=interrupted),
@@ -115,7 +115,6 @@ class GradientShapScene(GradientMethod):
 
 def _points(noise: Noise, starts: list[dict[str, torch.Tensor]], count: int, seed: int) -> Iterator[Point]:
     rng = np.random.default_rng([check_seed("seed", seed), 3])
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     for _ in range(count):
         start, place = starts[rng.integers(len(starts))], rng.uniform()
-        yield between(start, noise.draw(generator), place, 1 / count)
+        yield between(start, noise.draw(int(rng.integers(2**62))), place, 1 / count)

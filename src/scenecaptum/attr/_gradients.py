@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -13,7 +15,7 @@ from tqdm import tqdm
 
 from ..errors import SceneCaptumError
 from ._metric import TargetedMetric
-from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife
+from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife, still_linear
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -52,12 +54,16 @@ def between(start: Tensors, end: Tensors, place: float, share: float) -> Point:
 class PointGradient:
     """A point's gradients, times its factors: their spread over the passes, and what the metric saw.
 
-    ``bias`` is what the image's noise would have put into them, or None where that is not known.
+    ``spp`` are the samples per pixel of each pass, or 1 where the renderer decides.
+
+    ``bias`` is what the image's noise would have put into them, 0 for a name that is missing, or None where that
+    is not known.
     """
 
     spreads: dict[str, Spread]
     adjoints: Adjoints
     share: float
+    spp: int = 1
     bias: dict[str, torch.Tensor] | None = None
 
     @property
@@ -69,13 +75,12 @@ class PointGradient:
 class GradientSum:
     """Running sum of the gradients of points, each weighted by its share.
 
-    The error comes from the spread of the passes at each point. Where the points are drawn at random it comes from
-    the spread of the points, which holds that of the passes as well.
+    The error comes from the spread of the passes at those points that have several; those with a single pass are
+    taken to be as noisy, for their share and their samples. Where the points are drawn at random the error comes
+    from the spread of the points, which holds that of the passes as well.
 
     Attributes
     ----------
-    mean
-        By parameter name, elementwise: the sum.
     bias
         What the image's noise would have put into the sum, or None.
     share
@@ -87,41 +92,56 @@ class GradientSum:
     """
 
     def __init__(self, values: Tensors, *, at_random: bool = False, keep: bool = False) -> None:
-        self.mean = {name: torch.zeros_like(value) for name, value in values.items()}
         self.bias: dict[str, torch.Tensor] | None = {n: torch.zeros_like(v) for n, v in values.items()}
         self.share = 0.0
         self.seen: Adjoints | None = None
+        self.kept: list[PointGradient] | None = [] if keep else None
+        self._passes: list[int] = []
+        self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
         self._variance = {name: torch.zeros_like(value) for name, value in values.items()}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
-        self._passes: list[int] = []
-        self._points = {name: Spread(value) for name, value in values.items()} if at_random else None
-        self.kept: list[PointGradient] | None = [] if keep else None
+        # How much of the variance is told by several passes, and how much there is, in units of that of a sample.
+        self._told = self._whole = 0.0
+        self._points = {name: Spread() for name in values} if at_random else None
 
     def add(self, point: PointGradient) -> None:
         """Take in a point, all of it or what Ctrl-C has left of it."""
+        self.share += point.share
+        self.seen = point.adjoints
+        self._passes.append(point.passes)
+        variance = point.share**2 / (point.passes * point.spp)
+        self._whole += variance
+        self._told += variance if point.passes > 1 else 0.0
         for name, spread in point.spreads.items():
-            self.mean[name] += point.share * spread.mean
-            if point.passes > 1:
-                self._variance[name] += (point.share * spread.standard_error()).square()
-            totals = torch.stack(spread.totals)
-            self._deviations[name].extend(point.share * (totals - totals.mean(0)))
-            if self._points is not None:
-                self._points[name].add(spread.mean.clone())
+            if self._points is None:
+                self._sum[name].add_(spread.mean, alpha=point.share)
+            else:
+                self._points[name].add(spread.mean)
+            if point.passes > 1 and self._by_passes:
+                self._variance[name].add_(spread.variance(), alpha=point.share**2)
+                totals = torch.stack(spread.totals)
+                self._deviations[name].extend(point.share * (totals - totals.mean(0)))
         if self.bias is None or point.bias is None:
             self.bias = None
         else:
             for name, one in point.bias.items():
-                self.bias[name] += point.share * one
-        self.share += point.share
-        self.seen = point.adjoints
-        self._passes.append(point.passes)
+                self.bias[name].add_(one, alpha=point.share)
         if self.kept is not None:
             self.kept.append(point)
+
+    @cached_property
+    def mean(self) -> dict[str, torch.Tensor]:
+        """By parameter name, elementwise: the sum, once the last point is in."""
+        if self._points is None:
+            return self._sum
+        return {name: self.share * points.mean for name, points in self._points.items()}
 
     @property
     def replicates(self) -> int:
         """How many independent replicates the error is told by: points or passes."""
-        return sum(self._passes) if self._by_passes else len(self._passes)
+        if not self._by_passes:
+            return len(self._passes)
+        return sum(n for n in self._passes if n > 1) or sum(self._passes)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -131,23 +151,26 @@ class GradientSum:
     def variance(self, name: str) -> torch.Tensor:
         """Return the variance of ``mean``, elementwise."""
         if self._by_passes or self._points is None:
-            return self._variance[name]
-        return (self.share * self._points[name].standard_error()).square()
+            return self._whole / self._told * self._variance[name]
+        return self.share**2 * self._points[name].variance()
 
     def rows(self, name: str) -> torch.Tensor:
         """Return ``(replicates, C)`` channel totals whose mean, and whose mean's covariance, are those of the sum.
 
         For a single point these are the totals of its passes.
         """
+        mean = channel_totals(self.mean[name])
+        if not self.degrees_of_freedom:
+            return mean[None]
         if self._by_passes or self._points is None:
-            deviations, each = torch.stack(self._deviations[name]), self._passes[0]
+            deviations, each = torch.stack(self._deviations[name]), max(self._passes)
+            whole = self._whole / self._told
         else:
             totals = torch.stack(self._points[name].totals)
-            deviations, each = self.share * (totals - totals.mean(0)), len(totals)
+            deviations, each, whole = self.share * (totals - totals.mean(0)), len(totals), 1.0
         count = len(deviations)
         # The passes of a point deviate from its own mean: all rows from the mean of all would count too little.
-        stretch = math.sqrt(count * (count - 1) / (each * (each - 1))) if each > 1 else 0.0
-        return channel_totals(self.mean[name]) + stretch * deviations
+        return mean + math.sqrt(whole * count * (count - 1) / (each * (each - 1))) * deviations
 
     @property
     def _by_passes(self) -> bool:
@@ -179,6 +202,7 @@ class Gradients:
         self.image = torch.zeros(())  # of the last point
         # Samples per pixel that were added to let a metric see enough.
         self.extra = 0
+        self._first: list[Adjoints] = []
         # A renderer that cannot replay its backward pass with another seed is called twice.
         self._replays = "seed_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
 
@@ -196,7 +220,9 @@ class Gradients:
         images, graphs = self._render(index, leaves)
         self.image = torch.stack(images).mean(0)
         found = [
-            PointGradient({name: Spread(value) for name, value in leaves.items()}, adjoints, point.share)
+            PointGradient(
+                {name: Spread() for name in leaves}, adjoints, point.share, self.budget.spp[index] or 1
+            )
             for adjoints in self._seen(index, point.values, images)
         ]
         try:
@@ -218,7 +244,8 @@ class Gradients:
         """Render every pass: the images that the metric sees, and the same as graphs to be differentiated."""
         spp = self.budget.spp[index]
         images, graphs = [], []
-        for seed, seed_grad in zip(self.budget.seeds[index], self.budget.gradient_seeds[index], strict=True):
+        # A point may have more seeds for pictures than it has passes.
+        for seed_grad, seed in zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False):
             if self._replays:
                 graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
                 images.append(graph.detach())
@@ -230,20 +257,39 @@ class Gradients:
         return images, graphs
 
     def _seen(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[Adjoints]:
-        """Return what each metric makes of the images, or of better ones where it needs them."""
-        adjoints = [jackknife(metric, images) for metric in self.metrics]
+        """Return what each metric makes of the images, or of more and better ones where it needs them."""
+        found: list[Adjoints | None]
+        if len(images) == len(self.budget.seeds[index]):
+            found = [jackknife(metric, images) for metric in self.metrics]
+        else:
+            found = [still_linear(*one, images[0]) for one in zip(self.metrics, self._first, strict=True)]
         spp = self.budget.spp[index]
         few = spp is not None and spp * len(images) < LEAST_SEEN and len(self.budget.spp) > 1
-        if not few or all(one.is_linear for one in adjoints):
-            return adjoints
-        enough = math.ceil(LEAST_SEEN / len(images))
-        self.extra += enough * len(images)
+        if any(one is None or (few and not one.is_linear) for one in found):
+            better = self._better(index, values, images)
+            found = [
+                one if one is not None and one.is_linear else jackknife(metric, better)
+                for metric, one in zip(self.metrics, found, strict=True)
+            ]
+        seen = [_for_passes(one, len(images)) for one in found if one is not None]
+        self._first = self._first or seen
+        return seen
+
+    def _better(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[torch.Tensor]:
+        """Render a picture for each seed, with as many samples as a metric that is not linear has to see."""
+        seeds, spp = self.budget.seeds[index], self.budget.spp[index]
+        if spp is not None:
+            spp = math.ceil(max(LEAST_SEEN, spp * len(images)) / len(seeds))
+            self.extra += spp * len(seeds)
         with torch.no_grad():
-            better = [self.renderer(values, seed=seed, spp=enough) for seed in self.budget.seeds[index]]
-        return [
-            seen if seen.is_linear else jackknife(metric, better)
-            for metric, seen in zip(self.metrics, adjoints, strict=True)
-        ]
+            return [self.renderer(values, seed=seed, spp=spp) for seed in seeds]
+
+
+def _for_passes(adjoints: Adjoints, passes: int) -> Adjoints:
+    """Return adjoints for so many passes: a single one takes the mean."""
+    if len(adjoints.passes) == passes:
+        return adjoints
+    return dataclasses.replace(adjoints, passes=(torch.stack(adjoints.passes).mean(0),))
 
 
 def sum_gradients(
@@ -291,10 +337,11 @@ def _pull_back(
     gradients = torch.autograd.grad(
         graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True
     )
-    return {
-        name: torch.zeros_like(leaf) if gradient is None else gradient * point.factors.get(name, 1)
+    found = {
+        name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
     }
+    return {**found, **{name: found[name] * factor for name, factor in point.factors.items()}}
 
 
 def _bias(
@@ -304,5 +351,5 @@ def _bias(
     if adjoints.bias is None:
         return None
     if adjoints.bias_adjoint is None:
-        return {name: leaf.new_zeros(()).expand_as(leaf) for name, leaf in leaves.items()}
+        return {}
     return _pull_back(graph, leaves, adjoints.bias_adjoint, point)

@@ -84,10 +84,10 @@ class IntegratedGradientsScene(GradientMethod):
         seed
             Seed from which those of all passes are drawn.
         spp
-            Total samples per pixel, split over the steps and at least two passes of each. A metric that is not
-            linear sees at least 16 at each step; a quarter more goes to the two ends (``info["budget"]``).
+            Total samples per pixel, split over the steps. A metric that is not linear sees at least 16 at each;
+            an eighth more goes to either end (``info["budget"]``).
         replicates
-            Least number of independent passes in all; 1 for no error bars.
+            At how many of the steps, spread over the way, the noise is told by two passes; 1 for no error bars.
         show_progress
             Whether to show a progress bar.
 
@@ -107,9 +107,10 @@ class IntegratedGradientsScene(GradientMethod):
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (between(start, run.values, *one) for one in zip(places, weights, strict=True))
-        budget = run.budget(len(places))
+        # In their order the first are spread over the whole way.
+        budget = run.budget(len(places), pairs=replicates)
         sums, gradients, interrupted = run.sums(points, budget)
-        images, reference = run.own_images([run.values, start])
+        images, reference = run.own_images([run.values, start], sums)
         results = [
             completed(
                 run.result(metric, one, own, budget, gradients, interrupted=interrupted, quadrature=method),

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from ..errors import SceneCaptumError
 from ._attribution import SceneAttribution, make_attribution
-from ._gradients import Gradients, GradientSum, Point, input_values, sum_gradients
+from ._gradients import LEAST_SEEN, Gradients, GradientSum, Point, input_values, sum_gradients
 from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
 from ._metric import Metric, Target, TargetedMetric
@@ -27,7 +27,7 @@ Targets: TypeAlias = "Target | list[Target]"
 Result: TypeAlias = Any
 
 # One sample for so many shows the metric the inputs themselves, where gradients are taken elsewhere.
-OWN = 4
+OWN = 8
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,14 @@ class Run:
     ) -> Result:
         """Sum the gradients of so many points, and return what ``attribute`` returns.
 
-        With a ``moment`` the result is what this makes of all points.
+        With a ``moment`` the result is what this makes of all points, each of which tells its noise.
         """
-        budget = self.budget(count)
+        budget = self.budget(count, pairs=1 if at_random and moment is None else count)
         sums, gradients, interrupted = self.sums(points, budget, at_random=at_random, keep=moment is not None)
         if count == 1:
             owns = [Own(one.seen, gradients.image) for one in sums if one.seen is not None]
         else:
-            owns = self.own(self.own_images([self.values])[0])
+            owns = self.own(self.own_images([self.values], sums)[0])
         results = [
             self.result(
                 metric,
@@ -107,17 +107,17 @@ class Run:
         ]
         return self.hand_over(results, interrupted=interrupted)
 
-    def budget(self, points: int) -> Budget:
-        """Split the samples over so many points."""
+    def budget(self, points: int, *, pairs: int | None = None) -> Budget:
+        """Split the samples over so many points, the first ``pairs`` of which are seen twice or more."""
         settings = self.settings
-        return Budget.split(settings.spp, settings.replicates, settings.seed, points)
+        return Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
 
     def sums(
         self, points: Iterable[Point], budget: Budget, *, at_random: bool = False, keep: bool = False
     ) -> tuple[list[GradientSum], Gradients, bool]:
         """Sum the gradients of points for each target; say whether Ctrl-C ended it early."""
         with tqdm(
-            total=2 * budget.passes * len(budget.spp),
+            total=2 * sum(budget.passes),
             disable=not self.settings.show_progress,
             desc=self.metrics[0].name,
             unit="pass",
@@ -130,10 +130,17 @@ class Run:
         """Let every metric see the inputs themselves."""
         return [Own(jackknife(metric, images), torch.stack(tuple(images)).mean(0)) for metric in self.metrics]
 
-    def own_images(self, scenes: Sequence[Mapping[str, torch.Tensor]]) -> list[list[torch.Tensor]]:
-        """Render scenes in independent passes, all under the same seeds: their differences have less noise."""
-        settings = self.settings
-        spp = None if settings.spp is None else math.ceil(settings.spp / OWN)
+    def own_images(
+        self, scenes: Sequence[Mapping[str, torch.Tensor]], sums: Sequence[GradientSum]
+    ) -> list[list[torch.Tensor]]:
+        """Render scenes in independent passes, all under the same seeds: their differences have less noise.
+
+        ``sums`` tell whether every metric is linear.
+        """
+        settings, spp = self.settings, self.settings.spp
+        if spp is not None:
+            linear = all(one.seen is not None and one.seen.is_linear for one in sums)
+            spp = max(math.ceil(spp / OWN), 1 if linear else LEAST_SEEN)
         seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
         budget = Budget.split(spp, settings.replicates, seed)
         with torch.no_grad():
@@ -184,7 +191,7 @@ def _budget_info(budget: Budget, gradients: Gradients) -> dict[str, Any]:
     counts = [one for one in budget.spp if one is not None]
     return {
         "points": len(budget.spp),
-        "passes_per_point": budget.passes,
+        "passes_per_point": [min(budget.passes), max(budget.passes)],
         "spp_per_pass": [min(counts), max(counts)] if counts else None,
         "spp_added_for_the_metric": gradients.extra,
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -23,9 +23,12 @@ class Budget:
     ----------
     spp
         For each point, the samples per pixel of each of its passes, or None where the renderer decides.
-    seeds, gradient_seeds
-        For each point, a seed for each primal and each backward pass, independent of each other: if the backward
-        pass replayed the primal's samples, their common noise would bias the gradient of a non-linear metric.
+    seeds
+        For each point, a seed for each picture of it that a metric may see: for those of its passes, and at least
+        as many as at any other point.
+    gradient_seeds
+        For each point, a seed for each backward pass, independent of the pictures': if a backward pass replayed
+        their samples, their common noise would bias the gradient of a non-linear metric.
     """
 
     spp: tuple[int | None, ...]
@@ -33,40 +36,62 @@ class Budget:
     gradient_seeds: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def split(cls, spp: int | None, passes: int, seed: int, points: int = 1) -> Budget:
+    def split(
+        cls, spp: int | None, passes: int, seed: int, points: int = 1, *, pairs: int | None = None
+    ) -> Budget:
         """Split ``spp`` samples per pixel over the points, at each into passes of equal size.
 
         A single point gets the smallest number from ``passes`` to ``2·passes`` that divides ``spp``; where none
-        does, the samples of each pass are rounded up. Fewer samples than passes give one pass a sample. Several
-        points share the passes, but have two each at least, and as many samples each as the others or one more.
+        does, the samples of each pass are rounded up. Fewer samples than passes give one pass a sample.
+
+        Several points share the passes. The first ``pairs`` of them, all by default, have two each at least, whose
+        differences tell the noise; the others may have one. Their samples are rounded so that the sum stays.
         """
         passes = whole_number("replicates", passes)
         spp = None if spp is None else whole_number("spp", spp)
-        if passes > 1 and points > 1:
-            passes = max(2, math.ceil(passes / points))
-        elif spp is not None and passes > 1:
-            passes = next((n for n in range(passes, 2 * passes + 1) if spp % n == 0), min(passes, spp))
-        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(2 * passes * points)
-        drawn = states.reshape(2, points, passes).tolist()
-        return cls(_shares(spp, passes, points), *(tuple(tuple(row) for row in half) for half in drawn))
+        if points == 1:
+            counts = [_passes_of_one_point(spp, passes)]
+            samples = [None if spp is None else math.ceil(spp / counts[0])]
+        else:
+            each = math.ceil(passes / points)
+            paired = points if pairs is None else pairs
+            counts = [max(2, each) if passes > 1 and k < paired else each for k in range(points)]
+            samples = [None] * points if spp is None else _shares(spp, counts)
+        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(2 * max(counts) * points)
+        seeds, gradient_seeds = states.reshape(2, points, max(counts)).tolist()
+        return cls(
+            tuple(samples),
+            tuple(map(tuple, seeds)),
+            tuple(tuple(row[:count]) for row, count in zip(gradient_seeds, counts, strict=True)),
+        )
 
     @property
-    def passes(self) -> int:
-        """Independent passes at each point."""
-        return len(self.seeds[0])
+    def passes(self) -> tuple[int, ...]:
+        """For each point, how many independent passes it has."""
+        return tuple(map(len, self.gradient_seeds))
 
     @property
     def total(self) -> int | None:
         """Samples per pixel in all, or None where the renderer decides."""
-        counts = [one for one in self.spp if one is not None]
-        return self.passes * sum(counts) if counts else None
+        known = [one * count for one, count in zip(self.spp, self.passes, strict=True) if one is not None]
+        return sum(known) if known else None
 
 
-def _shares(spp: int | None, passes: int, points: int) -> tuple[int | None, ...]:
-    if spp is None:
-        return (None,) * points
-    rounds = max(points, math.ceil(spp / passes))
-    return tuple(rounds * (k + 1) // points - rounds * k // points for k in range(points))
+def _passes_of_one_point(spp: int | None, passes: int) -> int:
+    if spp is None or passes == 1:
+        return passes
+    return next((n for n in range(passes, 2 * passes + 1) if spp % n == 0), min(passes, spp))
+
+
+def _shares(spp: int, passes: Sequence[int]) -> list[int | None]:
+    """Return the samples of each pass, so that every point has about as many: what is rounded is carried over."""
+    shares: list[int | None] = []
+    used = 0
+    for number, count in enumerate(passes, 1):
+        each = max(1, round((spp * number / len(passes) - used) / count))
+        shares.append(each)
+        used += each * count
+    return shares
 
 
 @dataclass(frozen=True)
@@ -122,7 +147,7 @@ def jackknife(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> Adjoint
     spread = sum((one - mean_value) ** 2 for one in values)
     bias_adjoint = (count - 1) * (torch.stack(adjoints).mean(0) - adjoint)
     # A linear metric leaves rounding errors here, which are not worth a pass.
-    linear = bias_adjoint.norm() <= 1e-5 * adjoint.norm()
+    linear = _is_rounding(bias_adjoint, adjoint)
     return Adjoints(
         value=value,
         standard_error=math.sqrt((count - 1) / count * spread),
@@ -132,7 +157,21 @@ def jackknife(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> Adjoint
     )
 
 
-@dataclass
+def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tensor) -> Adjoints | None:
+    """Let a metric that was linear elsewhere see one image; return None where it is linear no more.
+
+    A linear metric has the same adjoint everywhere.
+    """
+    value, adjoint = metric.value_and_adjoint(image)
+    if not (elsewhere.is_linear and _is_rounding(adjoint - elsewhere.passes[0], adjoint)):
+        return None
+    return Adjoints(value, None, 0.0, (adjoint,), None)
+
+
+def _is_rounding(difference: torch.Tensor, of: torch.Tensor) -> bool:
+    return bool(difference.norm() <= 1e-5 * of.norm())
+
+
 class Spread:
     """Running mean and variance of one parameter's gradient over the passes (Welford's algorithm).
 
@@ -141,25 +180,31 @@ class Spread:
     """
 
     mean: torch.Tensor
-    squares: torch.Tensor = field(init=False)
-    totals: list[torch.Tensor] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.mean = torch.zeros_like(self.mean)
-        self.squares = torch.zeros_like(self.mean)
+    def __init__(self) -> None:
+        self.totals: list[torch.Tensor] = []
+        self._squares: torch.Tensor | None = None
 
     def add(self, gradient: torch.Tensor) -> None:
-        """Take in the gradient of one more pass, in place: a texture's gradient is large."""
+        """Take in the gradient of one more pass. A texture's is large, so that few operations touch all of it."""
         self.totals.append(channel_totals(gradient))
-        weight = 1 / len(self.totals)
-        step = gradient - self.mean
-        self.mean.add_(step, alpha=weight)
-        self.squares.addcmul_(step, step, value=1 - weight)
-
-    def standard_error(self) -> torch.Tensor:
-        """Return the standard error of the mean, elementwise; it takes two passes."""
         count = len(self.totals)
-        return (self.squares / (count * (count - 1))).sqrt_()
+        if count == 1:
+            self.mean = gradient
+            return
+        step = gradient - self.mean
+        # The first gradient is the caller's.
+        self.mean = self.mean.add_(step, alpha=1 / count) if count > 2 else self.mean.add(step, alpha=1 / 2)
+        squares = self._squares
+        self._squares = (
+            step.square_().div_(2) if squares is None else squares.addcmul_(step, step, value=1 - 1 / count)
+        )
+
+    def variance(self) -> torch.Tensor:
+        """Return the variance of the mean, elementwise; it takes two passes."""
+        assert self._squares is not None
+        count = len(self.totals)
+        return self._squares / (count * (count - 1))
 
 
 def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
@@ -173,6 +218,8 @@ def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
 
 def covariance_of_mean(replicates: torch.Tensor) -> torch.Tensor:
     """Return the ``(C, C)`` covariance of the mean of ``(passes, C)`` independent replicates."""
-    deviations = replicates - replicates.mean(0)
+    # Equal replicates deviate by nothing at all: their mean may be rounded.
+    deviations = replicates - replicates[0]
+    deviations = deviations - deviations.mean(0)
     count = len(replicates)
     return deviations.T @ deviations / (count * (count - 1))

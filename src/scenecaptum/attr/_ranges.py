@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from numbers import Real
 from typing import Any
 
+import numpy as np
 import torch
 
 from .._reflection import reflect
@@ -57,17 +58,18 @@ class Noise:
         table = table_of(renderer)
         self._open = {name: table is not None and table[name].bounds.open_low for name in values}
 
-    def draw(self, generator: torch.Generator) -> dict[str, torch.Tensor]:
-        """Return noisy values."""
-        return {name: self._noisy(name, value, generator) for name, value in self.values.items()}
+    def draw(self, seed: int) -> dict[str, torch.Tensor]:
+        """Return noisy values. What one parameter gets does not depend on the others."""
+        seeds = np.random.SeedSequence(seed).generate_state(len(self.values))
+        noisy = {}
+        for (name, value), state in zip(self.values.items(), seeds.tolist(), strict=True):
+            noisy[name] = self._noisy(name, value, state) if self._scales[name] else value
+        return noisy
 
-    def _noisy(self, name: str, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        # Drawn in any case: what one parameter gets does not depend on the width of another's noise.
-        noise = torch.randn(value.shape, generator=generator).to(value)
-        if not self._scales[name]:
-            return value
+    def _noisy(self, name: str, value: torch.Tensor, seed: int) -> torch.Tensor:
+        noise = torch.randn(value.shape, generator=torch.Generator().manual_seed(seed)).to(value)
         low, high = self._bounds.get(name, (-math.inf, math.inf))
-        return reflect(value + self._scales[name] * noise, low, high, open_low=self._open[name])
+        return reflect(noise.mul_(self._scales[name]).add_(value), low, high, open_low=self._open[name])
 
 
 def _bounds(renderer: Any) -> Mapping[str, tuple[float, float]]:

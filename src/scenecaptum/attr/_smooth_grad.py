@@ -89,8 +89,8 @@ class SmoothGradScene(GradientMethod):
         seed
             Seed from which those of all passes and the noise are drawn.
         spp
-            Total samples per pixel, split over the scenes and at least two passes of each. A metric that is not
-            linear sees at least 16 at each; a quarter more shows it the inputs themselves (``info["budget"]``).
+            Total samples per pixel, split over the scenes. A metric that is not linear sees at least 16 at each;
+            an eighth more shows it the inputs themselves (``info["budget"]``).
         replicates
             Least number of independent passes in all.
         show_progress
@@ -130,10 +130,9 @@ class SmoothGradScene(GradientMethod):
 
 
 def _scenes(noise: Noise, noisy: int, count: int, seed: int) -> Iterator[dict[str, torch.Tensor]]:
-    state = np.random.SeedSequence([check_seed("seed", seed), 2]).generate_state(1)[0]
-    generator = torch.Generator().manual_seed(int(state))
+    seeds = np.random.SeedSequence([check_seed("seed", seed), 2]).generate_state(count).tolist()
     for number in range(count):
-        yield noise.draw(generator) if number < noisy else dict(noise.values)
+        yield noise.draw(seeds[number]) if number < noisy else dict(noise.values)
 
 
 def _mean_square(found: GradientSum) -> GradientSum:
@@ -153,9 +152,9 @@ def _second_moment(found: GradientSum, centre: dict[str, torch.Tensor], noise: f
     for point in found.kept or ():
         spreads = {}
         for name, spread in point.spreads.items():
-            error = spread.standard_error() if point.passes > 1 else torch.zeros_like(spread.mean)
-            spreads[name] = Spread(spread.mean)
-            spreads[name].add((spread.mean - centre[name]).square() - noise * error.square())
+            square = (spread.mean - centre[name]).square_()
+            spreads[name] = Spread()
+            spreads[name].add(square.sub_(spread.variance(), alpha=noise) if point.passes > 1 else square)
         squares.add(PointGradient(spreads, point.adjoints, point.share))
     return squares
 
