@@ -4,7 +4,7 @@ On the Cornell box, for each metric, many independent attributions of few sample
 whose own error is at most a fifth of theirs. Printed for each parameter: the share of its channels' intervals that
 cover the reference.
 
-    python benchmarks/interval_coverage.py [--repeats 200] [--method vanilla|integrated]
+    python benchmarks/interval_coverage.py [--repeats 200] [--spp 64] [--method vanilla|integrated]
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import torch
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 
-RESOLUTION, DEPTH, SPP, REFERENCE = 24, 4, 64, 32768
+RESOLUTION, DEPTH, REFERENCE = 24, 4, 32768
+SPP = {"mean luminance": 64, "unified glare rating": 256}
 PRECISE = 0.2  # of the bar: how large the error of the reference may be
 
 METHODS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
@@ -31,7 +32,6 @@ def box() -> SceneRenderer:
         "cornell-box",
         ["reflectance", "emitters"],
         resolution=(RESOLUTION, RESOLUTION),
-        spp=SPP,
         max_depth=DEPTH,
     )
 
@@ -44,7 +44,7 @@ def rated(renderer: SceneRenderer) -> Mapping[str, torch.nn.Module]:
 
 
 def coverage(
-    renderer: SceneRenderer, metric: torch.nn.Module, repeats: int, method: str = "vanilla"
+    renderer: SceneRenderer, metric: torch.nn.Module, spp: int, repeats: int, method: str = "vanilla"
 ) -> dict[str, float]:
     """Return the share of intervals that cover the reference, by parameter; and check the reference."""
     make, settings = METHODS[method]
@@ -53,7 +53,7 @@ def coverage(
     covered: dict[str, list[torch.Tensor]] = {name: [] for name in truth}
     bars: dict[str, list[torch.Tensor]] = {name: [] for name in truth}
     for seed in range(repeats):
-        one = attribute(seed=seed, **settings)
+        one = attribute(seed=seed, spp=spp, **settings)
         for name, (low, high) in one.interval(0.95).items():
             # A channel that cannot matter has neither value nor error.
             live = truth[name] != 0
@@ -73,13 +73,16 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--repeats", type=int, default=200)
+    parser.add_argument("--spp", type=int, help="instead of those of each metric")
     parser.add_argument("--method", choices=METHODS, default="vanilla")
     options = parser.parse_args()
     renderer = box()
-    print(f"Cornell box {RESOLUTION}×{RESOLUTION}, {SPP} spp, {options.repeats} repeats, {options.method}")
+    print(f"Cornell box {RESOLUTION}×{RESOLUTION}, {options.repeats} repeats, {options.method}")
     for name, metric in rated(renderer).items():
-        print(name)
-        for parameter, share in coverage(renderer, metric, options.repeats, options.method).items():
+        spp = SPP[name] if options.spp is None else options.spp
+        print(f"{name}, {spp} samples per pixel")
+        shares = coverage(renderer, metric, spp, options.repeats, options.method)
+        for parameter, share in shares.items():
             print(f"  {renderer.labels[parameter]:28s} {share:6.1%}", flush=True)
 
 

@@ -47,7 +47,8 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     attributions
         The tensors by name; ``attribution[name]`` is the same.
     standard_error
-        Standard errors of the same shapes, or None where there were fewer than two passes.
+        Standard errors of the same shapes, or None where there were fewer than two passes: the spread of the
+        passes and, as an error of its own size, the ``bias`` that was taken out.
     bias
         The jackknife's estimate of what the image's noise put into each gradient by way of a non-linear metric;
         the attributions are free of it (to first order). None where there were fewer than two passes.
@@ -251,15 +252,15 @@ def make_attribution(
     names = list(gradients.mean)
     replicates = {name: whole * gradients.rows(name) for name in names}
     barred = gradients.degrees_of_freedom > 0
-    bias = gradients.bias
+    bias = None if gradients.bias is None else {name: whole * one for name, one in gradients.bias.items()}
     return SceneAttribution(
         attributions={name: whole * value for name, value in gradients.mean.items()},
-        standard_error={n: whole * gradients.variance(n).sqrt() for n in names} if barred else None,
+        standard_error={n: _error(gradients, n) for n in names} if barred else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
-        bias=None if bias is None else {name: whole * value for name, value in bias.items()},
+        bias=bias,
         replicates=replicates,
-        covariance={n: covariance_of_mean(one) for n, one in replicates.items()} if barred else None,
+        covariance=covariances(replicates, bias) if barred else None,
         labels=dict(getattr(renderer, "labels", {})),
         image=image,
         surfaces=getattr(renderer, "surfaces", None),
@@ -272,6 +273,20 @@ def make_attribution(
             "versions": _versions(),
         },
     )
+
+
+def _error(gradients: GradientSum, name: str) -> torch.Tensor:
+    """Return a standard error, elementwise: the spread, and the bias that was taken out."""
+    variance = gradients.variance(name)
+    if gradients.bias is not None:
+        variance = torch.addcmul(variance, gradients.bias[name], gradients.bias[name])
+    return variance.sqrt_() / gradients.share
+
+
+def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Tensor]:
+    """Return the covariance of each parameter's channel totals."""
+    totals = {} if bias is None else {name: channel_totals(one) for name, one in bias.items()}
+    return {name: covariance_of_mean(one, totals.get(name)) for name, one in replicates.items()}
 
 
 def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 
@@ -49,13 +49,19 @@ def convergence_delta(
     attribution: SceneAttribution, explained: tuple[float, float | None]
 ) -> tuple[float, float | None]:
     """Return by how much attributions exceed the difference that they explain, and the standard error of that."""
-    total = sum(value.double().sum().item() for value in attribution.values())
+    total = sum_of(attribution).item()
     value, error = explained
     if attribution.covariance is None or error is None:
         return total - value, None
     rows = torch.stack([one.double().sum(1) for one in attribution.replicates.values()]).sum(0)
-    own = covariance_of_mean(rows[:, None]).item()
+    bias = None if attribution.bias is None else sum_of(attribution.bias)[None]
+    own = covariance_of_mean(rows[:, None], bias).item()
     return total - value, math.sqrt(own + error**2)
+
+
+def sum_of(tensors: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    """Return the sum of all elements of all tensors, 0-d."""
+    return torch.stack([one.double().sum() for one in tensors.values()]).sum()
 
 
 def completed(attribution: SceneAttribution, explained: tuple[float, float | None]) -> SceneAttribution:

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import torch
 
-from ._attribution import SceneAttribution
-from ._passes import covariance_of_mean
+from ._attribution import SceneAttribution, covariances
 
 
 def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
     """Return ``a - b`` for attributions to the same parameters."""
     replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _share_noise(a, b) else {}
+    bias = None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a}
+    covariance = _covariance(a, b, replicates, bias)
     return dataclasses.replace(
         a,
         attributions={name: a[name] - b[name] for name in a},
-        standard_error=_errors(a, b, replicates),
-        bias=None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a},
+        standard_error=_errors(a, b, covariance if replicates else None),
+        bias=bias,
         replicates=replicates,
-        covariance=_covariance(a, b, replicates),
+        covariance=covariance,
         convergence_delta=_minus(a.convergence_delta, b.convergence_delta),
         convergence_delta_error=_hypot(a.convergence_delta_error, b.convergence_delta_error),
         metric_value=a.metric_value - b.metric_value,
@@ -35,24 +37,28 @@ def _share_noise(a: SceneAttribution, b: SceneAttribution) -> bool:
 
 
 def _covariance(
-    a: SceneAttribution, b: SceneAttribution, replicates: dict[str, torch.Tensor]
+    a: SceneAttribution,
+    b: SceneAttribution,
+    replicates: dict[str, torch.Tensor],
+    bias: dict[str, torch.Tensor] | None,
 ) -> dict[str, torch.Tensor] | None:
     if a.covariance is None or b.covariance is None:
         return None
     if replicates:
-        return {name: covariance_of_mean(passes) for name, passes in replicates.items()}
+        return covariances(replicates, bias)
     return {name: a.covariance[name] + b.covariance[name] for name in a}
 
 
 def _errors(
-    a: SceneAttribution, b: SceneAttribution, replicates: dict[str, torch.Tensor]
+    a: SceneAttribution, b: SceneAttribution, shared: Mapping[str, torch.Tensor] | None
 ) -> dict[str, torch.Tensor] | None:
+    """Return the errors of the elements; ``shared`` is the covariance where the two share their noise."""
     if a.standard_error is None or b.standard_error is None:
         return None
     errors = {name: torch.hypot(a.standard_error[name], b.standard_error[name]) for name in a}
-    for name, passes in replicates.items():
+    for name, covariance in (shared or {}).items():
         if a[name].ndim < 3:  # its channel totals are its elements
-            errors[name] = covariance_of_mean(passes).diagonal().sqrt().reshape(a[name].shape)
+            errors[name] = covariance.diagonal().sqrt().reshape(a[name].shape)
     return errors
 
 

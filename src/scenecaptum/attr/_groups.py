@@ -11,9 +11,8 @@ import torch
 
 from ..errors import SceneCaptumError, near_misses
 from ..scene import Parameter
-from ._attribution import SceneAttribution
+from ._attribution import SceneAttribution, covariances
 from ._baselines import table_of
-from ._passes import covariance_of_mean
 
 Groups: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
 
@@ -152,17 +151,13 @@ def add_up(attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]
         group: torch.stack([attribution.replicates[name].sum(1) for name in names]).sum(0)[:, None]
         for group, names in members.items()
     }
-    covariance = (
-        None
-        if attribution.covariance is None
-        else {group: covariance_of_mean(r) for group, r in rows.items()}
-    )
-    bias = attribution.bias
+    bias = None if attribution.bias is None else {g: total(attribution.bias, n) for g, n in members.items()}
+    covariance = None if attribution.covariance is None else covariances(rows, bias)
     return dataclasses.replace(
         attribution,
         attributions={group: total(attribution, names) for group, names in members.items()},
         standard_error=None if covariance is None else {g: c[0, 0].sqrt() for g, c in covariance.items()},
-        bias=None if bias is None else {group: total(bias, names) for group, names in members.items()},
+        bias=bias,
         replicates=rows,
         covariance=covariance,
         labels={group: attribution.labels.get(group, group) for group in members},

@@ -216,10 +216,15 @@ def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
     return tensor.reshape(-1) if tensor.ndim < 3 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
 
 
-def covariance_of_mean(replicates: torch.Tensor) -> torch.Tensor:
-    """Return the ``(C, C)`` covariance of the mean of ``(passes, C)`` independent replicates."""
+def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:
+    """Return the ``(C, C)`` covariance of the mean of ``(passes, C)`` independent replicates.
+
+    A ``bias`` of ``(C,)`` that was taken out counts as an error of its own size: it is known to first order only,
+    and where the metric bends within the noise of a pixel (a glare threshold), its own noise is that large.
+    """
     # Equal replicates deviate by nothing at all: their mean may be rounded.
     deviations = replicates - replicates[0]
     deviations = deviations - deviations.mean(0)
     count = len(replicates)
-    return deviations.T @ deviations / (count * (count - 1))
+    covariance = deviations.T @ deviations / (count * (count - 1))
+    return covariance if bias is None else covariance + bias[:, None] * bias
