@@ -100,6 +100,7 @@ class GradientSum:
         self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
         self._variance = {name: torch.zeros_like(value) for name, value in values.items()}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
+        self._noise: dict[str, list[float]] = {name: [] for name in values}  # of each point
         # How much of the variance is told by several passes, and how much there is, in units of that of a sample.
         self._told = self._whole = 0.0
         self._points = {name: Spread() for name in values} if at_random else None
@@ -120,7 +121,10 @@ class GradientSum:
             if point.passes > 1 and self._by_passes:
                 self._variance[name].add_(spread.variance(), alpha=point.share**2)
                 totals = torch.stack(spread.totals)
-                self._deviations[name].extend(point.share * (totals - totals.mean(0)))
+                deviations = point.share * (totals - totals.mean(0))
+                self._deviations[name].extend(deviations)
+                variance = deviations.square().sum().item() / (point.passes * (point.passes - 1))
+                self._noise[name].append(variance)
         if self.bias is None or point.bias is None:
             self.bias = None
         else:
@@ -145,8 +149,19 @@ class GradientSum:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """How many independent deviations tell the error; none for a single pass."""
-        return sum(n - 1 for n in self._passes) if self._by_passes else len(self._passes) - 1
+        """How many independent deviations tell the error; none for a single pass.
+
+        Where some points have more of the noise than others, these are fewer than there are (Welch, 1947). What
+        part each has is the same for all parameters, as far as the noise of so few passes can tell.
+        """
+        if not self._by_passes:
+            return len(self._passes) - 1
+        free = torch.tensor([n - 1.0 for n in self._passes if n > 1])
+        noise = [torch.tensor(one) for one in self._noise.values() if sum(one) > 0]
+        if not noise:
+            return int(free.sum())
+        part = torch.stack([one / one.sum() for one in noise]).mean(0)
+        return max(1, round(1 / (part.square() / free).sum().item()))
 
     def variance(self, name: str) -> torch.Tensor:
         """Return the variance of ``mean``, elementwise."""
