@@ -211,11 +211,17 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
         return heatmap(self)
 
-    def plot_heatmap(self) -> Figure:
-        """Draw the heatmap beside the render."""
+    def plot_heatmap(self, ax: Axes | None = None, **options: Any) -> Figure:
+        """Draw the heatmap beside the render; the options are those of ``visualization.plot_heatmap``."""
         from ..visualization import plot_heatmap
 
-        return plot_heatmap(self)
+        return plot_heatmap(self, ax, **options)
+
+    def plot_overlay(self, ax: Axes | None = None, **options: Any) -> Figure:
+        """Draw the heatmap over the render; the options are those of ``visualization.plot_overlay``."""
+        from ..visualization import plot_overlay
+
+        return plot_overlay(self, ax, **options)
 
     def plot_bars(self, top: int | None = 15, ax: Axes | None = None) -> Figure:
         """Draw the ranking as bars with their standard errors."""

@@ -5,8 +5,9 @@ drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: 
 ``figure.savefig(path)``; a notebook shows it by itself.
 """
 
-from ._figures import plot_bars as plot_bars
-from ._figures import plot_heatmap as plot_heatmap
+from ._bars import plot_bars as plot_bars
+from ._maps import plot_heatmap as plot_heatmap
+from ._maps import plot_overlay as plot_overlay
 from ._table import table_html as table_html
 from ._table import table_text as table_text
 from ._tonemap import display_image as display_image

@@ -34,6 +34,40 @@ def quantity(attribution: SceneAttribution) -> str:
     return str(attribution.info.get("quantity", "contribution" if shares else "gradient per unit"))
 
 
+def axis_words(attribution: SceneAttribution) -> str:
+    """Say on an axis what a saliency is the size of."""
+    measure = _MEASURES.get(quantity(attribution), f"{quantity(attribution)}, {{}}")
+    return f"saliency: {measure.format(metric_name(attribution))}"
+
+
+def sign_words(attribution: SceneAttribution) -> tuple[str, str] | None:
+    """Say what a positive and a negative attribution mean; None where attributions have no sign.
+
+    A gradient says what raising the parameter would do; a contribution, what its being there does.
+    """
+    what, subject = quantity(attribution), "difference" if "minus" in attribution.info else "metric"
+    if what.startswith(("mean squared gradient", "variance")):
+        return None
+    if "per unit" in what or what == "gradient × range":
+        return f"raising it raises the {subject}", f"raising it lowers the {subject}"
+    return f"adds to the {subject}", f"takes from the {subject}"
+
+
+_MEASURES = {
+    "gradient per unit": "change of {} per unit of the parameter",
+    "gradient × range": "change of {} over the parameter's range, at its gradient",
+    "mean gradient per unit": "mean change of {} per unit of the parameter",
+    "mean squared gradient per unit": "mean squared change of {} per unit of the parameter",
+    "variance of the gradient per unit": "variance of the change of {} per unit of the parameter",
+    "gradient × value": "gradient of {} × value of the parameter",
+    "input × gradient": "value of the parameter × gradient of {}",
+    "contribution": "contribution to {}",
+    "effect of ablation": "change of {} by ablation",
+    "effect of occlusion": "change of {} by occlusion",
+    "Shapley value": "Shapley value for {}",
+}
+
+
 def sampling_words(attribution: SceneAttribution) -> list[str]:
     """Say how many samples there were, why error bars are missing, and whether it was interrupted."""
     spp, passes = attribution.info.get("spp"), attribution.info.get("passes")

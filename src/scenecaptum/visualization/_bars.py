@@ -1,0 +1,186 @@
+"""The ranking as bars."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..errors import SceneCaptumError
+from ._figures import (
+    LOWERS,
+    RAISES,
+    SIGNS,
+    SMALL,
+    TEXT,
+    TITLE,
+    UNCLEAR,
+    WIDTH,
+    colour_of,
+    figure_of,
+    letters,
+    new_figure,
+    small_print,
+    title_of,
+)
+from ._numbers import shorten
+from ._words import axis_words, caution_groups, count_words, sampling_words, sign_words
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..attr import Ranked, SceneAttribution
+
+_HATCH = "////"
+_NAME_WIDTH = 36
+
+
+def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | None = None) -> Figure:
+    """Draw the ranking as horizontal bars of saliency with their standard errors, the most salient on top.
+
+    A bar's colour, and the sign at its end, say whether raising the parameter raises or lowers the metric, or
+    where the attributions are contributions, whether it adds to the metric or takes from it. It is neutral where
+    the channels of a colour disagree, or where no channel is two standard errors from zero.
+
+    Parameters
+    ----------
+    attribution
+        What to draw.
+    top
+        How many parameters; None draws all.
+    ax
+        Axes to draw into; by default those of a new figure.
+    """
+    rows = top_rows(attribution, top)
+    if ax is None:
+        ax = new_figure(WIDTH, 1.7 + 0.22 * max(len(rows), 2)).add_subplot()
+    cautions = caution_groups(attribution, (row.name for row in rows))
+    doubtful = [any(row.name in names for names in cautions.values()) for row in rows]
+
+    draw_bars(ax, attribution, rows, doubtful, name_width=_NAME_WIDTH)
+    room = ax.get_position().width * figure_of(ax).get_figwidth()
+    axis = textwrap.wrap(axis_words(attribution), letters(0.75 * room, TEXT))
+    ax.set_xlabel("\n".join(axis), fontsize=TEXT, parse_math=False)
+    _head(ax, attribution, rows, any(doubtful))
+    remarks = [*_remarks(attribution, rows), *_caution_remarks(attribution, cautions)]
+    small_print(ax, remarks, below=24 + 1.25 * TEXT * len(axis), width=letters(0.8 * room, SMALL))
+    return figure_of(ax)
+
+
+def top_rows(attribution: SceneAttribution, top: int | None) -> list[Ranked]:
+    """Return the first rows of a ranking, at least one where there are any."""
+    if top is not None and top < 1:
+        raise SceneCaptumError(f"top must be at least 1, or None for all parameters, not {top!r}.")
+    return attribution.ranking(top)
+
+
+def draw_bars(
+    ax: Axes,
+    attribution: SceneAttribution,
+    rows: Sequence[Ranked],
+    doubtful: Sequence[bool],
+    *,
+    name_width: int,
+) -> None:
+    """Draw bars, whiskers and signs, and write the names beside them."""
+    places = range(len(rows))
+    colours = [colour_of(row, attribution) for row in rows]
+    lengths, errors = [row.saliency for row in rows], [row.saliency_error for row in rows]
+    bars = ax.barh(places, lengths, height=0.7, color=colours)
+    for bar, doubt in zip(bars, doubtful, strict=True):
+        if doubt:
+            bar.set(hatch=_HATCH, edgecolor="white", linewidth=0)
+    known = [error for error in errors if error is not None]
+    if known:
+        ink = ax.xaxis.label.get_color()
+        ax.errorbar(lengths, places, xerr=known, fmt="none", ecolor=ink, elinewidth=1.0, capsize=2.5)
+    if sign_words(attribution) is not None:
+        ends = [length + (error or 0.0) for length, error in zip(lengths, errors, strict=True)]
+        _write_signs(
+            ax, ends, [SIGNS[c] if row.saliency else "0" for c, row in zip(colours, rows, strict=True)]
+        )
+    _write_names(ax, rows, doubtful, name_width)
+
+
+def _write_signs(ax: Axes, ends: Sequence[float], signs: Sequence[str]) -> None:
+    ink = {sign: colour for colour, sign in SIGNS.items()}
+    for place, (end, sign) in enumerate(zip(ends, signs, strict=True)):
+        ax.annotate(
+            sign,
+            (end, place),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            color=ink.get(sign, UNCLEAR),
+            fontsize=TEXT,
+            fontweight="bold",
+        )
+
+
+def _write_names(ax: Axes, rows: Sequence[Ranked], doubtful: Sequence[bool], width: int) -> None:
+    names = shorten([row.label for row in rows], width)
+    marked = [f"! {name}" if doubt else name for name, doubt in zip(names, doubtful, strict=True)]
+    ax.set_yticks(range(len(rows)), marked, fontsize=TEXT)
+    for label in ax.get_yticklabels():
+        label.set_parse_math(False)  # a scene may well have a $ in its names
+    ax.set_ylim(len(rows) - 0.4, -0.6)
+    ax.margins(x=0.08)
+    ax.set_xlim(left=0, right=None if any(row.saliency for row in rows) else 1)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+    ax.tick_params(axis="x", labelsize=TEXT)
+
+
+def sign_legend(attribution: SceneAttribution, rows: Iterable[Ranked]) -> list[Any]:
+    """Return legend entries for the colours that the bars of these rows have; a bar of length 0 shows none."""
+    from matplotlib.patches import Patch
+
+    words = sign_words(attribution)
+    present = {colour_of(row, attribution) for row in rows if row.saliency}
+    if words is None:
+        return [Patch(color=UNCLEAR, label="never negative: it has no sign")] if present else []
+    meanings = {RAISES: words[0], LOWERS: words[1], UNCLEAR: "channels disagree, or sign lost in the noise"}
+    return [Patch(color=colour, label=text) for colour, text in meanings.items() if colour in present]
+
+
+def _head(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked], doubtful: bool) -> None:
+    """Write the title, and below it, above the bars and out of their way, the legend."""
+    from matplotlib.patches import Patch
+
+    entries = sign_legend(attribution, rows)
+    if doubtful:
+        hatched = {"facecolor": UNCLEAR, "edgecolor": "white", "hatch": _HATCH}
+        entries.append(Patch(label="! known to be off: see below", **hatched))
+    if entries:
+        ax.legend(
+            handles=entries,
+            loc="lower left",
+            bbox_to_anchor=(0, 1),
+            borderaxespad=0.2,
+            borderpad=0,
+            fontsize=TEXT,
+            frameon=False,
+        )
+    above = 8 + 1.45 * TEXT * len(entries)
+    ax.set_title(title_of(attribution, 58), loc="left", fontsize=TITLE, pad=above, parse_math=False)
+
+
+def _remarks(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[str]:
+    hidden = len(attribution) - len(rows)
+    parts = [
+        *sampling_words(attribution),
+        "whiskers: ± 1 standard error" if attribution.covariance is not None else "",
+        "a colour's bar: ℓ2 norm over R, G, B" if any(len(row.total) == 3 for row in rows) else "",
+        "" if any(row.saliency for row in rows) else "all saliencies are 0",
+        f"{count_words(hidden, 'less salient parameter')} not shown" if hidden > 0 else "",
+    ]
+    return [" · ".join(part for part in parts if part)]
+
+
+def _caution_remarks(attribution: SceneAttribution, cautions: dict[str, list[str]]) -> list[str]:
+    labels = attribution.labels
+    return [
+        f"! {text} ({', '.join(labels.get(name, name) for name in names)})"
+        for text, names in cautions.items()
+    ]

@@ -1,0 +1,267 @@
+"""Saliency maps beside the render and over it."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..errors import SceneCaptumError
+from ._figures import (
+    LOWERS,
+    RAISES,
+    SMALL,
+    TEXT,
+    TITLE,
+    figure_of,
+    letters,
+    new_figure,
+    title_of,
+)
+from ._numbers import shorten, with_error
+from ._tonemap import display_image
+from ._words import sign_words
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap, Normalize
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+    from ..attr import SceneAttribution
+
+Scale = Literal["sqrt", "linear", "log"]
+
+_SCALES = {"sqrt": "√ scale", "linear": "linear scale", "log": "logarithmic scale"}
+_TICKS = {
+    "sqrt": [0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1],
+    "linear": [0.2, 0.4, 0.6, 0.8, 1],
+    "log": [0.001, 0.01, 0.1, 1],
+}
+_LEAST = 1e-3  # where a logarithmic scale begins
+_GREY = 0.55  # how bright a render lies below a map, which is to be read by its colours
+
+
+def plot_heatmap(
+    attribution: SceneAttribution,
+    ax: Axes | None = None,
+    *,
+    parameter: str | None = None,
+    signed: bool = False,
+    scale: Scale = "sqrt",
+    maximum: float | None = None,
+) -> Figure:
+    """Draw the render and, beside it and of the same size, the saliency of what each pixel shows.
+
+    Parameters
+    ----------
+    attribution
+        What to draw.
+    ax
+        Axes to draw the map into, with a colour bar and without the render; by default a new figure has both.
+    parameter
+        Draw the map of this parameter alone.
+    signed
+        Draw signed values on a diverging scale, in the colours of the bars, instead of magnitudes.
+    scale
+        How saliencies become colours: by their square root, as they are, or by their logarithm. They often spread
+        over orders of magnitude: on a linear scale all but a lamp or two may be black.
+    maximum
+        The saliency of the brightest colour, to compare maps; by default the strongest of this attribution.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the attribution does not know what its pixels show, or has no picture.
+    """
+    heat = _heat(attribution, parameter, signed, maximum)
+    title = _map_title(attribution, parameter, signed, scale, maximum)
+    if ax is not None:
+        mapped = draw_map(ax, heat, signed=signed, scale=scale)
+        ax.set_title(title, fontsize=TEXT, parse_math=False)
+        draw_colour_bar(mapped, scale, signed, ax=ax)
+        return figure_of(ax)
+
+    render = _render(attribution).numpy()
+    figure, (left, right), bar = _panels(attribution, heat, 2)
+    left.imshow(render)
+    left.set_title("render", fontsize=TEXT)
+    mapped = draw_map(right, heat, signed=signed, scale=scale)
+    right.set_title(title, fontsize=TEXT, parse_math=False)
+    draw_colour_bar(mapped, scale, signed, cax=bar)
+    return figure
+
+
+def plot_overlay(
+    attribution: SceneAttribution,
+    ax: Axes | None = None,
+    *,
+    alpha: float = 0.75,
+    parameter: str | None = None,
+    signed: bool = False,
+    scale: Scale = "sqrt",
+    maximum: float | None = None,
+) -> Figure:
+    """Draw the saliency map over the render, which is grey: all colour is saliency.
+
+    Parameters
+    ----------
+    attribution
+        What to draw.
+    ax
+        Axes to draw into; by default those of a new figure.
+    alpha
+        How much the map covers the render where it is strongest, between 0 and 1; elsewhere it covers less.
+    parameter, signed, scale, maximum
+        As for ``plot_heatmap``.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the attribution does not know what its pixels show, or has no picture, or ``alpha`` is out of range.
+    """
+    if not 0 <= alpha <= 1:
+        raise SceneCaptumError(f"alpha must lie between 0 and 1, not {alpha!r}.")
+    heat = _heat(attribution, parameter, signed, maximum)
+    grey = _render(attribution).mean(-1).numpy()
+    title = _map_title(attribution, parameter, signed, scale, maximum)
+    if ax is None:
+        figure, (ax,), bar = _panels(attribution, heat, 1)
+        place: dict[str, Any] = {"cax": bar}
+    else:
+        figure, place = figure_of(ax), {"ax": ax}
+    ax.imshow(_GREY * grey, cmap="gray", vmin=0, vmax=1)
+    ax.set_title(title, fontsize=TEXT, parse_math=False)
+    mapped = draw_map(ax, heat, signed=signed, scale=scale, alpha=alpha)
+    draw_colour_bar(mapped, scale, signed, **place)
+    return figure
+
+
+def draw_map(
+    ax: Axes, heat: np.ndarray[Any, Any], *, signed: bool, scale: Scale, alpha: float | None = None
+) -> AxesImage:
+    """Paint a map; with ``alpha`` it is the more transparent the weaker it is."""
+    norm, colours = _norm(scale, signed), _diverging() if signed else "inferno"
+    opacity = None
+    if alpha is not None:
+        normed = norm(heat).filled(0)
+        opacity = alpha * (abs(2 * normed - 1) if signed else normed) ** 0.5
+    ax.set_axis_off()
+    return ax.imshow(heat, cmap=colours, norm=norm, alpha=opacity)
+
+
+def draw_colour_bar(mapped: AxesImage, scale: Scale, signed: bool, **place: Any) -> None:
+    """Draw the legend of a map's colours; ``place`` is matplotlib's ``ax`` or ``cax``."""
+    from matplotlib.cm import ScalarMappable
+
+    ticks = _TICKS[scale]
+    if signed:  # on either side of zero there is half the room
+        ticks = ticks[::2] if len(ticks) > 5 else ticks
+        ticks = [-tick for tick in reversed(ticks)] + [0] + ticks
+    elif scale != "log":
+        ticks = [0, *ticks]
+    whole: Any = mapped.figure
+    # Of the map itself it would be as transparent as the map.
+    colours = ScalarMappable(norm=mapped.norm, cmap=mapped.cmap)
+    bar = whole.figure.colorbar(colours, ticks=ticks, format="%g", **place)
+    bar.minorticks_off()
+    bar.ax.tick_params(labelsize=SMALL)
+
+
+def _norm(scale: Scale, signed: bool) -> Normalize:
+    import numpy as np
+    from matplotlib.colors import FuncNorm, LogNorm, Normalize, PowerNorm, SymLogNorm
+
+    low = -1 if signed else 0
+    if scale == "linear":
+        return Normalize(low, 1)
+    if scale == "log":
+        return SymLogNorm(_LEAST, vmin=-1, vmax=1) if signed else LogNorm(_LEAST, 1, clip=True)
+    if scale != "sqrt":
+        raise SceneCaptumError(f"scale must be one of {', '.join(map(repr, _SCALES))}, not {scale!r}.")
+    if not signed:
+        return PowerNorm(0.5, 0, 1)
+
+    def root(x: Any) -> Any:
+        return np.sign(x) * np.sqrt(np.abs(x))
+
+    return FuncNorm((root, lambda x: np.sign(x) * np.square(x)), -1, 1)
+
+
+def _diverging() -> Colormap:
+    """Return a map from the bars' vermillion by white to their blue, as dark at one end as at the other."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    colours = ["#6B2F00", LOWERS, "#F4B183", "#F7F7F7", "#8FC1E3", RAISES, "#00395A"]
+    return LinearSegmentedColormap.from_list("scenecaptum_signed", colours)
+
+
+def _heat(
+    attribution: SceneAttribution, parameter: str | None, signed: bool, maximum: float | None
+) -> np.ndarray[Any, Any]:
+    asked = {"parameter": parameter, "signed": signed, "maximum": maximum}
+    heat: torch.Tensor = attribution.heatmap(
+        **{k: v for k, v in asked.items() if v is not None and v is not False}
+    )
+    return heat.cpu().numpy()
+
+
+def _render(attribution: SceneAttribution) -> torch.Tensor:
+    if attribution.image is None:
+        raise SceneCaptumError("This attribution has no picture to set beside its heatmap.")
+    return display_image(attribution.image).cpu()
+
+
+def _map_title(
+    attribution: SceneAttribution,
+    parameter: str | None,
+    signed: bool,
+    scale: Scale,
+    maximum: float | None,
+) -> str:
+    label = "" if parameter is None else shorten([attribution.labels.get(parameter, parameter)], 40)[0]
+    strongest = "the strongest" if maximum is None else f"{maximum:.3g}"
+    words = sign_words(attribution) if signed else None
+    what = f"{label or 'saliency'}, relative to {strongest} ({_SCALES.get(scale, scale)})"
+    return what if words is None else f"{what}\nblue: {words[0]}, orange: {words[1]}"
+
+
+def _panels(
+    attribution: SceneAttribution, heat: np.ndarray[Any, Any], count: int
+) -> tuple[Figure, list[Axes], Axes]:
+    """Place pictures of one size and a colour bar as tall as they are; lengths are in inches."""
+    height, width = heat.shape
+    scale = min((3.9 if count > 1 else 6.2) / width, 4.0 / height)
+    w, h = width * scale, height * scale
+    margin, gap, bar, ticks = 0.12, 0.1, 0.12, 0.45
+    across = 2 * margin + count * (w + gap) + bar + ticks
+    title = title_of(attribution, letters(across - 0.2, TITLE))
+    caption = textwrap.wrap(_caption(attribution), letters(across - 0.2, SMALL))
+    bottom, top = 0.12 + 0.14 * len(caption), 0.58 + 0.17 * len(title.splitlines())
+    down = bottom + h + top
+    figure = new_figure(across, down, layout="none")
+    figure.text(margin / across, 1 - 0.1 / down, title, va="top", fontsize=TITLE, parse_math=False)
+    small: dict[str, Any] = {"va": "bottom", "fontsize": SMALL, "parse_math": False}
+    figure.text(margin / across, 0.08 / down, "\n".join(caption), **small)
+
+    def place(x: float, extent: float) -> Axes:
+        return figure.add_axes((x / across, bottom / down, extent / across, h / down))
+
+    pictures = [place(margin + number * (w + gap), w) for number in range(count)]
+    for axes in pictures:
+        axes.set_axis_off()
+    return figure, pictures, place(margin + count * (w + gap), bar)
+
+
+def _caption(attribution: SceneAttribution) -> str:
+    """Name the strongest parameter that no pixel shows, if it is one of the three most salient."""
+    surfaces = attribution.surfaces
+    if surfaces is None:
+        return ""
+    seen = {name for index in set(surfaces.object_index.tolist()) for name in surfaces.parameters[index]}
+    for row in attribution.ranking(3):
+        if row.name not in seen and row.saliency > 0:
+            saliency = " ± ".join(filter(None, with_error(row.saliency, row.saliency_error)))
+            return f"not in the picture: {row.label}, #{row.rank} with a saliency of {saliency}"
+    return ""
