@@ -6,8 +6,11 @@ drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: 
 """
 
 from ._bars import plot_bars as plot_bars
+from ._luminance_map import plot_luminance as plot_luminance
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
+from ._ranks import plot_rank_comparison as plot_rank_comparison
+from ._specificity import plot_specificity as plot_specificity
 from ._table import table_html as table_html
 from ._table import table_text as table_text
 from ._tonemap import display_image as display_image

@@ -60,11 +60,11 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
 
     draw_bars(ax, attribution, rows, doubtful, name_width=_NAME_WIDTH)
     room = ax.get_position().width * figure_of(ax).get_figwidth()
-    axis = textwrap.wrap(axis_words(attribution), letters(0.75 * room, TEXT))
+    axis = textwrap.wrap(axis_words(attribution), letters(0.85 * room, TEXT))
     ax.set_xlabel("\n".join(axis), fontsize=TEXT, parse_math=False)
     _head(ax, attribution, rows, any(doubtful))
     remarks = [*_remarks(attribution, rows), *_caution_remarks(attribution, cautions)]
-    small_print(ax, remarks, below=24 + 1.25 * TEXT * len(axis), width=letters(0.8 * room, SMALL))
+    small_print(ax, remarks, below=24 + 1.25 * TEXT * len(axis), width=letters(0.85 * room, SMALL))
     return figure_of(ax)
 
 
@@ -150,8 +150,9 @@ def _head(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked], doubt
 
     entries = sign_legend(attribution, rows)
     if doubtful:
-        hatched = {"facecolor": UNCLEAR, "edgecolor": "white", "hatch": _HATCH}
-        entries.append(Patch(label="! known to be off: see below", **hatched))
+        entries.append(
+            Patch(facecolor=UNCLEAR, edgecolor="white", hatch=_HATCH, label="! known to be off: see below")
+        )
     if entries:
         ax.legend(
             handles=entries,

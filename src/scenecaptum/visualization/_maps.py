@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
     from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
     from matplotlib.colors import Colormap, Normalize
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
@@ -40,7 +41,7 @@ _TICKS = {
     "log": [0.001, 0.01, 0.1, 1],
 }
 _LEAST = 1e-3  # where a logarithmic scale begins
-_GREY = 0.55  # how bright a render lies below a map, which is to be read by its colours
+_GREY = 0.7  # how bright a render lies below a map, which is to be read by its colours
 
 
 def plot_heatmap(
@@ -75,7 +76,7 @@ def plot_heatmap(
     SceneCaptumError
         Where the attribution does not know what its pixels show, or has no picture.
     """
-    heat = _heat(attribution, parameter, signed, maximum)
+    heat = heat_of(attribution, parameter, signed, maximum)
     title = _map_title(attribution, parameter, signed, scale, maximum)
     if ax is not None:
         mapped = draw_map(ax, heat, signed=signed, scale=scale)
@@ -83,8 +84,8 @@ def plot_heatmap(
         draw_colour_bar(mapped, scale, signed, ax=ax)
         return figure_of(ax)
 
-    render = _render(attribution).numpy()
-    figure, (left, right), bar = _panels(attribution, heat, 2)
+    render = render_of(attribution).numpy()
+    figure, (left, right), bar = _panels(attribution, heat, 2, title)
     left.imshow(render)
     left.set_title("render", fontsize=TEXT)
     mapped = draw_map(right, heat, signed=signed, scale=scale)
@@ -97,7 +98,7 @@ def plot_overlay(
     attribution: SceneAttribution,
     ax: Axes | None = None,
     *,
-    alpha: float = 0.75,
+    alpha: float = 0.8,
     parameter: str | None = None,
     signed: bool = False,
     scale: Scale = "sqrt",
@@ -123,11 +124,11 @@ def plot_overlay(
     """
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must lie between 0 and 1, not {alpha!r}.")
-    heat = _heat(attribution, parameter, signed, maximum)
-    grey = _render(attribution).mean(-1).numpy()
+    heat = heat_of(attribution, parameter, signed, maximum)
+    grey = render_of(attribution).mean(-1).numpy()
     title = _map_title(attribution, parameter, signed, scale, maximum)
     if ax is None:
-        figure, (ax,), bar = _panels(attribution, heat, 1)
+        figure, (ax,), bar = _panels(attribution, heat, 1, title)
         place: dict[str, Any] = {"cax": bar}
     else:
         figure, place = figure_of(ax), {"ax": ax}
@@ -151,7 +152,7 @@ def draw_map(
     return ax.imshow(heat, cmap=colours, norm=norm, alpha=opacity)
 
 
-def draw_colour_bar(mapped: AxesImage, scale: Scale, signed: bool, **place: Any) -> None:
+def draw_colour_bar(mapped: AxesImage, scale: Scale, signed: bool, **place: Any) -> Colorbar:
     """Draw the legend of a map's colours; ``place`` is matplotlib's ``ax`` or ``cax``."""
     from matplotlib.cm import ScalarMappable
 
@@ -164,9 +165,10 @@ def draw_colour_bar(mapped: AxesImage, scale: Scale, signed: bool, **place: Any)
     whole: Any = mapped.figure
     # Of the map itself it would be as transparent as the map.
     colours = ScalarMappable(norm=mapped.norm, cmap=mapped.cmap)
-    bar = whole.figure.colorbar(colours, ticks=ticks, format="%g", **place)
+    bar: Colorbar = whole.figure.colorbar(colours, ticks=ticks, format="%g", **place)
     bar.minorticks_off()
     bar.ax.tick_params(labelsize=SMALL)
+    return bar
 
 
 def _norm(scale: Scale, signed: bool) -> Normalize:
@@ -197,17 +199,17 @@ def _diverging() -> Colormap:
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colours)
 
 
-def _heat(
+def heat_of(
     attribution: SceneAttribution, parameter: str | None, signed: bool, maximum: float | None
 ) -> np.ndarray[Any, Any]:
+    """Return the map; what is not asked for is not said, as not every attribution may know it."""
     asked = {"parameter": parameter, "signed": signed, "maximum": maximum}
-    heat: torch.Tensor = attribution.heatmap(
-        **{k: v for k, v in asked.items() if v is not None and v is not False}
-    )
+    heat: torch.Tensor = attribution.heatmap(**{key: value for key, value in asked.items() if value})
     return heat.cpu().numpy()
 
 
-def _render(attribution: SceneAttribution) -> torch.Tensor:
+def render_of(attribution: SceneAttribution) -> torch.Tensor:
+    """Return the picture as a screen shows it."""
     if attribution.image is None:
         raise SceneCaptumError("This attribution has no picture to set beside its heatmap.")
     return display_image(attribution.image).cpu()
@@ -221,6 +223,8 @@ def _map_title(
     maximum: float | None,
 ) -> str:
     label = "" if parameter is None else shorten([attribution.labels.get(parameter, parameter)], 40)[0]
+    if not any(attribution.saliency().values()):
+        return "all saliencies are 0"
     strongest = "the strongest" if maximum is None else f"{maximum:.3g}"
     words = sign_words(attribution) if signed else None
     what = f"{label or 'saliency'}, relative to {strongest} ({_SCALES.get(scale, scale)})"
@@ -228,7 +232,7 @@ def _map_title(
 
 
 def _panels(
-    attribution: SceneAttribution, heat: np.ndarray[Any, Any], count: int
+    attribution: SceneAttribution, heat: np.ndarray[Any, Any], count: int, heading: str
 ) -> tuple[Figure, list[Axes], Axes]:
     """Place pictures of one size and a colour bar as tall as they are; lengths are in inches."""
     height, width = heat.shape
@@ -238,7 +242,10 @@ def _panels(
     across = 2 * margin + count * (w + gap) + bar + ticks
     title = title_of(attribution, letters(across - 0.2, TITLE))
     caption = textwrap.wrap(_caption(attribution), letters(across - 0.2, SMALL))
-    bottom, top = 0.12 + 0.14 * len(caption), 0.58 + 0.17 * len(title.splitlines())
+    bottom, top = (
+        0.12 + 0.14 * len(caption),
+        0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines()),
+    )
     down = bottom + h + top
     figure = new_figure(across, down, layout="none")
     figure.text(margin / across, 1 - 0.1 / down, title, va="top", fontsize=TITLE, parse_math=False)
