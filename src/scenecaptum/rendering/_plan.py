@@ -53,11 +53,14 @@ class RenderPlan:
 
     def __str__(self) -> str:
         """Write one decision a line."""
-        width = max(len(decision) for decision, _ in self.reasons)
-        lines = [f"{decision.ljust(width)}  {reason}" for decision, reason in self.reasons]
-        lines += [f"finite difference for {name}: {reason}" for name, reason in self.differences]
-        lines += [f"caution: {name}: {caution}" for name, caution in self.cautions]
-        return "\n".join(lines)
+        from ..visualization import plan_text
+
+        return plan_text(self)
+
+    def _repr_html_(self) -> str:
+        from ..visualization import plan_html
+
+        return plan_html(self)
 
     def create_integrator(self, *, hide_emitters: bool | None = None) -> Any:
         """Instantiate the Mitsuba integrator; whether the camera sees lights may be set otherwise."""

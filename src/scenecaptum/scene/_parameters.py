@@ -112,19 +112,16 @@ class SceneParameters(Mapping[str, Parameter]):
 
     def __str__(self) -> str:
         """Lay out name, kind, shape, bounds, owner and status in columns."""
-        rows = [("name", "kind", "shape", "bounds", "owner", "status")]
-        rows += [
-            (p.name, p.kind, _shape_text(p.shape), str(p.bounds), ", ".join(p.owners), p.status)
-            for p in self.values()
-        ]
-        widths = [max(len(row[column]) for row in rows) for column in range(5)]
-        lines = (
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)) + "  " + row[5]
-            for row in rows
-        )
-        return "\n".join(lines)
+        from ..visualization import parameters_text
+
+        return parameters_text(self)
 
     __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from ..visualization import parameters_html
+
+        return parameters_html(self)
 
 
 SURFACE_KINDS = ("reflectance", "roughness", "ior", "opacity", "surface")
@@ -347,10 +344,6 @@ def _label(name: str) -> str:
     if rest and rest[-1] == "data":
         words.append("texture" if words else "map")
     return f"{owner}: {' '.join(words)}" if words else owner
-
-
-def _shape_text(shape: tuple[int, ...]) -> str:
-    return "×".join(map(str, shape)) or "scalar"
 
 
 def _number(value: float) -> str:

@@ -10,6 +10,10 @@ from ._luminance_map import plot_luminance as plot_luminance
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
 from ._ranks import plot_rank_comparison as plot_rank_comparison
+from ._scene_tables import parameters_html as parameters_html
+from ._scene_tables import parameters_text as parameters_text
+from ._scene_tables import plan_html as plan_html
+from ._scene_tables import plan_text as plan_text
 from ._specificity import plot_specificity as plot_specificity
 from ._table import table_html as table_html
 from ._table import table_text as table_text

@@ -24,7 +24,7 @@ from ._figures import (
     title_of,
 )
 from ._numbers import shorten
-from ._words import axis_words, caution_groups, count_words, sampling_words, sign_words
+from ._words import axis_words, caution_groups, count_words, pack, sampling_words, sign_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,8 +63,9 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
     axis = textwrap.wrap(axis_words(attribution), letters(0.85 * room, TEXT))
     ax.set_xlabel("\n".join(axis), fontsize=TEXT, parse_math=False)
     _head(ax, attribution, rows, any(doubtful))
-    remarks = [*_remarks(attribution, rows), *_caution_remarks(attribution, cautions)]
-    small_print(ax, remarks, below=24 + 1.25 * TEXT * len(axis), width=letters(0.85 * room, SMALL))
+    width = letters(0.85 * room, SMALL)
+    remarks = [*pack(_remarks(attribution, rows), width), *_caution_remarks(attribution, cautions)]
+    small_print(ax, remarks, below=24 + 1.25 * TEXT * len(axis), width=width)
     return figure_of(ax)
 
 
@@ -176,7 +177,7 @@ def _remarks(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[str]
         "" if any(row.saliency for row in rows) else "all saliencies are 0",
         f"{count_words(hidden, 'less salient parameter')} not shown" if hidden > 0 else "",
     ]
-    return [" · ".join(part for part in parts if part)]
+    return [part for part in parts if part]
 
 
 def _caution_remarks(attribution: SceneAttribution, cautions: dict[str, list[str]]) -> list[str]:

@@ -15,6 +15,7 @@ from ._words import (
     count_words,
     method_name,
     metric_line,
+    pack,
     quantity,
     sampling_words,
 )
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 ROWS = 40
 _MOST_CHANNELS = 4
+_WIDTH = 100  # where there is no terminal
 _NARROWEST_NAME = 16
 _WIDEST_NAME = 80
 
@@ -57,8 +59,8 @@ def table_text(attribution: SceneAttribution, top: int | None = ROWS) -> str:
         How many parameters; None shows all.
     """
     table = _table(attribution, top)
-    width = shutil.get_terminal_size().columns
-    lines = _pack(table.heading, width)
+    width = shutil.get_terminal_size(fallback=(_WIDTH, 24)).columns
+    lines = pack(table.heading, width)
     lines += ["", *_grid([table.columns, *table.rows], width)]
     for note in table.notes:
         lines += textwrap.wrap(note, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
@@ -80,7 +82,7 @@ def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
     rows = "\n".join(f"<tr>{_cells(row, 'td')}</tr>" for row in table.rows)
     notes = "".join(f"<div>{html.escape(note)}</div>" for note in table.notes)
     return (
-        f'<div class="scenecaptum">\n{_STYLE}\n'
+        f'<div class="scenecaptum">\n{STYLE}\n'
         f"<div><b>{metric}</b>{''.join(f' · {part}' for part in rest)}</div>\n"
         f"<table>\n<thead><tr>{_cells(table.columns, 'th')}</tr></thead>\n"
         f"<tbody>\n{rows}\n</tbody>\n</table>\n"
@@ -89,7 +91,7 @@ def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
 
 
 # Notebooks bring styles of their own for tables; these are specific enough to win over them.
-_STYLE = """<style>
+STYLE = """<style>
 .scenecaptum { color: inherit; font-size: 0.9em; }
 .scenecaptum table { border-collapse: collapse; border: none; margin: 0.5em 0; width: auto; display: table; }
 .scenecaptum table tr { background: transparent; border: none; }
@@ -196,18 +198,6 @@ def _channels(row: Ranked) -> list[str]:
 def _range(numbers: Sequence[str]) -> str:
     ordered = sorted(numbers, key=float)
     return f"{len(numbers)} numbers, {ordered[0]} to {ordered[-1]}"
-
-
-def _pack(parts: Sequence[str], width: int) -> list[str]:
-    """Join parts with dots, beginning a new line where the next would not fit."""
-    lines = [parts[0]]
-    for part in parts[1:]:
-        joined = f"{lines[-1]} · {part}"
-        if len(joined) <= width:
-            lines[-1] = joined
-        else:
-            lines.append(part)
-    return lines
 
 
 def _grid(rows: Sequence[_Row], width: int) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from ._numbers import with_error
@@ -96,3 +96,15 @@ def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[
 def count_words(count: int, noun: str) -> str:
     """``'1 parameter'``, ``'3 parameters'``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def pack(parts: Sequence[str], width: int) -> list[str]:
+    """Join parts with dots, beginning a new line where the next would not fit."""
+    lines = [parts[0]]
+    for part in parts[1:]:
+        joined = f"{lines[-1]} · {part}"
+        if len(joined) <= width:
+            lines[-1] = joined
+        else:
+            lines.append(part)
+    return lines
