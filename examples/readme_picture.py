@@ -18,7 +18,7 @@ def main(path: Path) -> None:
     method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
     attribution = method.attribute(seed=0, show_progress=sys.stderr.isatty())
     path.parent.mkdir(parents=True, exist_ok=True)
-    attribution.plot_heatmap().savefig(path, dpi=110)
+    attribution.plot_heatmap().savefig(path, dpi=170)
     print(attribution)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..errors import SceneCaptumError
@@ -12,6 +13,7 @@ from ._figures import (
     SMALL,
     TEXT,
     TITLE,
+    WIDTH,
     figure_of,
     letters,
     new_figure,
@@ -41,6 +43,8 @@ _TICKS = {
     "log": [0.001, 0.01, 0.1, 1],
 }
 _LEAST = 1e-3  # where a logarithmic scale begins
+_MARGIN, _GAP, _BAR, _NUMBERS = 0.12, 0.1, 0.12, 0.45  # inches
+_TALLEST = 4.0
 _GREY = 0.7  # how bright a render lies below a map, which is to be read by its colours
 
 
@@ -48,10 +52,9 @@ def plot_heatmap(
     attribution: SceneAttribution,
     ax: Axes | None = None,
     *,
-    parameter: str | None = None,
     signed: bool = False,
     scale: Scale = "sqrt",
-    maximum: float | None = None,
+    **options: Any,
 ) -> Figure:
     """Draw the render and, beside it and of the same size, the saliency of what each pixel shows.
 
@@ -61,23 +64,22 @@ def plot_heatmap(
         What to draw.
     ax
         Axes to draw the map into, with a colour bar and without the render; by default a new figure has both.
-    parameter
-        Draw the map of this parameter alone.
     signed
         Draw signed values on a diverging scale, in the colours of the bars, instead of magnitudes.
     scale
         How saliencies become colours: by their square root, as they are, or by their logarithm. They often spread
         over orders of magnitude: on a linear scale all but a lamp or two may be black.
-    maximum
-        The saliency of the brightest colour, to compare maps; by default the strongest of this attribution.
+    options
+        Which map: ``parameter``, ``maximum``, ``texels`` and ``surfaces`` of ``projection.heatmap``.
 
     Raises
     ------
     SceneCaptumError
         Where the attribution does not know what its pixels show, or has no picture.
     """
-    heat = heat_of(attribution, parameter, signed, maximum)
-    title = _map_title(attribution, parameter, signed, scale, maximum)
+    check_scale(scale)
+    heat = heat_of(attribution, signed=signed, **options)
+    title = _map_title(attribution, signed, scale, options, _width(ax, heat, 2))
     if ax is not None:
         mapped = draw_map(ax, heat, signed=signed, scale=scale)
         ax.set_title(title, fontsize=TEXT, parse_math=False)
@@ -99,10 +101,9 @@ def plot_overlay(
     ax: Axes | None = None,
     *,
     alpha: float = 0.8,
-    parameter: str | None = None,
     signed: bool = False,
     scale: Scale = "sqrt",
-    maximum: float | None = None,
+    **options: Any,
 ) -> Figure:
     """Draw the saliency map over the render, which is grey: all colour is saliency.
 
@@ -114,7 +115,7 @@ def plot_overlay(
         Axes to draw into; by default those of a new figure.
     alpha
         How much the map covers the render where it is strongest, between 0 and 1; elsewhere it covers less.
-    parameter, signed, scale, maximum
+    signed, scale, options
         As for ``plot_heatmap``.
 
     Raises
@@ -124,9 +125,10 @@ def plot_overlay(
     """
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must lie between 0 and 1, not {alpha!r}.")
-    heat = heat_of(attribution, parameter, signed, maximum)
+    check_scale(scale)
+    heat = heat_of(attribution, signed=signed, **options)
     grey = render_of(attribution).mean(-1).numpy()
-    title = _map_title(attribution, parameter, signed, scale, maximum)
+    title = _map_title(attribution, signed, scale, options, _width(ax, heat, 1))
     if ax is None:
         figure, (ax,), bar = _panels(attribution, heat, 1, title)
         place: dict[str, Any] = {"cax": bar}
@@ -171,6 +173,12 @@ def draw_colour_bar(mapped: AxesImage, scale: Scale, signed: bool, **place: Any)
     return bar
 
 
+def check_scale(scale: str) -> None:
+    """Refuse a scale that there is not."""
+    if scale not in _SCALES:
+        raise SceneCaptumError(f"scale must be one of {', '.join(map(repr, _SCALES))}, not {scale!r}.")
+
+
 def _norm(scale: Scale, signed: bool) -> Normalize:
     import numpy as np
     from matplotlib.colors import FuncNorm, LogNorm, Normalize, PowerNorm, SymLogNorm
@@ -180,8 +188,6 @@ def _norm(scale: Scale, signed: bool) -> Normalize:
         return Normalize(low, 1)
     if scale == "log":
         return SymLogNorm(_LEAST, vmin=-1, vmax=1) if signed else LogNorm(_LEAST, 1, clip=True)
-    if scale != "sqrt":
-        raise SceneCaptumError(f"scale must be one of {', '.join(map(repr, _SCALES))}, not {scale!r}.")
     if not signed:
         return PowerNorm(0.5, 0, 1)
 
@@ -199,12 +205,10 @@ def _diverging() -> Colormap:
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colours)
 
 
-def heat_of(
-    attribution: SceneAttribution, parameter: str | None, signed: bool, maximum: float | None
-) -> np.ndarray[Any, Any]:
-    """Return the map; what is not asked for is not said, as not every attribution may know it."""
-    asked = {"parameter": parameter, "signed": signed, "maximum": maximum}
-    heat: torch.Tensor = attribution.heatmap(**{key: value for key, value in asked.items() if value})
+def heat_of(attribution: SceneAttribution, **options: Any) -> np.ndarray[Any, Any]:
+    """Return the map; what is as usual is left unsaid."""
+    unusual = {key: value for key, value in options.items() if value is not None and value is not False}
+    heat: torch.Tensor = attribution.heatmap(**unusual)
     return heat.cpu().numpy()
 
 
@@ -216,30 +220,38 @@ def render_of(attribution: SceneAttribution) -> torch.Tensor:
 
 
 def _map_title(
-    attribution: SceneAttribution,
-    parameter: str | None,
-    signed: bool,
-    scale: Scale,
-    maximum: float | None,
+    attribution: SceneAttribution, signed: bool, scale: Scale, options: Mapping[str, Any], width: float
 ) -> str:
-    label = "" if parameter is None else shorten([attribution.labels.get(parameter, parameter)], 40)[0]
     if not any(attribution.saliency().values()):
         return "all saliencies are 0"
+    parameter, maximum = options.get("parameter"), options.get("maximum")
+    names = [] if parameter is None else [parameter] if isinstance(parameter, str) else list(parameter)
+    what = ", ".join(attribution.labels.get(name, name) for name in names)
+    what = shorten([what], 60)[0] or ("attribution" if signed else "saliency")
     strongest = "the strongest" if maximum is None else f"{maximum:.3g}"
+    lines = [f"{what}, relative to {strongest} ({_SCALES[scale]})"]
     words = sign_words(attribution) if signed else None
-    what = f"{label or 'saliency'}, relative to {strongest} ({_SCALES.get(scale, scale)})"
-    return what if words is None else f"{what}\nblue: {words[0]}, orange: {words[1]}"
+    if words is not None:
+        lines += [f"blue: {words[0]}", f"orange: {words[1]}"]
+    return "\n".join(part for line in lines for part in textwrap.wrap(line, letters(width, TEXT)))
+
+
+def _width(ax: Axes | None, heat: np.ndarray[Any, Any], count: int) -> float:
+    """Return how wide a picture will be, in inches: as wide as the page allows, where none is too tall."""
+    if ax is not None:
+        return float(ax.get_position().width) * figure_of(ax).get_figwidth()
+    height, width = int(heat.shape[0]), int(heat.shape[1])
+    across = (WIDTH - 2 * _MARGIN - _BAR - _NUMBERS) / count - _GAP
+    return min(across, _TALLEST * width / height)
 
 
 def _panels(
     attribution: SceneAttribution, heat: np.ndarray[Any, Any], count: int, heading: str
 ) -> tuple[Figure, list[Axes], Axes]:
     """Place pictures of one size and a colour bar as tall as they are; lengths are in inches."""
-    height, width = heat.shape
-    scale = min((3.9 if count > 1 else 6.2) / width, 4.0 / height)
-    w, h = width * scale, height * scale
-    margin, gap, bar, ticks = 0.12, 0.1, 0.12, 0.45
-    across = 2 * margin + count * (w + gap) + bar + ticks
+    w = _width(None, heat, count)
+    h = w * heat.shape[0] / heat.shape[1]
+    across = 2 * _MARGIN + count * (w + _GAP) + _BAR + _NUMBERS
     title = title_of(attribution, letters(across - 0.2, TITLE))
     caption = textwrap.wrap(_caption(attribution), letters(across - 0.2, SMALL))
     bottom, top = (
@@ -248,17 +260,17 @@ def _panels(
     )
     down = bottom + h + top
     figure = new_figure(across, down, layout="none")
-    figure.text(margin / across, 1 - 0.1 / down, title, va="top", fontsize=TITLE, parse_math=False)
+    figure.text(_MARGIN / across, 1 - 0.1 / down, title, va="top", fontsize=TITLE, parse_math=False)
     small: dict[str, Any] = {"va": "bottom", "fontsize": SMALL, "parse_math": False}
-    figure.text(margin / across, 0.08 / down, "\n".join(caption), **small)
+    figure.text(_MARGIN / across, 0.08 / down, "\n".join(caption), **small)
 
     def place(x: float, extent: float) -> Axes:
         return figure.add_axes((x / across, bottom / down, extent / across, h / down))
 
-    pictures = [place(margin + number * (w + gap), w) for number in range(count)]
+    pictures = [place(_MARGIN + number * (w + _GAP), w) for number in range(count)]
     for axes in pictures:
         axes.set_axis_off()
-    return figure, pictures, place(margin + count * (w + gap), bar)
+    return figure, pictures, place(_MARGIN + count * (w + _GAP), _BAR)
 
 
 def _caption(attribution: SceneAttribution) -> str:

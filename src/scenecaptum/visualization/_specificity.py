@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneCaptumError
 from ._bars import draw_bars, sign_legend, top_rows
 from ._figures import SMALL, TEXT, TITLE, figure_of, letters, new_figure
-from ._maps import Scale, draw_colour_bar, draw_map, heat_of
+from ._maps import Scale, check_scale, draw_colour_bar, draw_map, heat_of
 from ._words import axis_words, method_name, metric_line
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ def plot_specificity(
     """
     if not attributions:
         raise SceneCaptumError("plot_specificity takes at least one attribution.")
-    heats = [
-        heat_of(one, None, signed, _shared_maximum(attributions) if shared else None) for one in attributions
-    ]
+    check_scale(scale)
+    maximum = _shared_maximum(attributions) if shared else None
+    heats = [heat_of(one, signed=signed, maximum=maximum or None) for one in attributions]
     rows = [top_rows(one, top) for one in attributions]
     bars = 1.5 + 0.19 * max(map(len, rows))
     maps = 0.1 + max(_COLUMN * heat.shape[0] / heat.shape[1] for heat in heats)
