@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from results import CASES, NASTY, all_text, make, surfaces
 
 from scenecaptum import SceneAttribution, SceneCaptumError
-from scenecaptum.scene import SurfaceMap
 from scenecaptum.visualization import (
     display_image,
     plot_bars,
@@ -23,59 +23,7 @@ from scenecaptum.visualization import (
     table_html,
     table_text,
 )
-from scenecaptum.visualization._figures import LOWERS, RAISES, UNCLEAR
 from scenecaptum.visualization._numbers import align_decimals, shorten, with_error
-
-NASTY = "<script>alert('&')</script>"
-
-# Name, value, standard error of each channel, and the colour that its bar should have; most salient first.
-CASES: list[tuple[str, Any, float, str]] = [
-    ("lamp", [0.3, 0.4, 0.0], 0.004, RAISES),
-    ("two_minds", [0.1, -0.2, 0.01], 0.003, UNCLEAR),
-    ("floor", [[[-0.02, -0.03, -0.04]] * 2] * 2, 0.002, LOWERS),
-    ("rough", -0.0978, 0.0008, LOWERS),
-    # Its third channel is negative only by noise.
-    ("wall", [0.05, 0.02, -0.001], 0.001, RAISES),
-    ("noisy", 0.01, 0.03, UNCLEAR),
-    ("tiny", 1.25e-7, 2.0e-8, RAISES),
-    (NASTY, 0.0, 0.0, UNCLEAR),
-]
-
-
-def make(barred: bool = True, **info: Any) -> SceneAttribution:
-    values = {name: torch.tensor(value) for name, value, *_ in CASES}
-    errors = {name: torch.full_like(values[name], error) for name, _, error, _ in CASES}
-    channels = {name: values[name].shape[-1] if values[name].ndim else 1 for name in values}
-    covariance = {name: error**2 * torch.eye(channels[name]) for name, _, error, _ in CASES}
-    return SceneAttribution(
-        attributions=values,
-        standard_error=errors if barred else None,
-        metric_value=2.336942,
-        metric_standard_error=0.000533 if barred else None,
-        covariance=covariance if barred else None,
-        labels={"rough": "desk: roughness"},
-        image=torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0)),
-        surfaces=surfaces("rough", "floor"),
-        info={
-            "metric": "Glare",
-            "method": "VanillaSceneGradient",
-            "spp": 64,
-            "passes": 8 if barred else 1,
-            **info,
-        },
-    )
-
-
-def surfaces(left: str, right: str) -> SurfaceMap:
-    pixel = np.arange(24, dtype=np.int32)
-    return SurfaceMap(
-        shape=(4, 6),
-        pixel=pixel,
-        object_index=(pixel % 6 >= 3).astype(np.int32),
-        fraction=np.ones(24, np.float32),
-        objects=("left", "right", "hidden"),
-        parameters=((left,), (right,), ("lamp",)),
-    )
 
 
 @pytest.fixture(autouse=True)
@@ -240,12 +188,6 @@ def whiskers(axes: Any) -> list[float]:
             (lines,) = container.lines[2]
             lengths += [float(segment[1, 0] - segment[0, 0]) / 2 for segment in lines.get_segments()]
     return lengths
-
-
-def all_text(figure: Any) -> str:
-    from matplotlib.text import Text
-
-    return "\n".join(text.get_text() for text in figure.findobj(Text))
 
 
 def test_bars_show_order_sign_and_error() -> None:

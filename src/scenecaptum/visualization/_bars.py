@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 _HATCH = "////"
 _NAME_WIDTH = 36
+_MOST_NAMED = 6
 
 
 def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | None = None) -> Figure:
@@ -53,19 +54,22 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
         Axes to draw into; by default those of a new figure.
     """
     rows = top_rows(attribution, top)
-    if ax is None:
-        ax = new_figure(WIDTH, 1.7 + 0.22 * max(len(rows), 2)).add_subplot()
     cautions = caution_groups(attribution, (row.name for row in rows))
     doubtful = [any(row.name in names for names in cautions.values()) for row in rows]
+    legend = bar_legend(attribution, rows, any(doubtful))
+    # Names take up to a third of the width.
+    room = 0.67 * WIDTH if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
+    title = title_of(attribution, letters(room, TITLE))
+    axis = textwrap.wrap(axis_words(attribution), letters(room, TEXT))
+    small = _wrap(attribution, rows, cautions, letters(room, SMALL))
+    if ax is None:
+        points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(small)
+        ax = new_figure(WIDTH, 0.7 + 1.4 * points / 72 + 0.21 * max(len(rows), 2)).add_subplot()
 
     draw_bars(ax, attribution, rows, doubtful, name_width=_NAME_WIDTH)
-    room = ax.get_position().width * figure_of(ax).get_figwidth()
-    axis = textwrap.wrap(axis_words(attribution), letters(0.85 * room, TEXT))
     ax.set_xlabel("\n".join(axis), fontsize=TEXT, parse_math=False)
-    _head(ax, attribution, rows, any(doubtful))
-    width = letters(0.85 * room, SMALL)
-    remarks = [*pack(_remarks(attribution, rows), width), *_caution_remarks(attribution, cautions)]
-    small_print(ax, remarks, below=24 + 1.25 * TEXT * len(axis), width=width)
+    _head(ax, title, legend)
+    small_print(ax, small, below=24 + 1.25 * TEXT * len(axis))
     return figure_of(ax)
 
 
@@ -133,30 +137,30 @@ def _write_names(ax: Axes, rows: Sequence[Ranked], doubtful: Sequence[bool], wid
     ax.tick_params(axis="x", labelsize=TEXT)
 
 
-def sign_legend(attribution: SceneAttribution, rows: Iterable[Ranked]) -> list[Any]:
+def bar_legend(attribution: SceneAttribution, rows: Iterable[Ranked], doubtful: bool) -> list[Any]:
     """Return legend entries for the colours that the bars of these rows have; a bar of length 0 shows none."""
     from matplotlib.patches import Patch
 
     words = sign_words(attribution)
     present = {colour_of(row, attribution) for row in rows if row.saliency}
-    if words is None:
-        return [Patch(color=UNCLEAR, label="never negative: it has no sign")] if present else []
-    meanings = {RAISES: words[0], LOWERS: words[1], UNCLEAR: "channels disagree, or sign lost in the noise"}
-    return [Patch(color=colour, label=text) for colour, text in meanings.items() if colour in present]
-
-
-def _head(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked], doubtful: bool) -> None:
-    """Write the title, and below it, above the bars and out of their way, the legend."""
-    from matplotlib.patches import Patch
-
-    entries = sign_legend(attribution, rows)
+    meanings = {UNCLEAR: "never negative: it has no sign"}
+    if words is not None:
+        meanings = {
+            RAISES: words[0],
+            LOWERS: words[1],
+            UNCLEAR: "channels disagree, or sign lost in the noise",
+        }
+    entries = [Patch(color=colour, label=text) for colour, text in meanings.items() if colour in present]
     if doubtful:
-        entries.append(
-            Patch(facecolor=UNCLEAR, edgecolor="white", hatch=_HATCH, label="! known to be off: see below")
-        )
-    if entries:
+        entries.append(Patch(facecolor=UNCLEAR, edgecolor="white", hatch=_HATCH, label="! known to be off"))
+    return entries
+
+
+def _head(ax: Axes, title: str, legend: Sequence[Any]) -> None:
+    """Write the title, and below it, above the bars and out of their way, the legend."""
+    if legend:
         ax.legend(
-            handles=entries,
+            handles=legend,
             loc="lower left",
             bbox_to_anchor=(0, 1),
             borderaxespad=0.2,
@@ -164,8 +168,20 @@ def _head(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked], doubt
             fontsize=TEXT,
             frameon=False,
         )
-    above = 8 + 1.45 * TEXT * len(entries)
-    ax.set_title(title_of(attribution, 58), loc="left", fontsize=TITLE, pad=above, parse_math=False)
+    above = 8 + 1.45 * TEXT * len(legend)
+    ax.set_title(title, loc="left", fontsize=TITLE, pad=above, parse_math=False)
+
+
+def _wrap(
+    attribution: SceneAttribution, rows: Sequence[Ranked], cautions: Mapping[str, Sequence[str]], width: int
+) -> list[str]:
+    """Write the small print in lines of so many letters."""
+    lines = pack(_remarks(attribution, rows), width)
+    for text, names in cautions.items():
+        labels = shorten([attribution.labels.get(name, name) for name in names[:_MOST_NAMED]], _NAME_WIDTH)
+        more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
+        lines.append(f"! {text} ({', '.join([*labels, *more])})")
+    return [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]
 
 
 def _remarks(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[str]:
@@ -178,11 +194,3 @@ def _remarks(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[str]
         f"{count_words(hidden, 'less salient parameter')} not shown" if hidden > 0 else "",
     ]
     return [part for part in parts if part]
-
-
-def _caution_remarks(attribution: SceneAttribution, cautions: dict[str, list[str]]) -> list[str]:
-    labels = attribution.labels
-    return [
-        f"! {text} ({', '.join(labels.get(name, name) for name in names)})"
-        for text, names in cautions.items()
-    ]

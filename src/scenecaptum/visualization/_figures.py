@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ._words import method_name, metric_line, sign_words
+from ._words import METRIC_WIDTH, method_name, metric_line, sign_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 WIDTH = 7.2
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # sizes of letters in points
 _DOTS_PER_INCH = 150
-_LETTER = 0.52  # width of a letter relative to its size, on average
+_LETTER = 0.58  # width of a letter relative to its size, on average
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
@@ -60,17 +60,16 @@ def letters(inches: float, size: float) -> int:
 
 def title_of(attribution: SceneAttribution, width: int) -> str:
     """Write the metric's value and the method, on one line of so many letters or on several."""
-    value, method = metric_line(attribution), method_name(attribution)
+    value, method = metric_line(attribution, METRIC_WIDTH), method_name(attribution)
     if len(value) + len(method) + 5 <= width:
         return f"{value}   ({method})"
     return "\n".join(textwrap.wrap(value, width) + textwrap.wrap(f"({method})", width))
 
 
-def small_print(ax: Axes, lines: Sequence[str], *, below: float, width: int) -> None:
-    """Write lines of at most ``width`` letters, so many points below the axes."""
-    wrapped = [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]
+def small_print(ax: Axes, lines: Sequence[str], *, below: float) -> None:
+    """Write lines so many points below the axes."""
     ax.annotate(
-        "\n".join(wrapped),
+        "\n".join(lines),
         (0, 0),
         xycoords=("axes fraction", "axes fraction"),
         xytext=(0, -below),

@@ -160,8 +160,8 @@ def draw_colour_bar(mapped: AxesImage, scale: Scale, signed: bool, **place: Any)
 
     ticks = _TICKS[scale]
     if signed:  # on either side of zero there is half the room
-        ticks = ticks[::2] if len(ticks) > 5 else ticks
-        ticks = [-tick for tick in reversed(ticks)] + [0] + ticks
+        few = ticks if scale == "log" else [0.1, 0.4, 1]
+        ticks = [-tick for tick in reversed(few)] + [0] + few
     elif scale != "log":
         ticks = [0, *ticks]
     whole: Any = mapped.figure
@@ -201,7 +201,7 @@ def _diverging() -> Colormap:
     """Return a map from the bars' vermillion by white to their blue, as dark at one end as at the other."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    colours = ["#6B2F00", LOWERS, "#F4B183", "#F7F7F7", "#8FC1E3", RAISES, "#00395A"]
+    colours = ["#A84A00", LOWERS, "#F4B183", "#F7F7F7", "#8FC1E3", RAISES, "#005A8C"]
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colours)
 
 
@@ -282,5 +282,6 @@ def _caption(attribution: SceneAttribution) -> str:
     for row in attribution.ranking(3):
         if row.name not in seen and row.saliency > 0:
             saliency = " ± ".join(filter(None, with_error(row.saliency, row.saliency_error)))
-            return f"not in the picture: {row.label}, #{row.rank} with a saliency of {saliency}"
+            label = shorten([row.label], 60)[0]
+            return f"not in the picture: {label}, #{row.rank} with a saliency of {saliency}"
     return ""

@@ -22,7 +22,7 @@ from ._figures import (
     small_print,
 )
 from ._numbers import shorten
-from ._words import count_words, method_name, metric_name
+from ._words import count_words, method_name, metric_name, pack
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,7 +95,7 @@ def plot_rank_comparison(
         f"{count_words(len(common) - len(lines), 'parameter')} not shown" if len(common) > len(lines) else "",
         f"{count_words(left_out, 'parameter')} that only one of the two has left out" if left_out else "",
     ]
-    small_print(ax, [" · ".join(filter(None, remarks))], below=6, width=90)
+    small_print(ax, pack([remark for remark in remarks if remark], 80), below=6)
     return figure_of(ax)
 
 

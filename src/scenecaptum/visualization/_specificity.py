@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
-from ._bars import draw_bars, sign_legend, top_rows
-from ._figures import SMALL, TEXT, TITLE, figure_of, letters, new_figure
+from ._bars import bar_legend, draw_bars, top_rows
+from ._figures import SMALL, TEXT, TITLE, figure_of, letters, new_figure, title_of
 from ._maps import Scale, check_scale, draw_colour_bar, draw_map, heat_of
-from ._words import axis_words, method_name, metric_line
+from ._words import axis_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..attr import SceneAttribution
+    from ..attr import Ranked, SceneAttribution
 
-_COLUMN = 3.6  # inches
+_COLUMN, _TALLEST = 3.6, 3.6  # inches
 _NARROW_NAME = 26
 
 
@@ -61,7 +61,7 @@ def plot_specificity(
     heats = [heat_of(one, signed=signed, maximum=maximum or None) for one in attributions]
     rows = [top_rows(one, top) for one in attributions]
     bars = 1.5 + 0.19 * max(map(len, rows))
-    maps = 0.1 + max(_COLUMN * heat.shape[0] / heat.shape[1] for heat in heats)
+    maps = 0.1 + min(max(_COLUMN * heat.shape[0] / heat.shape[1] for heat in heats), _TALLEST)
     if figure is None:
         figure = new_figure(_COLUMN * len(attributions) + 0.7, bars + maps)
     # A grid of its own for either row lets the maps be as wide as bars and names together.
@@ -80,9 +80,13 @@ def plot_specificity(
     return figure_of(axes[0])
 
 
-def _draw_ranking(ax: Axes, attribution: SceneAttribution, rows: Sequence[Any]) -> None:
+def _doubtful(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[bool]:
     cautions = attribution.info.get("cautions") or {}
-    draw_bars(ax, attribution, rows, [row.name in cautions for row in rows], name_width=_NARROW_NAME)
+    return [row.name in cautions for row in rows]
+
+
+def _draw_ranking(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked]) -> None:
+    draw_bars(ax, attribution, rows, _doubtful(attribution, rows), name_width=_NARROW_NAME)
     ax.tick_params(axis="both", labelsize=SMALL)
     ax.locator_params(axis="x", nbins=4)
     words = textwrap.fill(axis_words(attribution), letters(0.6 * _COLUMN, SMALL))
@@ -97,7 +101,7 @@ def _draw_heads(figure: Any, attributions: Sequence[SceneAttribution]) -> None:
         ax.text(
             (number + 0.5) / len(attributions),
             1.03,
-            f"{textwrap.fill(metric_line(one), letters(0.85 * _COLUMN, TITLE))}\n({method_name(one)})",
+            title_of(one, letters(0.85 * _COLUMN, TITLE)),
             transform=blended_transform_factory(figure.transSubfigure, ax.transAxes),
             ha="center",
             fontsize=TEXT,
@@ -106,10 +110,14 @@ def _draw_heads(figure: Any, attributions: Sequence[SceneAttribution]) -> None:
 
 
 def _draw_legend(
-    figure: Any, attributions: Sequence[SceneAttribution], rows: Sequence[Sequence[Any]]
+    figure: Any, attributions: Sequence[SceneAttribution], rows: Sequence[Sequence[Ranked]]
 ) -> None:
     pairs = zip(attributions, rows, strict=True)
-    entries = {entry.get_label(): entry for one, ranked in pairs for entry in sign_legend(one, ranked)}
+    entries = {
+        entry.get_label(): entry
+        for one, ranked in pairs
+        for entry in bar_legend(one, ranked, any(_doubtful(one, ranked)))
+    }
     if entries:
         figure.legend(
             handles=list(entries.values()), loc="outside lower center", ncols=2, fontsize=SMALL, frameon=False

@@ -5,22 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from ._numbers import with_error
+from ._numbers import shorten, with_error
 
 if TYPE_CHECKING:
     from ..attr import SceneAttribution
 
 
-def metric_line(attribution: SceneAttribution) -> str:
-    """``'MeanLuminance = 2.336942 ± 0.000533'``."""
+METRIC_WIDTH = 36  # letters of a metric's name in a figure
+
+
+def metric_line(attribution: SceneAttribution, width: int | None = None) -> str:
+    """``'MeanLuminance = 2.336942 ± 0.000533'``, the name in at most so many letters."""
     error = attribution.metric_standard_error
     value, bar = with_error(attribution.metric_value, error, digits=3)
-    return f"{metric_name(attribution)} = {value}{f' ± {bar}' if bar else ''}"
+    return f"{metric_name(attribution, width)} = {value}{f' ± {bar}' if bar else ''}"
 
 
-def metric_name(attribution: SceneAttribution) -> str:
-    """Return the metric's name."""
-    return str(attribution.info.get("metric", "metric"))
+def metric_name(attribution: SceneAttribution, width: int | None = None) -> str:
+    """Return the metric's name, in at most so many letters."""
+    name = str(attribution.info.get("metric", "metric"))
+    return name if width is None else shorten([name], width)[0]
 
 
 def method_name(attribution: SceneAttribution) -> str:
@@ -37,7 +41,7 @@ def quantity(attribution: SceneAttribution) -> str:
 def axis_words(attribution: SceneAttribution) -> str:
     """Say on an axis what a saliency is the size of."""
     measure = _MEASURES.get(quantity(attribution), f"{quantity(attribution)}, {{}}")
-    return f"saliency: {measure.format(metric_name(attribution))}"
+    return f"saliency: {measure.format(metric_name(attribution, METRIC_WIDTH))}"
 
 
 def sign_words(attribution: SceneAttribution) -> tuple[str, str] | None:
