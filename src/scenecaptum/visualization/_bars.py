@@ -59,7 +59,7 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
     legend = bar_legend(attribution, rows, any(doubtful))
     # Names take up to a third of the width.
     room = 0.67 * WIDTH if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
-    title = title_of(attribution, letters(room, TITLE))
+    title = title_of(attribution, letters(0.88 * room, TITLE))
     axis = textwrap.wrap(axis_words(attribution), letters(room, TEXT))
     small = _wrap(attribution, rows, cautions, letters(room, SMALL))
     if ax is None:
