@@ -199,6 +199,10 @@ def test_the_relative_threshold_is_held_fixed_while_differentiating():
     relative = UnifiedGlareRating(CAMERA, threshold_factor=5)
     fixed = UnifiedGlareRating(CAMERA, threshold=5 * mean.item())
     torch.testing.assert_close(gradient(relative, image), gradient(fixed, image), rtol=1e-3, atol=1e-9)
+    held = relative.held_at(image)
+    assert held(image).item() == pytest.approx(relative(image).item())
+    assert held(2 * image).item() == pytest.approx(fixed(2 * image).item(), rel=1e-4)
+    assert relative.threshold_factor == 5
 
 
 # Derivatives

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import abstractmethod
 from numbers import Real
@@ -123,6 +124,16 @@ class GlareRating(torch.nn.Module):
             colour = torch.tensor(_COLOURS[number % len(_COLOURS)], dtype=values.dtype, device=values.device)
             painted[rows, columns] = values[rows, columns, None] * colour / _relative_luminance(colour)
         return like_input(painted, image)
+
+    def held_at(self, image: torch.Tensor) -> GlareRating:
+        """Return the same rating with the threshold that it has for a picture, whatever it is shown.
+
+        That is the function whose derivative a rating with ``threshold_factor`` has.
+        """
+        values = photopic(image.detach(), self.efficacy, self.camera)
+        held = copy.deepcopy(self)
+        held.threshold, held.threshold_factor, held.task = self._threshold(values).item(), None, None
+        return held
 
     @abstractmethod
     def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:

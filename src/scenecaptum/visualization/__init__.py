@@ -5,6 +5,8 @@ drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: 
 ``figure.savefig(path)``; a notebook shows it by itself.
 """
 
+from ._ablation import ablation_text as ablation_text
+from ._ablation import plot_ablation as plot_ablation
 from ._bars import plot_bars as plot_bars
 from ._luminance_map import plot_luminance as plot_luminance
 from ._maps import plot_heatmap as plot_heatmap
