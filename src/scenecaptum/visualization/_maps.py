@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Scale = Literal["sqrt", "linear", "log"]
 
-_SCALES = {"sqrt": "√ scale", "linear": "linear scale", "log": "logarithmic scale"}
+_SCALES = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _TICKS = {
     "sqrt": [0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1],
     "linear": [0.2, 0.4, 0.6, 0.8, 1],
