@@ -12,9 +12,9 @@ from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.visualization import plot_luminance, plot_rank_comparison, plot_specificity
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, resolution: tuple[int, int] = (256, 144), spp: int = 64) -> None:
     renderer = SceneRenderer(
-        "office", inputs=["reflectance", "emitters"], resolution=(256, 144), spp=64, max_depth=6
+        "office", inputs=["reflectance", "emitters"], resolution=resolution, spp=spp, max_depth=6
     )
     glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
     progress = sys.stderr.isatty()
@@ -37,4 +37,6 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python examples/figures.py FOLDER")
     main(Path(sys.argv[1]))

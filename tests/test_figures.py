@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import inspect
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -515,3 +517,21 @@ def test_figures_leave_global_state_alone() -> None:
         assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
     assert dict(matplotlib.rcParams) == before
     assert len(Gcf.figs) == managed
+
+
+def test_the_example_draws_every_figure(mi: Any, tmp_path: Path) -> None:
+    from PIL import Image
+
+    path = Path(__file__).parents[1] / "examples" / "figures.py"
+    spec = importlib.util.spec_from_file_location("figures", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.main(tmp_path / "new", resolution=(32, 18), spp=16)
+    drawn = sorted(picture.stem for picture in (tmp_path / "new").iterdir())
+    assert drawn == ["bars", "heatmap", "luminance", "overlay", "ranks", "specificity"]
+    for picture in (tmp_path / "new").iterdir():
+        with Image.open(picture) as shown:
+            assert shown.format == "PNG"
+            assert 1000 < shown.width < 1300

@@ -89,7 +89,7 @@ def _draw_ranking(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked
     draw_bars(ax, attribution, rows, _doubtful(attribution, rows), name_width=_NARROW_NAME)
     ax.tick_params(axis="both", labelsize=SMALL)
     ax.locator_params(axis="x", nbins=4)
-    words = textwrap.fill(axis_words(attribution), letters(0.6 * _COLUMN, SMALL))
+    words = textwrap.fill(axis_words(attribution), letters(0.68 * _COLUMN, SMALL))
     ax.set_xlabel(words, fontsize=SMALL, parse_math=False)
 
 
