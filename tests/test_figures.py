@@ -406,6 +406,27 @@ def test_what_is_among_the_first_of_either_is_shown_with_its_rank() -> None:
     assert "5 parameters not shown" in all_text(figure)
 
 
+def test_what_noise_may_have_moved_is_dotted() -> None:
+    def measured(values: dict[str, float], error: float) -> SceneAttribution:
+        tensors = {name: torch.tensor(value) for name, value in values.items()}
+        return SceneAttribution(
+            tensors, None, 1.0, covariance={name: torch.tensor([[error**2]]) for name in values}
+        )
+
+    a = {"a": 4.0, "b": 3.0, "c": 2.9, "d": 1.0}
+    b = {"a": 1.0, "b": 2.9, "c": 3.0, "d": 4.0}
+    figure = plot_rank_comparison(measured(a, 0.1), measured(b, 0.1))
+    lines = {
+        line.get_ydata()[0]: line.is_dashed() for line in figure.axes[0].lines if line.get_marker() == "o"
+    }
+    # b and c swap places within the noise; a and d far beyond it.
+    assert lines == {1: False, 2: True, 3: True, 4: False}
+    assert "noise alone" in all_text(figure)
+    figure = plot_rank_comparison(measured(a, 0.001), measured(b, 0.001))
+    assert not any(line.is_dashed() for line in figure.axes[0].lines)
+    assert "noise alone" not in all_text(figure)
+
+
 def test_labels_of_many_parameters_do_not_overlap() -> None:
     letters = "abcdefghijklmnopqrstuvwxyzåäö"
     labels = {name: f"{name * 30}: reflectance" for name in letters}

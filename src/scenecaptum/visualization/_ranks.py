@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
@@ -35,16 +35,46 @@ _MEANINGS = {RAISES: "ranks higher on the right", LOWERS: "ranks lower on the ri
 
 
 class _Line(NamedTuple):
-    """A parameter's ranks, and the places in the two columns that it is drawn at."""
+    """A parameter's ranks, the places in the two columns that it is drawn at, and whether it clearly moves."""
 
     label: str
     ranks: tuple[int, int]
     places: tuple[int, int]
+    clear: bool
 
     @property
     def colour(self) -> str:
         left, right = self.ranks
         return RAISES if right < left else LOWERS if right > left else UNCLEAR
+
+    @property
+    def dotted(self) -> bool:
+        return not self.clear and self.colour != UNCLEAR
+
+
+class _Column(NamedTuple):
+    """One ranking: each parameter's saliency, its rank, and the first and last rank that it may have."""
+
+    saliency: dict[str, float]
+    rank: dict[str, int]
+    possible: dict[str, tuple[int, int]]
+
+    @classmethod
+    def of(cls, attribution: SceneAttribution, names: Sequence[str]) -> _Column:
+        all_of_them, errors = attribution.saliency(), attribution.saliency_error() or {}
+        saliency = {name: all_of_them[name] for name in names}
+        order = sorted(names, key=lambda name: -saliency[name])
+        value = torch.tensor([saliency[name] for name in names], dtype=torch.float64)
+        error = torch.tensor([errors.get(name, 0.0) for name in names], dtype=torch.float64)
+        ahead = value[None, :] - value[:, None]  # by how much the second is more salient than the first
+        noise = 2 * torch.hypot(error[None, :], error[:, None])
+        first = 1 + (ahead > noise).sum(1)
+        last = len(names) - (ahead < -noise).sum(1)
+        return cls(
+            saliency,
+            {name: rank for rank, name in enumerate(order, start=1)},
+            dict(zip(names, zip(first.tolist(), last.tolist(), strict=True), strict=True)),
+        )
 
 
 def plot_rank_comparison(
@@ -54,7 +84,8 @@ def plot_rank_comparison(
 
     A parameter that is among the ``top`` first in either ranking appears in both columns; where it is not among
     the first it stands below the dashed line, in order, with its rank. Lines are blue where a parameter ranks
-    higher on the right than on the left, vermillion where it ranks lower. The title has Kendall's τ-b of the
+    higher on the right than on the left, vermillion where it ranks lower, and dotted where noise may have done
+    it: where the ranks that it may have, given two standard errors, overlap. The title has Kendall's τ-b of the
     saliencies of all parameters, shown or not: 1 for the same order, 0 for unrelated ones, −1 for the reverse.
 
     Parameters
@@ -82,9 +113,9 @@ def plot_rank_comparison(
         raise SceneCaptumError(
             f"A comparison takes at least two parameters that both attributions have; these share {len(common)}."
         )
-    left, right = a.saliency(), b.saliency()
-    lines = _lines({n: a.labels.get(n, n) for n in common}, left, right, top)
-    tau = kendall_tau([left[name] for name in common], [right[name] for name in common])
+    columns = _Column.of(a, common), _Column.of(b, common)
+    lines = _lines({name: a.labels.get(name, name) for name in common}, columns, top)
+    tau = kendall_tau(*([column.saliency[name] for name in common] for column in columns))
     if ax is None:
         ax = new_figure(WIDTH, 1.3 + 0.2 * len(lines)).add_subplot()
     _draw_lines(ax, lines, top)
@@ -93,6 +124,7 @@ def plot_rank_comparison(
     remarks = [
         f"ranks by saliency among {len(common)} parameters",
         f"{count_words(len(common) - len(lines), 'parameter')} not shown" if len(common) > len(lines) else "",
+        "dotted: noise alone may have moved it" if any(line.dotted for line in lines) else "",
         f"{count_words(left_out, 'parameter')} that only one of the two has left out" if left_out else "",
     ]
     small_print(ax, pack([remark for remark in remarks if remark], 80), below=6)
@@ -107,29 +139,34 @@ def kendall_tau(a: Sequence[float], b: Sequence[float]) -> float:
     return float((first * second).sum()) / math.sqrt(untied) if untied else math.nan
 
 
-def _lines(
-    labels: Mapping[str, str], left: Mapping[str, float], right: Mapping[str, float], top: int
-) -> list[_Line]:
-    orders = [sorted(labels, key=lambda name: -values[name]) for values in (left, right)]
+def _lines(labels: Mapping[str, str], columns: tuple[_Column, _Column], top: int) -> list[_Line]:
+    orders = [sorted(labels, key=column.rank.__getitem__) for column in columns]
     shown = set(orders[0][:top]) | set(orders[1][:top])
-    ranks = [{name: rank for rank, name in enumerate(order, start=1)} for order in orders]
     # All of the first have their own rank as their place; what is shown besides follows in order.
-    places = [
-        {name: place for place, name in enumerate((n for n in order if n in shown), 1)} for order in orders
-    ]
-    names = [name for name in orders[0] if name in shown]
-    short = shorten([labels[name] for name in names], _NAME_WIDTH)
+    left, right = (
+        {name: place for place, name in enumerate((n for n in order if n in shown), start=1)}
+        for order in orders
+    )
+    short = shorten([labels[name] for name in left], _NAME_WIDTH)
     return [
-        _Line(label, (ranks[0][name], ranks[1][name]), (places[0][name], places[1][name]))
-        for name, label in zip(names, short, strict=True)
+        _Line(
+            label,
+            (columns[0].rank[name], columns[1].rank[name]),
+            (left[name], right[name]),
+            clear=_disjoint(columns[0].possible[name], columns[1].possible[name]),
+        )
+        for name, label in zip(left, short, strict=True)
     ]
+
+
+def _disjoint(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    return a[1] < b[0] or b[1] < a[0]
 
 
 def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
     for line in lines:
-        ax.plot(
-            (0, 1), line.places, color=line.colour, linewidth=1.6, marker="o", markersize=4, clip_on=False
-        )
+        style: dict[str, Any] = {"linewidth": 1.6, "linestyle": (0, (1, 1.5)) if line.dotted else "solid"}
+        ax.plot((0, 1), line.places, color=line.colour, marker="o", markersize=4, clip_on=False, **style)
         for side in (0, 1):
             _write_end(ax, line, side, faint=line.ranks[side] > top)
     if len(lines) > top:
