@@ -421,10 +421,10 @@ def test_what_noise_may_have_moved_is_dotted() -> None:
     }
     # b and c swap places within the noise; a and d far beyond it.
     assert lines == {1: False, 2: True, 3: True, 4: False}
-    assert "noise alone" in all_text(figure)
+    assert "within the noise" in all_text(figure)
     figure = plot_rank_comparison(measured(a, 0.001), measured(b, 0.001))
     assert not any(line.is_dashed() for line in figure.axes[0].lines)
-    assert "noise alone" not in all_text(figure)
+    assert "within the noise" not in all_text(figure)
 
 
 def test_labels_of_many_parameters_do_not_overlap() -> None:

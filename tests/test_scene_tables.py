@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html.parser
 import sys
+import unicodedata
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ from scenecaptum.rendering import RenderPlan
 from scenecaptum.scene import Parameter, SceneParameters
 from scenecaptum.scene._parameters import Bounds
 from scenecaptum.visualization import table_html, table_text
+from scenecaptum.visualization._numbers import columns, shorten
 
 NASTY = "<img src=x onerror=alert(1)>"
 
@@ -118,8 +121,8 @@ def test_parameters_fit_a_terminal(columns: int, monkeypatch: pytest.MonkeyPatch
 
 def test_wide_terminals_keep_more_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     heads = []
-    for columns in (50, 80, 120, 400):
-        monkeypatch.setenv("COLUMNS", str(columns))
+    for width in (50, 80, 120, 400):
+        monkeypatch.setenv("COLUMNS", str(width))
         heads.append(str(parameters()).splitlines()[0].split())
     assert heads[-1] == ["name", "kind", "shape", "bounds", "owner", "status"]
     assert heads[-2] == ["name", "kind", "shape", "bounds", "owner", "differentiable"]
@@ -188,9 +191,26 @@ def test_an_attribution_in_a_notebook_is_well_formed() -> None:
 
 
 def test_without_a_terminal_the_ranking_is_a_hundred_wide(monkeypatch: pytest.MonkeyPatch) -> None:
-    import dataclasses
-
     monkeypatch.delenv("COLUMNS", raising=False)
     long = dataclasses.replace(make(), labels={"lamp": "lamp" * 60})
     widest = max(map(len, table_text(long).splitlines()))
     assert 90 < widest <= 100
+
+
+@pytest.mark.parametrize("wide", [30, 60, 80, 100])
+def test_wide_letters_count_twice(wide: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(wide))
+    names = {"lamp": "机の上のランプ" * 6, "rough": "bure\u0301au: rugosité", "wall": "壁: reflectance"}
+    text = table_text(dataclasses.replace(make(), labels=names))
+    scene = SceneParameters([parameter(name) for name in names.values()])
+    for line in [*text.splitlines(), *str(scene).splitlines()]:
+        assert sum(2 if unicodedata.east_asian_width(c) == "W" else 1 for c in line) <= wide
+    if wide >= 60:
+        shown = [columns(line[: line.index(" ± ")]) for line in text.splitlines()[1:] if " ± " in line]
+        assert len(shown) == 8
+        assert len(set(shown)) == 1
+
+
+def test_columns_of_letters() -> None:
+    assert [columns(text) for text in ("", "desk", "机", "e\u0301", "ﾗ", "Ａ")] == [0, 4, 2, 1, 1, 2]
+    assert shorten(["机の上のランプの傘"], 8) == ["机の…傘"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -92,7 +93,7 @@ def shorten(names: Sequence[str], width: int) -> list[str]:
     """
     names = ["".join(c if c.isprintable() else "�" for c in name) for name in names]
     middle = max(width - 1, 0) // 2
-    shortened = [_cut(name, width, middle) for name in names]
+    shortened = [cut(name, width, middle) for name in names]
     for tail in sorted(range(width), key=lambda tail: abs(tail - middle)):
         meant: dict[str, set[str]] = {}
         for name, short in zip(names, shortened, strict=True):
@@ -100,17 +101,42 @@ def shorten(names: Sequence[str], width: int) -> list[str]:
         if all(len(candidates) == 1 for candidates in meant.values()):
             break
         shortened = [
-            short if len(meant[short]) == 1 else _cut(name, width, tail)
+            short if len(meant[short]) == 1 else cut(name, width, tail)
             for name, short in zip(names, shortened, strict=True)
         ]
     return shortened
 
 
-def _cut(name: str, width: int, tail: int) -> str:
-    """Leave out what precedes the last ``tail`` characters, so that ``width`` remain."""
-    if len(name) <= width:
+def cut(name: str, width: int, tail: int) -> str:
+    """Leave out what precedes the last ``tail`` columns, so that at most ``width`` remain."""
+    if columns(name) <= width:
         return name
-    return f"{name[: max(width - 1 - tail, 0)]}…{name[len(name) - tail :]}"[:width]
+    end = _first(name[::-1], min(tail, width - 1))[::-1]
+    return f"{_first(name, width - 1 - tail)}…{end}" if width > 0 else ""
+
+
+def _first(text: str, width: int) -> str:
+    """Return as much of the beginning as fits in so many columns."""
+    taken = 0
+    for index, character in enumerate(text):
+        taken += columns(character)
+        if taken > width:
+            return text[:index]
+    return text
+
+
+def columns(text: str) -> int:
+    """Return how many columns of a terminal a text takes: two for a Chinese letter, none for an accent on one."""
+    if text.isascii():
+        return len(text)
+    return sum(
+        0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text
+    )
+
+
+def pad(text: str, width: int) -> str:
+    """Add spaces on the right, up to so many columns."""
+    return text + " " * (width - columns(text))
 
 
 def _exponent(number: float) -> int:

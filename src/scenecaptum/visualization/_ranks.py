@@ -124,7 +124,7 @@ def plot_rank_comparison(
     remarks = [
         f"ranks by saliency among {len(common)} parameters",
         f"{count_words(len(common) - len(lines), 'parameter')} not shown" if len(common) > len(lines) else "",
-        "dotted: noise alone may have moved it" if any(line.dotted for line in lines) else "",
+        "dotted: within the noise, or tied" if any(line.dotted for line in lines) else "",
         f"{count_words(left_out, 'parameter')} that only one of the two has left out" if left_out else "",
     ]
     small_print(ax, pack([remark for remark in remarks if remark], 80), below=6)

@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from ._numbers import shorten
+from ._numbers import columns, cut, pad, shorten
 from ._table import STYLE
 from ._words import count_words
 
@@ -30,7 +30,7 @@ def parameters_text(parameters: SceneParameters) -> str:
     rows = {name: _row(parameter) for name, parameter in parameters.items()}
     whole = _grid(_COLUMNS, list(rows.values()))
     width = _terminal_width()
-    if width is None or not rows or max(map(len, whole)) <= width:
+    if width is None or not rows or max(map(columns, whole)) <= width:
         return "\n".join(whole)
     reasons = _groups((p.name, p.problem or p.caution) for p in parameters.values())
     numbers = {text: number for number, text in enumerate(reasons, start=1)}
@@ -96,25 +96,24 @@ def _short_status(parameter: Parameter, numbers: Mapping[str, int]) -> str:
 
 def _fit(rows: Sequence[Sequence[str]], width: int) -> list[str]:
     """Shorten names and owners, and leave out columns, until lines are at most so wide."""
-    heads = list(_COLUMNS)
-    heads[-1] = "differentiable"
-    columns = {head: [head, *column] for head, column in zip(heads, zip(*rows, strict=True), strict=True)}
-    columns["owner"] = shorten(columns["owner"], _NARROWEST_OWNER)
+    heads = (*_COLUMNS[:-1], "differentiable")
+    kept = {head: [head, *column] for head, column in zip(heads, zip(*rows, strict=True), strict=True)}
+    kept["owner"] = shorten(kept["owner"], _NARROWEST_OWNER)
     for leaving in (None, *_DISPENSABLE):
-        columns.pop(leaving or "", None)
-        others = sum(2 + max(map(len, column)) for head, column in columns.items() if head != "name")
+        kept.pop(leaving or "", None)
+        others = sum(2 + max(map(columns, column)) for head, column in kept.items() if head != "name")
         if width - others >= _NARROWEST_NAME:
             break
-    columns["name"] = shorten(columns["name"], max(width - others, 1))
-    first, *rest = (list(row) for row in zip(*columns.values(), strict=True))
-    return [line[:width] for line in _grid(first, rest)]
+    kept["name"] = shorten(kept["name"], max(width - others, 1))
+    first, *rest = (list(row) for row in zip(*kept.values(), strict=True))
+    return [cut(line, width, 0) for line in _grid(first, rest)]
 
 
 def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    widths = [max(map(columns, column)) for column in zip(heads, *rows, strict=True)]
     widths[-1] = 0  # nothing stands beside the last
     return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        "  ".join(pad(cell, width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in (heads, *rows)
     ]
 

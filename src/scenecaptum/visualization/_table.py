@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from ._numbers import Format, align_decimals, shorten, with_error
+from ._numbers import Format, align_decimals, columns, cut, pad, shorten, with_error
 from ._words import (
     caution_groups,
     count_words,
@@ -64,7 +64,7 @@ def table_text(attribution: SceneAttribution, top: int | None = ROWS) -> str:
     lines += ["", *_grid([table.columns, *table.rows], width)]
     for note in table.notes:
         lines += textwrap.wrap(note, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
-    return "\n".join(line if len(line) <= width else f"{line[: width - 1]}…" for line in lines)
+    return "\n".join(cut(line, width, 0) for line in lines)
 
 
 def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
@@ -202,14 +202,14 @@ def _range(numbers: Sequence[str]) -> str:
 
 def _grid(rows: Sequence[_Row], width: int) -> list[str]:
     """Lay out columns; long names give way first, then the gradients are left out."""
-    rank, name, mark, saliency, gradient = (max(map(len, column)) for column in zip(*rows, strict=True))
+    rank, name, mark, saliency, gradient = (max(map(columns, column)) for column in zip(*rows, strict=True))
     taken = rank + 2 + (mark + 1 if mark else 0) + 2 + saliency
     if gradient and width - taken - 2 - gradient < min(name, _NARROWEST_NAME):
         rows, gradient = [row._replace(gradient="") for row in rows], 0
     name = min(name, max(width - taken - (gradient + 2 if gradient else 0), 1))
     lines = []
     for row, short in zip(rows, shorten([row.name for row in rows], name), strict=True):
-        named = f"{row.rank:>{rank}}  {short:<{name}}"
+        named = f"{row.rank:>{rank}}  {pad(short, name)}"
         marked = f"{named} {row.mark:<{mark}}" if mark else named
         lines.append(f"{marked}  {row.saliency:<{saliency}}  {row.gradient}".rstrip())
     return lines
