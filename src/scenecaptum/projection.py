@@ -1,58 +1,208 @@
-"""Parameter space → image space: each pixel gets the saliency of what it shows."""
+"""Parameter space → image space: each pixel gets the saliency of what it shows.
+
+``heatmap`` paints an attribution on the picture, ``shared_maximum`` finds one scale for several maps, and
+``export`` writes maps to files.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from .errors import SceneCaptumError
+from .errors import SceneCaptumError, near_misses
 
 if TYPE_CHECKING:
     from .attr import SceneAttribution
+    from .scene import SurfaceMap, TexelMap
+
+Names: TypeAlias = "str | Sequence[str] | None"
+Scale: TypeAlias = Literal["linear", "log"]
+
+IMAGE = 3  # axes of a texture
 
 
-def heatmap(attribution: SceneAttribution) -> torch.Tensor:
+def heatmap(
+    attribution: SceneAttribution,
+    *,
+    parameter: Names = None,
+    signed: bool = False,
+    scale: Scale = "linear",
+    decades: float = 3.0,
+    maximum: float | None = None,
+    texels: bool = False,
+    surfaces: SurfaceMap | None = None,
+) -> torch.Tensor:
     """Paint each pixel with the saliency of the objects it shows, weighted by how much of it they cover.
+
+    Example
+    -------
+    >>> heatmap(attribution, parameter="*.reflectance.*", signed=True)  # doctest: +SKIP
+    >>> top = shared_maximum([before, after])  # doctest: +SKIP
+    >>> heatmap(before, maximum=top), heatmap(after, maximum=top)  # doctest: +SKIP
 
     An object's saliency is the ℓ2 norm over all its parameters; where several materials, lights and media meet
     in one object, over all of theirs; and where the attribution is to groups, over those that have any of them.
     The scale is set by the most salient object, parameter or group, seen or not, so a map never exceeds 1, and its
     brightest pixel stays below 1 where what matters most is out of sight.
 
+    Parameters
+    ----------
+    attribution
+        What to paint.
+    parameter
+        A name or glob of the attribution's parameters (or groups), or a list of these: only they are painted, and
+        set the scale. By default all.
+    signed
+        Whether to give an object's saliency the sign of the sum of all its channels and parameters: it tells
+        whether raising all of them alike would raise the metric. Objects of either sign cancel in a pixel that
+        shows both.
+    scale
+        ``"linear"``, or ``"log"``: 1 at the maximum, and 0 at and below the maximum divided by 10 to the power
+        of ``decades``; the sign is kept.
+    decades
+        How many powers of ten a logarithmic map shows.
+    maximum
+        The saliency that is painted as 1, and with it all above: see ``shared_maximum``.
+    texels
+        Whether to paint bitmaps and environment maps texel by texel, where the surface's own coordinates put
+        them, instead of all over their objects alike. A pixel then has the norm of the mean gradient per unit of
+        texture of the texels that it shows: where that is the same everywhere it equals the saliency of the whole
+        texture, and a part that matters ten times as much for its size is ten times as bright. Gradients of
+        single texels are noisy, and the brightest sets the scale; more samples, or ``maximum``, help.
+    surfaces
+        What the pixels show, if not what is seen directly: ``renderer.see_through()``.
+
     Returns
     -------
     Tensor
-        ``(H, W)`` in [0, 1].
+        ``(H, W)`` in [0, 1], or in [-1, 1] where it is signed.
 
     Raises
     ------
     SceneCaptumError
-        Where the attribution does not know what its pixels show.
+        Where the attribution does not know what its pixels show, a name matches nothing, there are no texels to
+        paint, or a scale is none.
     """
-    surfaces = attribution.surfaces
+    if scale not in ("linear", "log"):
+        raise SceneCaptumError(f'scale must be "linear" or "log", not {scale!r}.')
+    if not decades > 0:
+        raise SceneCaptumError(f"decades must be positive, not {decades!r}.")
+    shown = _surfaces_of(attribution, surfaces)
+    magnitude, sign, brightest = _entries(attribution, shown, parameter, texels)
+    if maximum is not None:
+        if not 0 < maximum < math.inf:
+            raise SceneCaptumError(f"maximum must be positive and finite, not {maximum!r}.")
+        brightest = maximum
+
+    height, width = shown.shape
+    painted = torch.zeros(height * width)
+    if brightest > 0:
+        strength = sign * magnitude if signed else magnitude
+        painted.index_add_(
+            0,
+            torch.from_numpy(shown.pixel).long(),
+            torch.from_numpy(shown.fraction) * torch.from_numpy(strength).float() / brightest,
+        )
+    # Fractions of a pixel sum to 1 up to rounding.
+    painted = painted.clamp(-1, 1).reshape(height, width)
+    return _logarithmic(painted, decades) if scale == "log" else painted
+
+
+def shared_maximum(
+    attributions: Iterable[SceneAttribution],
+    *,
+    parameter: Names = None,
+    texels: bool = False,
+    surfaces: SurfaceMap | None = None,
+) -> float:
+    """Return the ``maximum`` for heatmaps that are to be compared: the largest of their own.
+
+    The other parameters are those of ``heatmap``. It is 0 where all attributions are.
+    """
+    return max(
+        (_entries(one, _surfaces_of(one, surfaces), parameter, texels)[2] for one in attributions), default=0.0
+    )
+
+
+def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> SurfaceMap:
+    surfaces = attribution.surfaces if given is None else given
     if surfaces is None:
         raise SceneCaptumError(
             "This attribution does not know which object each pixel shows: only a SceneRenderer does."
         )
-    saliency = attribution.saliency()
+    return surfaces
+
+
+def _entries(
+    attribution: SceneAttribution, surfaces: SurfaceMap, parameter: Names, texels: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return each entry's saliency and sign, and the saliency at which the scale of a map of its own ends."""
+    chosen = _chosen(attribution, parameter)
+    saliency = {name: value for name, value in attribution.saliency().items() if name in chosen}
+    total = {name: attribution[name].double().sum().item() for name in chosen}
+    worn = _worn(attribution, surfaces, saliency)
+    textures = _textures(attribution, surfaces, chosen) if texels else {}
+
+    objects = [math.hypot(*(saliency[name] for name in one)) for one in worn]
+    brightest = max([*objects, *saliency.values()], default=0.0)
+    if textures:
+        worn = [one - textures.keys() for one in worn]
+        objects = [math.hypot(*(saliency[name] for name in one)) for one in worn]
+    magnitude = np.array(objects)[surfaces.object_index]
+    effect = np.array([math.fsum(total[name] for name in one) for one in worn])[surfaces.object_index]
+    for name, shown in textures.items():
+        density = shown.density(attribution[name].numpy(force=True), len(surfaces.pixel))
+        magnitude = np.hypot(magnitude, np.linalg.norm(density, axis=-1))
+        effect += density.sum(-1)
+        brightest = max(brightest, float(magnitude.max(initial=0.0)))
+    return magnitude, np.sign(effect), brightest
+
+
+def _textures(
+    attribution: SceneAttribution, surfaces: SurfaceMap, chosen: Collection[str]
+) -> dict[str, TexelMap]:
+    """Return what the map tells of the chosen textures' texels; groups have none."""
+    known = {name: surfaces.texels[name] for name in chosen if name in surfaces.texels}
+    if not known and any(attribution[name].ndim == IMAGE for name in chosen):
+        raise SceneCaptumError(
+            "Which texels the pixels show is not known: attribute with a SceneRenderer of one camera, or give "
+            "surfaces=renderer.surfaces_with_texels(...)."
+        )
+    return known
+
+
+def _chosen(attribution: SceneAttribution, parameter: Names) -> list[str]:
+    if parameter is None:
+        return list(attribution)
+    wanted = [parameter] if isinstance(parameter, str) else list(parameter)
+    chosen: dict[str, None] = {}
+    for one in wanted:
+        # A name is matched as it stands first: it may hold brackets.
+        matched = [one] if one in attribution else [name for name in attribution if fnmatchcase(name, one)]
+        if not matched:
+            raise SceneCaptumError(
+                f"parameter={one!r} matches none of the {len(attribution)} parameters of the attribution."
+                f"{near_misses(one, attribution)}"
+            )
+        chosen |= dict.fromkeys(matched)
+    return list(chosen)
+
+
+def _worn(
+    attribution: SceneAttribution, surfaces: SurfaceMap, saliency: Mapping[str, float]
+) -> list[set[str]]:
+    """Return for each object the parameters, or the groups of parameters, that it shows."""
     groups = attribution.info.get("groups") or {name: [name] for name in saliency}
     group_of = {name: group for group, members in groups.items() for name in members if group in saliency}
-    objects = [
-        math.hypot(*(saliency[group] for group in {group_of[name] for name in below if name in group_of}))
-        for below in surfaces.parameters
-    ]
-    brightest = max([*objects, *saliency.values()], default=0.0)
+    return [{group_of[name] for name in below if name in group_of} for below in surfaces.parameters]
 
-    height, width = surfaces.shape
-    painted = torch.zeros(height * width)
-    if brightest > 0:
-        shown = torch.tensor(objects)[torch.from_numpy(surfaces.object_index).long()]
-        painted.index_add_(
-            0,
-            torch.from_numpy(surfaces.pixel).long(),
-            torch.from_numpy(surfaces.fraction) * shown / brightest,
-        )
-    # Fractions of a pixel sum to 1 up to rounding.
-    return painted.clamp(0, 1).reshape(height, width)
+
+def _logarithmic(painted: torch.Tensor, decades: float) -> torch.Tensor:
+    strength = (1 + painted.abs().log10() / decades).clamp(0, 1)
+    return strength * painted.sign()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -66,7 +66,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     image
         The rendered image, ``(H, W, 3)`` linear radiance.
     surfaces
-        Which objects each pixel shows, where the renderer knows.
+        Which objects each pixel shows, and which texels of textures, where the renderer knows.
     info
         How it was computed: method, metric, seed, samples, integrator, seconds, versions.
     """
@@ -205,11 +205,15 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
         return load(path)
 
-    def heatmap(self) -> torch.Tensor:
-        """Return an ``(H, W)`` tensor in [0, 1]: each pixel has the saliency of what it shows."""
+    def heatmap(self, **options: Any) -> torch.Tensor:
+        """Return an ``(H, W)`` tensor in [0, 1]: each pixel has the saliency of what it shows.
+
+        The options are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale``, ``decades``,
+        ``maximum``, ``texels``, ``surfaces``.
+        """
         from ..projection import heatmap
 
-        return heatmap(self)
+        return heatmap(self, **options)
 
     def plot_heatmap(self, ax: Axes | None = None, **options: Any) -> Figure:
         """Draw the heatmap beside the render; the options are those of ``visualization.plot_heatmap``."""
@@ -269,7 +273,7 @@ def make_attribution(
         covariance=covariances(replicates, bias) if barred else None,
         labels=dict(getattr(renderer, "labels", {})),
         image=image,
-        surfaces=getattr(renderer, "surfaces", None),
+        surfaces=surfaces_of(renderer, names),
         info={
             **info,
             "passes": gradients.replicates,
@@ -279,6 +283,13 @@ def make_attribution(
             "versions": _versions(),
         },
     )
+
+
+def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:
+    """Return what the renderer knows of what its pixels show, with the texels of the named parameters."""
+    with_texels = getattr(renderer, "surfaces_with_texels", None)
+    found: SurfaceMap | None = with_texels(names) if with_texels else getattr(renderer, "surfaces", None)
+    return found
 
 
 def _error(gradients: GradientSum, name: str) -> torch.Tensor:

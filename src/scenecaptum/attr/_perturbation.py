@@ -13,7 +13,7 @@ import torch
 from tqdm import tqdm
 
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ._attribution import SceneAttribution, _versions
+from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._interruption import AttributionInterrupted
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
@@ -214,7 +214,7 @@ class Perturbation:
             covariance=_all({name: effect.covariance for name, effect in effects.items()}),
             labels={name: labels.get(name, name) for name in effects},
             image=measured.image,
-            surfaces=getattr(self.renderer, "surfaces", None),
+            surfaces=surfaces_of(self.renderer, effects),
             info=about,
         )
 

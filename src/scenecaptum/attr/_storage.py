@@ -13,13 +13,15 @@ import numpy as np
 import torch
 
 from ..errors import SceneCaptumError
-from ..scene import SurfaceMap
+from ..scene import SurfaceMap, TexelMap
 from ._attribution import SceneAttribution
 
 FORMAT = "scenecaptum attribution 1"
 
 _TENSOR_FIELDS = ("attributions", "standard_error", "bias", "replicates", "covariance")
 _SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta", "convergence_delta_error")
+_SURFACE_FIELDS = ("pixel", "object_index", "fraction")
+_TEXEL_FIELDS = ("entry", "texel", "weight")
 
 
 def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
@@ -45,9 +47,13 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
             "shape": surfaces.shape,
             "objects": surfaces.objects,
             "parameters": surfaces.parameters,
+            "texels": list(surfaces.texels),
         }
-        for field in ("pixel", "object_index", "fraction"):
+        for field in _SURFACE_FIELDS:
             arrays[f"surfaces/{field}"] = getattr(surfaces, field)
+        for index, shown in enumerate(surfaces.texels.values()):
+            for field in _TEXEL_FIELDS:
+                arrays[f"texels/{index}/{field}"] = getattr(shown, field)
     _write(Path(path), header, arrays)
 
 
@@ -80,7 +86,12 @@ def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
             shape=tuple(described["shape"]),
             objects=tuple(described["objects"]),
             parameters=tuple(map(tuple, described["parameters"])),
-            **{field: file[f"surfaces/{field}"] for field in ("pixel", "object_index", "fraction")},
+            **{field: file[f"surfaces/{field}"] for field in _SURFACE_FIELDS},
+            # Files of earlier versions have none.
+            texels={
+                name: TexelMap(**{field: file[f"texels/{index}/{field}"] for field in _TEXEL_FIELDS})
+                for index, name in enumerate(described.get("texels", ()))
+            },
         )
     scalars = {field: header[field] for field in _SCALAR_FIELDS}
     return SceneAttribution(**fields, **scalars, labels=header["labels"], info=header["info"])

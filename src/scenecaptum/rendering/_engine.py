@@ -97,6 +97,7 @@ class Engine:
         self._parameters = parameters
         self._resolution = resolution
         self._borrowed = borrowed
+        self._is_at_hand = False
         self._plan = plan
         self._look_at = look_at
         self._starts: dict[tuple[str, ...], Surfaces | None] = {}
@@ -335,16 +336,33 @@ class Engine:
         return passes(seed, spp, self._resolution)
 
     @contextlib.contextmanager
+    def holding(self, values: Values) -> Iterator[None]:
+        """Have the scene hold values, untracked, and the process to ourselves."""
+        with self.at_hand():
+            stale = self._state.stale(values, ())
+
+            def write(*arrays: Any) -> None:
+                self._state.write(stale, arrays, ())
+
+            _call(write, *stale.values())
+            yield
+
+    @contextlib.contextmanager
     def at_hand(self) -> Iterator[None]:
         """Have the process to ourselves, and leave a borrowed scene as it was found."""
         with _LOCK, _collector_paused():
+            if self._is_at_hand:
+                yield
+                return
             self._take_over_tracking()
             self.look()
             size = _film_size(self._sensor)
             _resize(self._sensor, self._resolution)
+            self._is_at_hand = True
             try:
                 yield
             finally:
+                self._is_at_hand = False
                 if self._borrowed:
                     self._state.restore()
                     _resize(self._sensor, size)

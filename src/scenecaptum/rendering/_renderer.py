@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, NoReturn
 
@@ -105,7 +105,7 @@ class SceneRenderer(torch.nn.Module):
         state = SceneState(loaded, [name for name, p in self._table.items() if not p.problem])
         values = {name: state.original[name] for name in self._names}
         self.plan = make_plan(self._graph, self._table, values, max_depth)
-        self._surface_maps: dict[int, SurfaceMap] = {}
+        self._surface_maps: dict[Any, SurfaceMap] = {}
         self._engines = [
             Engine(
                 self._graph,
@@ -181,14 +181,56 @@ class SceneRenderer(torch.nn.Module):
         """Which objects each pixel shows; None for a list of sensors."""
         return None if self._stacked else self._surfaces_seen_by(0)
 
-    def _surfaces_seen_by(self, index: int) -> SurfaceMap:
+    def surfaces_with_texels(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
+        """Return ``surfaces`` together with the texels of textures that each pixel shows.
+
+        Parameters
+        ----------
+        names
+            Parameters that are the texels of bitmaps or of the environment map, by default all such inputs; others
+            are passed over.
+        """
+        return None if self._stacked else self._surfaces_seen_by(0, self._textures(names))
+
+    def see_through(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
+        """Return what each pixel shows in mirrors and behind glass; None for a list of sensors.
+
+        Rays go on where a surface only mirrors or lets pass, to the first that scatters light or shines, or until
+        they have met a dozen. Where a surface does both, its share of a pixel is parted as its light is; what it
+        absorbs is not told, so that shares sum to 1. ``heatmap(surfaces=…)`` paints on the map.
+
+        Parameters
+        ----------
+        names
+            Of which textures the map tells the texels, as in ``surfaces_with_texels``.
+        """
+        return None if self._stacked else self._surfaces_seen_by(0, self._textures(names), through=True)
+
+    def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
+        wanted = self._names if names is None else tuple(names)
+        return tuple(n for n in wanted if n in self._engines[0].original and len(self._table[n].shape) == 3)
+
+    def _surfaces_seen_by(
+        self, index: int, textures: tuple[str, ...] = (), *, through: bool = False
+    ) -> SurfaceMap:
         """Trace what a sensor shows, once: nothing that can be an input moves geometry."""
+        from ._texels import find_textures
         from ._visibility import trace_surfaces
 
-        if index not in self._surface_maps:
-            sensor = self._sensors[index]
-            self._surface_maps[index] = trace_surfaces(self._graph, self._table, sensor, self.resolution)
-        return self._surface_maps[index]
+        key = (index, textures, through)
+        if key not in self._surface_maps:
+            engine, sensor = self._engines[index], self._sensors[index]
+
+            def hold(name: str, texels: Any) -> Any:
+                return engine.holding({name: torch.from_numpy(texels).to(device())})
+
+            with engine.at_hand():
+                shapes = {name: self._table[name].shape for name in textures}
+                found = list(find_textures(self._graph, shapes, hold))
+                self._surface_maps[key] = trace_surfaces(
+                    self._graph, self._table, sensor, self.resolution, found, through=through
+                )
+        return self._surface_maps[key]
 
     def forward(
         self,

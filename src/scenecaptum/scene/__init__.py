@@ -6,4 +6,5 @@ from ._parameters import SceneParameters as SceneParameters
 from ._parameters import discover as discover
 from ._selection import select as select
 from ._surfaces import SurfaceMap as SurfaceMap
+from ._surfaces import TexelMap as TexelMap
 from .bundled import BUNDLED as BUNDLED

@@ -80,6 +80,16 @@ class SceneGraph:
         names = _unique([shape.id() or f"shape_{i}" for i, shape in enumerate(shapes)])
         return [(name, shape, set(self._below(shape))) for name, shape in zip(names, shapes, strict=True)]
 
+    def wearers(self, node: Any) -> list[Any]:
+        """Return every shape whose appearance depends directly on an object, those of shape groups too."""
+        mi = activate()
+        found, pending = {node: None}, [node]
+        while pending:
+            fresh = [holder for holder, _ in self._holders.get(pending.pop(), []) if holder not in found]
+            found.update(dict.fromkeys(fresh))
+            pending += [holder for holder in fresh if not isinstance(holder, mi.Shape)]
+        return [one for one in found if isinstance(one, mi.Shape)]
+
     def background(self) -> set[Any]:
         """Return the objects that a ray which leaves the scene shows: the environment and what it holds."""
         environment = self.scene.environment()

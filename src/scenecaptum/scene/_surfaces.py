@@ -1,12 +1,41 @@
-"""Which object each pixel shows."""
+"""Which object, and which texels of its textures, each pixel shows."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class TexelMap:
+    """The texels of one texture that the entries of a ``SurfaceMap`` show.
+
+    It is a sparse matrix in coordinate form: entry ``entry[k]`` of the map shows texel ``texel[k]``, counted along
+    the rows of the texture, with ``weight[k]``. The weight is the part that the texel has, by the texture's own
+    filter, in what the entry shows, divided by its part of the whole texture: of its area, or of all directions
+    for an environment map. What it makes of the gradients of texels is a gradient per unit of texture: a texture
+    with the same gradient at every texel has at every pixel their sum, which is what a plain colour in its place
+    would have.
+    """
+
+    entry: NDArray[np.int32]
+    texel: NDArray[np.int32]
+    weight: NDArray[np.float32]
+
+    def density(self, gradient: NDArray[np.float32], entries: int) -> NDArray[np.float64]:
+        """Return the gradient per unit of texture that each entry shows, ``(entries, C)``.
+
+        ``gradient`` is that of the texels, ``(H, W, C)``.
+        """
+        texels = gradient.reshape(-1, gradient.shape[-1])
+        columns = [
+            np.bincount(self.entry, weights=self.weight * channel[self.texel], minlength=entries)
+            for channel in texels.T
+        ]
+        return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -27,6 +56,8 @@ class SurfaceMap:
         The name of every object of the scene, visible or not; the last is what a ray that hits nothing sees.
     parameters
         For each object the names of the scene parameters that its appearance depends on directly.
+    texels
+        For the textures that were asked for, by parameter name, which texels each entry shows.
     """
 
     shape: tuple[int, int]
@@ -35,6 +66,7 @@ class SurfaceMap:
     fraction: NDArray[np.float32]
     objects: tuple[str, ...]
     parameters: tuple[tuple[str, ...], ...]
+    texels: Mapping[str, TexelMap] = field(default_factory=dict)
 
     def shown(self, names: Collection[str]) -> NDArray[np.float32]:
         """Return the fraction of each pixel whose object shows any of the named parameters, ``(H, W)``."""
