@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
 import torch
@@ -287,6 +287,61 @@ class SceneRenderer(torch.nn.Module):
             for number, engine in enumerate(self._engines)
         ]
         return torch.stack(images) if self._stacked else images[0]
+
+    def derivative_image(
+        self,
+        name: str,
+        direction: torch.Tensor | None = None,
+        *,
+        inputs: Mapping[str, torch.Tensor] | None = None,
+        seed: int = 0,
+        spp: int | None = None,
+    ) -> torch.Tensor:
+        """Return by how much each pixel changes with a parameter, ``∂I/∂θ``, in forward mode.
+
+        Example
+        -------
+        >>> renderer = SceneRenderer("cornell-box", resolution=(32, 32), spp=4)
+        >>> renderer.derivative_image("floor.reflectance.value", torch.tensor([1.0, 0.0, 0.0])).shape
+        torch.Size([32, 32, 3])
+
+        It is the derivative of the very image that ``renderer(inputs, seed=seed, spp=spp)`` returns.
+
+        Parameters
+        ----------
+        name
+            The parameter: an input, or any other that can be differentiated.
+        direction
+            How it moves, of its shape; by default all its channels and texels by 1.
+        inputs
+            The values at which the derivative is taken, by default the scene's own.
+        seed, spp
+            As for a render.
+
+        Returns
+        -------
+        Tensor
+            ``(H, W, 3)`` radiance per unit of ``direction``; ``(cameras, H, W, 3)`` for a list of sensors.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where the parameter is unknown or cannot be differentiated, or a shape or value is wrong.
+        """
+        given = dict(inputs or {})
+        self._engines[0].look()
+        value = given.pop(name, self._engines[0].original.get(name, torch.zeros(())))
+        self._check_tensor(name, value)
+        direction = torch.ones_like(value) if direction is None else direction.to(value)
+        if direction.shape != value.shape:
+            raise SceneCaptumError(
+                f"direction has shape {tuple(direction.shape)}, but {name!r} has {tuple(value.shape)}."
+            )
+
+        def picture(moving: torch.Tensor) -> torch.Tensor:
+            return cast(torch.Tensor, self({**given, name: moving}, seed=seed, spp=spp))
+
+        return cast(torch.Tensor, torch.func.jvp(picture, (value,), (direction,))[1])
 
     def as_captum(
         self,
