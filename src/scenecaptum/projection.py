@@ -7,9 +7,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -126,8 +128,127 @@ def shared_maximum(
     The other parameters are those of ``heatmap``. It is 0 where all attributions are.
     """
     return max(
-        (_entries(one, _surfaces_of(one, surfaces), parameter, texels)[2] for one in attributions), default=0.0
+        (_entries(one, _surfaces_of(one, surfaces), parameter, texels)[2] for one in attributions),
+        default=0.0,
     )
+
+
+def export(
+    what: SceneAttribution | torch.Tensor,
+    path: str | os.PathLike[str],
+    *,
+    colours: str | None = None,
+    limits: tuple[float, float] | None = None,
+    **options: Any,
+) -> None:
+    """Write a map to a file: ``.png``, ``.exr`` or ``.npy``.
+
+    - ``.png``: 8 bits, grey or in colours.
+    - ``.exr``: 32-bit floats. For an attribution the picture is in R, G and B, the map in ``saliency``, and the
+      objects are a Cryptomatte, by which compositing programs select them; for a map, all is in Y.
+    - ``.npy``: the numbers, for ``numpy.load``.
+
+    Parameters
+    ----------
+    what
+        An attribution, of which the heatmap is written; or a map ``(H, W)`` or a picture ``(H, W, 3)``, such as
+        ``renderer.derivative_image`` returns.
+    path
+        Where to; its ending chooses the format.
+    colours
+        The name of a matplotlib colour map for a PNG, if it is not to be grey.
+    limits
+        What a PNG shows as black and as white, or as the ends of the colour map. By default 0 and 1, or -1 and 1
+        where there is a sign.
+    **options
+        Those of ``heatmap``, where ``what`` is an attribution.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the format or a colour map is unknown, the shape is none of a picture, or the file cannot be written.
+    """
+    from .attr import SceneAttribution
+
+    if isinstance(what, SceneAttribution):
+        values = heatmap(what, **options).numpy(force=True)
+    elif options:
+        raise SceneCaptumError(f"{', '.join(options)}: only for an attribution; a map is written as it is.")
+    else:
+        values = _picture(what)
+    path = Path(path)
+    try:
+        if path.suffix == ".npy":
+            np.save(path, values)
+        elif path.suffix == ".png":
+            signed = options.get("signed", values.min() < 0)
+            _write_png(values, path, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
+        elif path.suffix == ".exr":
+            attribution = what if isinstance(what, SceneAttribution) else None
+            _write_exr(values, path, attribution, options.get("surfaces"))
+        else:
+            raise SceneCaptumError(f"{path} must end in .png, .exr or .npy.")
+    # Mitsuba's writers raise RuntimeError.
+    except (OSError, RuntimeError) as error:
+        raise SceneCaptumError(f"{path} cannot be written: {error}.") from error
+
+
+def _picture(values: torch.Tensor) -> NDArray[np.float32]:
+    if (
+        not isinstance(values, torch.Tensor)
+        or values.ndim not in (2, IMAGE)
+        or values.shape[2:] not in ((), (3,))
+    ):
+        came = tuple(values.shape) if isinstance(values, torch.Tensor) else type(values).__name__
+        raise SceneCaptumError(
+            f"Only an attribution, a map (H, W) or a picture (H, W, 3) is written, not {came}."
+        )
+    return values.float().numpy(force=True)
+
+
+def _write_png(
+    values: NDArray[np.float32], path: Path, colours: str | None, limits: tuple[float, float]
+) -> None:
+    from matplotlib import colormaps
+    from PIL import Image
+
+    low, high = limits
+    if not low < high:
+        raise SceneCaptumError(f"limits must be two numbers, the lower first, not {limits!r}.")
+    shown = np.clip((values - low) / (high - low), 0, 1)
+    if colours is not None:
+        if colours not in colormaps or values.ndim == IMAGE:
+            raise SceneCaptumError(
+                f"colours must name a matplotlib colour map, and be for a map (H, W), not {colours!r} for "
+                f"{values.shape}.{near_misses(str(colours), colormaps)}"
+            )
+        shown = colormaps[colours](shown)[..., :3]
+    Image.fromarray(np.round(shown * 255).astype(np.uint8)).save(path)
+
+
+def _write_exr(
+    values: NDArray[np.float32],
+    path: Path,
+    attribution: SceneAttribution | None,
+    surfaces: SurfaceMap | None,
+) -> None:
+    from ._cryptomatte import layers
+    from .backend import activate
+
+    mi = activate()
+    if attribution is None:
+        mi.Bitmap(np.ascontiguousarray(values)).write(str(path))
+        return
+    channels, metadata = layers(_surfaces_of(attribution, surfaces))
+    channels = {"saliency": values, **channels}
+    if attribution.image is not None:
+        picture = attribution.image.numpy(force=True)
+        channels = {**dict(zip("RGB", np.moveaxis(picture, -1, 0), strict=True)), **channels}
+    stack = np.stack([one.astype(np.float32) for one in channels.values()], axis=-1)
+    bitmap = mi.Bitmap(stack, channel_names=list(channels))
+    for key, value in metadata.items():
+        bitmap.metadata()[key] = value
+    bitmap.write(str(path))
 
 
 def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> SurfaceMap:
