@@ -15,6 +15,7 @@ from ..errors import SceneCaptumError, UnknownNameError, near_misses
 from ..scene import SurfaceMap
 from ._passes import Adjoints, channel_totals, covariance_of_mean
 from ._student import student_t
+from ._values import summarise
 
 if TYPE_CHECKING:
     import pandas
@@ -61,6 +62,9 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     convergence_delta, convergence_delta_error
         For methods that have one: by how much the sum of the attributions exceeds the difference that they
         explain, and its standard error.
+    parameter_values
+        What the parameters were: whole where they are small, a texture's mean over its texels; members of groups
+        by their own names.
     labels
         A readable name for each parameter.
     image
@@ -80,6 +84,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     bias: Tensors | None = None
     replicates: Tensors = field(default_factory=dict)
     covariance: Tensors | None = None
+    parameter_values: Tensors = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
     image: torch.Tensor | None = None
     surfaces: SurfaceMap | None = None
@@ -251,6 +256,7 @@ def make_attribution(
     gradients: GradientSum,
     adjoints: Adjoints,
     *,
+    values: Tensors,
     image: torch.Tensor,
     info: dict[str, Any],
 ) -> SceneAttribution:
@@ -271,6 +277,7 @@ def make_attribution(
         bias=bias,
         replicates=replicates,
         covariance=covariances(replicates, bias) if barred else None,
+        parameter_values=summarise(values),
         labels=dict(getattr(renderer, "labels", {})),
         image=image,
         surfaces=surfaces_of(renderer, names),

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import torch
 
-from ._attribution import SceneAttribution, covariances
+from ._attribution import SceneAttribution, Tensors, covariances
 
 
 def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
@@ -23,6 +23,7 @@ def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
         bias=bias,
         replicates=replicates,
         covariance=covariance,
+        parameter_values=_common(a.parameter_values, b.parameter_values),
         convergence_delta=_minus(a.convergence_delta, b.convergence_delta),
         convergence_delta_error=_hypot(a.convergence_delta_error, b.convergence_delta_error),
         metric_value=a.metric_value - b.metric_value,
@@ -60,6 +61,11 @@ def _errors(
         if a[name].ndim < 3:  # its channel totals are its elements
             errors[name] = covariance.diagonal().sqrt().reshape(a[name].shape)
     return errors
+
+
+def _common(a: Tensors, b: Tensors) -> dict[str, torch.Tensor]:
+    """Return the values that both designs have."""
+    return {name: value for name, value in a.items() if name in b and torch.equal(value, b[name])}
 
 
 def _minus(a: float | None, b: float | None) -> float | None:

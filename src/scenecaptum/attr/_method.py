@@ -165,6 +165,7 @@ class Run:
             self.renderer,
             found,
             own.adjoints,
+            values=self.values,
             image=own.image,
             info={
                 "method": self.method,

@@ -18,6 +18,7 @@ from ._interruption import AttributionInterrupted
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
 from ._passes import covariance_of_mean
+from ._values import summarise
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,14 @@ class Measured:
         ``(targets,)``: the metric at the mean image of the first arm, the unchanged scene.
     image
         That image.
+    inputs
+        That scene's values, in brief.
     """
 
     pseudo: torch.Tensor
     values: torch.Tensor
     image: torch.Tensor
+    inputs: Mapping[str, torch.Tensor]
     metrics: tuple[TargetedMetric, ...]
     budget: ArmBudget
     interrupted: bool
@@ -155,7 +159,8 @@ class Perturbation:
             except KeyboardInterrupt:
                 interrupted = True
         info = {"method": type(self).__name__, "seed": settings.seed, "seconds": time.perf_counter() - start}
-        return Measured(torch.stack(pseudo), values, image, metrics, budget, interrupted, info)
+        inputs = summarise(arms[0].values())
+        return Measured(torch.stack(pseudo), values, image, inputs, metrics, budget, interrupted, info)
 
     def _images(self, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
         values = dict(arm.values())
@@ -212,6 +217,7 @@ class Perturbation:
             convergence_delta=delta,
             replicates=_all({name: effect.totals for name, effect in effects.items()}) or {},
             covariance=_all({name: effect.covariance for name, effect in effects.items()}),
+            parameter_values=measured.inputs,
             labels={name: labels.get(name, name) for name in effects},
             image=measured.image,
             surfaces=surfaces_of(self.renderer, effects),

@@ -33,6 +33,7 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
         "fields": [field for field in _TENSOR_FIELDS if getattr(attribution, field)],
         "labels": dict(attribution.labels),
         "info": dict(attribution.info),
+        "parameter_values": list(attribution.parameter_values),
         **{field: getattr(attribution, field) for field in _SCALAR_FIELDS},
     }
     arrays = {
@@ -40,6 +41,8 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
         for field in header["fields"]
         for index, name in enumerate(names)
     }
+    for index, value in enumerate(attribution.parameter_values.values()):
+        arrays[f"parameter_values/{index}"] = value.numpy(force=True)
     if attribution.image is not None:
         arrays["image"] = attribution.image.numpy(force=True)
     if (surfaces := attribution.surfaces) is not None:
@@ -75,10 +78,12 @@ def load(path: str | os.PathLike[str]) -> SceneAttribution:
 
 
 def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
-    def tensors(field: str) -> dict[str, torch.Tensor]:
-        return {name: torch.from_numpy(file[f"{field}/{i}"]) for i, name in enumerate(header["names"])}
+    def tensors(field: str, names: list[str]) -> dict[str, torch.Tensor]:
+        return {name: torch.from_numpy(file[f"{field}/{i}"]) for i, name in enumerate(names)}
 
-    fields: dict[str, Any] = {"standard_error": None, **{f: tensors(f) for f in header["fields"]}}
+    names = header["names"]
+    fields: dict[str, Any] = {"standard_error": None, **{f: tensors(f, names) for f in header["fields"]}}
+    fields["parameter_values"] = tensors("parameter_values", header.get("parameter_values", []))
     if "image" in file:
         fields["image"] = torch.from_numpy(file["image"])
     if described := header.get("surfaces"):
