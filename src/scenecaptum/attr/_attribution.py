@@ -238,6 +238,12 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
         return plot_bars(self, top=top, ax=ax)
 
+    def report(self, path: str | os.PathLike[str], *others: SceneAttribution) -> None:
+        """Write this result, and others beside it, as one HTML file to explore in a browser."""
+        from ..visualization import write_report
+
+        write_report([self, *others], path)
+
     def __str__(self) -> str:
         from ..visualization import table_text
 

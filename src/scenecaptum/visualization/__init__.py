@@ -21,3 +21,4 @@ from ._table import table_html as table_html
 from ._table import table_text as table_text
 from ._tonemap import display_image as display_image
 from ._tonemap import save_render as save_render
+from .report import write_report as write_report

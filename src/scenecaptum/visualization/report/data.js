@@ -1,0 +1,125 @@
+// What the page was given, and how its numbers become places on a scale.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+
+const byId = (id) => document.getElementById(id);
+
+/** Make an element. Strings become text, never markup: names come from scenes that anyone may have written. */
+function make(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name === "class") made.className = value;
+    else if (value !== null && value !== undefined && value !== false) made.setAttribute(name, value === true ? "" : value);
+  }
+  made.append(...children.filter((child) => child !== null && child !== undefined));
+  return made;
+}
+
+/** Let a long name break after its dots and underscores, where it says something whole. */
+const breakable = (text) => text.split(/(?<=[_.:/])|(?<=[a-z])(?=[A-Z])/).flatMap((part, index) => (index ? [make("wbr"), part] : [part]));
+
+const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+
+async function inflate(text) {
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** Which objects each pixel shows: planes of indices and of weights in 255ths, the largest first. */
+async function readView(view) {
+  const [objects, weights] = await Promise.all([inflate(view.objects), inflate(view.weights)]);
+  return { ...view, objects: new Uint16Array(objects), weights: new Uint8Array(weights) };
+}
+
+const colours = Object.fromEntries(Object.entries(data.maps).map(([scale, text]) => [scale, bytesOf(text)]));
+
+/** Return how many powers of ten a logarithmic scale spans: as many as the objects do, 2 to 5. */
+function decadesOf(values, largest) {
+  const smallest = Math.min(...values.map(Math.abs).filter((value) => value > 0));
+  return Math.max(2, Math.min(5, Math.log10(largest / smallest) * 1.05)) || 2;
+}
+
+/** Return where on a scale from 0 to 1 a value lies; a signed scale has its zero in the middle. */
+function placeOf(value, { largest, decades, ...scale }) {
+  const share = largest > 0 ? Math.abs(value) / largest : 0;
+  const along = scale.log ? (share > 0 ? Math.max(0, 1 + Math.log10(share) / decades) : 0) : share;
+  return scale.signed ? (1 + Math.sign(value) * Math.min(along, 1)) / 2 : Math.min(along, 1);
+}
+
+/** Return the values at which a scale is labelled: round ones. */
+function tickValues(scale) {
+  const { largest, decades } = scale;
+  if (!(largest > 0)) return [0];
+  const top = Math.floor(Math.log10(largest));
+  const ones = [];
+  if (scale.log) {
+    const every = scale.signed && decades > 3 ? 2 : 1;
+    for (let power = top; power > Math.log10(largest) - decades + 0.1; power -= every) ones.push(10 ** power);
+    if (!scale.signed && Math.log10(largest) - top > 0.35) ones.push(largest);
+  } else {
+    const step = 10 ** top * (largest / 10 ** top >= 5 ? 2 : largest / 10 ** top >= 2 ? 1 : 0.5);
+    const wide = scale.signed && largest / step > 2.99 ? 2 * step : step;
+    for (let value = wide; value <= largest * 1.001; value += wide) ones.push(value);
+    if (!scale.signed) ones.push(0);
+  }
+  const all = scale.signed ? [0, ...ones, ...ones.map((one) => -one)] : ones;
+  return all.sort((a, b) => a - b);
+}
+
+/** Write a number shortly, with a true minus sign. */
+function brief(value, digits = 2) {
+  const size = Math.abs(value);
+  const plain = size === 0 || (size >= 1e-3 && size < 1e5);
+  if (!plain) return minus(value.toExponential(1).replace(".0e", "e").replace("e+", "e"));
+  const text = value.toPrecision(digits);
+  return minus(digits > 2 && size > 0 && size < 100 ? text : String(Number(text)));
+}
+
+const minus = (text) => text.replaceAll("-", "−");
+
+const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
+
+/** ``0.0978 ± 0.0008`` from its two parts. */
+const withError = ([value, error]) => (error ? `${minus(value)} ± ${error}` : minus(value));
+
+/** Return the value of a parameter as a colour swatch and numbers, or null where it is not known. */
+function valueOf(row) {
+  if (row.members) return make("span", { class: "muted" }, counted(row.members.length, "parameter"));
+  if (!row.valueWritten) return null;
+  const parts = row.texture ? [make("span", { class: "muted mean" }, "mean ")] : [];
+  if (row.swatch) {
+    const swatch = make("span", { class: "swatch", "aria-hidden": "true" });
+    swatch.style.backgroundColor = row.swatch;
+    parts.unshift(swatch);
+  }
+  const all = row.valueWritten;
+  const same = all.length === 3 && all.every((one) => one === all[0]);
+  const text = same ? all[0] : all.length > 4 ? `${all.slice(0, 3).join("  ")} …` : all.join("  ");
+  return make("span", { class: "value" }, ...parts, minus(text));
+}
+
+const SIGNS = { "1": ["▲", "raises"], "-1": ["▼", "lowers"], "0": ["◆", "unclear"] };
+
+/** Say what a sign means: raising a parameter raises the metric, or its being there adds to it. */
+function signWords(result, sign) {
+  return { "1": result.signs[0], "-1": result.signs[1], "0": "channels disagree, or sign lost in the noise" }[sign];
+}
+
+/** A mark that says a parameter's sign by shape and by colour; variances and the like have none. */
+function signMark(row, result) {
+  if (!result.signs) return null;
+  if (!row.saliency) return make("span", { class: "sign" });
+  const [mark, kind] = SIGNS[row.sign];
+  const words = signWords(result, row.sign);
+  return make("span", { class: `sign ${kind}`, title: words, role: "img", "aria-label": words }, mark);
+}
+
+/** The signs that the table of the terminal has too: Σ for a texture's total, ! for a derivative known to be off. */
+function markOf(row, result) {
+  const marks = [];
+  if (row.texture) marks.push(make("abbr", { class: "mark", title: "a texture: totals over its texels, and its mean value" }, "Σ"));
+  if (row.caution !== null) marks.push(make("abbr", { class: "mark caution", title: result.cautions[row.caution] }, cautionMark(row.caution, result)));
+  return marks;
+}
+
+const cautionMark = (index, result) => (result.cautions.length > 1 ? `!${index + 1}` : "!");

@@ -1,0 +1,300 @@
+// The page: what is chosen, and what follows from it.
+
+const state = {
+  current: 0,
+  sort: { by: "rank", reversed: false },
+  filter: "",
+  selection: { kind: null, name: null, title: "", rows: [], objects: [] },
+  hovered: [],
+  pointer: null,
+};
+const results = data.results;
+let views = [];
+
+const result = () => results[state.current];
+const view = () => views[result().view];
+const chosen = (name) => document.querySelector(`[name="${name}"]:checked`).value;
+const isAlike = (one) => one.metric === result().metric && one.quantity === result().quantity;
+
+/** The scale of this picture, or of all whose metric is the same. */
+function scaleNow() {
+  const scale = { signed: chosen("quantity") === "signed" && Boolean(result().signs), log: chosen("scale") === "log" };
+  const alike = byId("shared").checked ? results.filter(isAlike) : [result()];
+  const largest = Math.max(...alike.map((one) => one.largest ?? 0));
+  return { ...scale, largest, decades: decadesOf(alike.flatMap((one) => valuesOf(one, scale)), largest) };
+}
+
+// ------------------------------------------------------------------------------------------------- drawing
+
+function drawOverlay() {
+  const scale = scaleNow();
+  paintOverlay(byId("overlay"), view(), result(), scale);
+  drawScale(result(), scale);
+}
+
+function drawOpacity() {
+  const opacity = byId("opacity").value / 100;
+  byId("overlay").style.opacity = opacity;
+  // Below a map in colour, colours of the render would be read as part of it.
+  byId("render").style.filter = `grayscale(${opacity})`;
+  byId("opacity-value").textContent = `${byId("opacity").value} %`;
+}
+
+function drawMarks() {
+  paintShade(byId("shade"), view(), state.selection.objects);
+  drawOutlines();
+}
+
+const drawOutlines = () => drawLines(byId("lines"), view(), state.hovered, state.selection.objects);
+
+function drawTable() {
+  drawColumns(result(), state.sort, sortBy);
+  drawRows(result(), arrangedRows(result(), view(), state.sort, state.filter), { select: selectRow, preview: previewRow });
+  markSelected(state.selection.rows);
+}
+
+function drawResult() {
+  byId("render").src = data.pictures[result().picture];
+  byId("picture").style.aspectRatio = `${view().width} / ${view().height}`;
+  byId("picture").style.setProperty("--ratio", view().width / view().height);
+  byId("shared-choice").hidden = results.filter(isAlike).length < 2;
+  document.querySelector('[value="signed"]').disabled = !result().signs;
+  drawOverlay();
+  drawTable();
+  drawNotes(result());
+  drawFacts(result());
+  select(found(state.selection));
+}
+
+// ----------------------------------------------------------------------------------------------- selecting
+
+const nothing = () => ({ kind: null, name: null, title: "", rows: [], objects: [] });
+
+function ofRow(index) {
+  const row = result().rows[index];
+  return { kind: "row", name: row.name, title: row.label, rows: [index], objects: objectsOf(result(), index) };
+}
+
+function ofObject(object) {
+  const name = view().names[object];
+  return { kind: "object", name, title: name, rows: result().objects[object].rows, objects: [object] };
+}
+
+/** Find in the result that is shown now what was selected in another. */
+function found({ kind, name }) {
+  const index = kind === "row" ? result().rows.findIndex((row) => row.name === name) : view().names.indexOf(name);
+  return kind === null || index < 0 ? nothing() : kind === "row" ? ofRow(index) : ofObject(index);
+}
+
+function select(selection) {
+  state.selection = selection;
+  drawMarks();
+  markSelected(selection.rows);
+  drawDetail(results, state.current, view(), selection);
+  byId("clear")?.addEventListener("click", () => { select(nothing()); byId("picture").focus({ preventScroll: true }); });
+}
+
+const isSelected = (kind, name) => state.selection.kind === kind && state.selection.name === name;
+
+function selectRow(index) {
+  select(isSelected("row", result().rows[index].name) ? nothing() : ofRow(index));
+}
+
+function selectObject(object) {
+  if (object === null || isSelected("object", view().names[object])) {
+    select(nothing());
+    return;
+  }
+  select(ofObject(object));
+  announce(object);
+  // Beside the picture the table may follow; below it, it would pull the picture away.
+  const line = document.querySelector('#rows [aria-selected="true"]');
+  if (line && window.matchMedia("(min-width: 60rem)").matches) line.scrollIntoView({ block: "nearest" });
+}
+
+function previewRow(index) {
+  hover(index === null ? [] : objectsOf(result(), index));
+}
+
+function hover(objects) {
+  if (objects.join() === state.hovered.join()) return;
+  state.hovered = objects;
+  drawOutlines();
+}
+
+function sortBy(by) {
+  state.sort = { by, reversed: state.sort.by === by && !state.sort.reversed };
+  drawTable();
+  document.querySelector(`[data-sort="${by}"]`).focus();
+}
+
+// --------------------------------------------------------------------------------------------- the picture
+
+function pointAt(pixel, x, y) {
+  const object = pixel && objectAt(view(), pixel);
+  hover(object === null ? [] : [object]);
+  const tip = byId("tip");
+  tip.hidden = object === null;
+  if (object === null) return;
+  if (tip.dataset.object !== `${state.current} ${object}`) {
+    tip.replaceChildren(...tipOf(result(), view(), object));
+    tip.dataset.object = `${state.current} ${object}`;
+  }
+  placeTip(tip, x, y);
+}
+
+function leave() {
+  hover([]);
+  byId("tip").hidden = true;
+  byId("pointer").hidden = true;
+}
+
+function movePointer(event) {
+  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  const { width, height } = view();
+  const at = state.pointer ?? { x: width >> 1, y: height >> 1 };
+  if (steps) {
+    const stride = event.shiftKey ? 1 : Math.max(1, Math.round(width / 64));
+    const clamp = (value, top) => Math.max(0, Math.min(top - 1, value));
+    state.pointer = { x: clamp(at.x + stride * steps[0], width), y: clamp(at.y + stride * steps[1], height) };
+    showPointer();
+  } else if (event.key === "Enter" || event.key === " ") {
+    selectObject(objectAt(view(), at));
+  } else {
+    return;
+  }
+  event.preventDefault();
+}
+
+function showPointer() {
+  const { width, height } = view();
+  const { x, y } = state.pointer;
+  const box = byId("picture").getBoundingClientRect();
+  const mark = byId("pointer");
+  mark.hidden = false;
+  mark.style.left = `${(100 * (x + 0.5)) / width}%`;
+  mark.style.top = `${(100 * (y + 0.5)) / height}%`;
+  pointAt(state.pointer, box.left + (box.width * (x + 0.5)) / width, box.top + (box.height * (y + 0.5)) / height);
+  const object = objectAt(view(), state.pointer);
+  if (object !== null) announce(object);
+}
+
+function announce(object) {
+  const rows = result().objects[object].rows.slice(0, 3).map((index) => result().rows[index]);
+  byId("announcement").textContent = [view().names[object], ...rows.map((row) => `${row.label}, saliency ${withError(row.written)}`)].join("; ");
+}
+
+// ------------------------------------------------------------------------------------------------ downloads
+
+function download(name, type, text) {
+  const link = make("a", { href: URL.createObjectURL(new Blob([text], { type })), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+function csvText() {
+  const most = (count) => Math.max(0, ...results.flatMap((one) => one.rows.map(count)));
+  const numbered = (name, count) => Array.from({ length: count }, (_, index) => `${name}_${index + 1}`);
+  const padded = (list, count) => Array.from({ length: count }, (_, index) => list?.[index] ?? "");
+  const values = most((row) => row.value?.length ?? 0);
+  const channels = most((row) => row.total.length);
+  const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "saliency", "saliency_error", ...numbered("gradient", channels), ...numbered("error", channels)];
+  const lines = results.flatMap((one) => one.rows.map((row, index) => [
+    one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.saliency ?? "", row.error ?? "",
+    ...padded(row.total, channels), ...padded(row.totalError, channels)]));
+  const cell = (one) => (/[",\r\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
+  return `${[head, ...lines].map((line) => line.map(cell).join(",")).join("\r\n")}\r\n`;
+}
+
+function jsonText() {
+  const numbers = results.map((one) => ({
+    title: one.title,
+    metric: { name: one.metric, value: one.value, standard_error: one.error },
+    quantity: one.quantity,
+    ranking: one.rows.map((row, index) => ({
+      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, saliency: row.saliency, saliency_error: row.error,
+      total: row.total, total_error: row.totalError.length ? row.totalError : null,
+      caution: row.caution === null ? null : one.cautions[row.caution],
+    })),
+    info: one.info,
+  }));
+  return `${JSON.stringify({ results: numbers }, null, 1)}\n`;
+}
+
+// ------------------------------------------------------------------------------------------------- start-up
+
+function drawResults() {
+  const choices = results.map((one, index) => {
+    const input = make("input", { type: "radio", name: "result", value: index, checked: index === 0 });
+    input.addEventListener("change", () => { state.current = index; leave(); drawResult(); });
+    return make("label", { class: "result" }, input, make("span", { class: "result-face" },
+      make("span", { class: "result-title" }, one.title), make("span", { class: "result-value" }, withError(one.written))));
+  });
+  byId("results").replaceChildren(...choices);
+  byId("results").classList.toggle("single", results.length === 1);
+  const scenes = [...new Set(results.map((one) => String(one.info.scene ?? "Scene")))];
+  byId("heading").textContent = scenes.map(sceneName).join(", ");
+}
+
+/** Name a scene by its file, or by its folder where the file is called what all are. */
+function sceneName(path) {
+  const parts = path.split(/[/\\]/).filter(Boolean);
+  const file = (parts.pop() ?? path).replace(/\.xml$/, "");
+  return file === "scene" && parts.length ? parts.pop() : file;
+}
+
+function listen() {
+  const picture = byId("picture");
+  picture.addEventListener("pointermove", (event) => {
+    if (event.pointerType !== "touch") pointAt(pixelAt(picture, view(), event.clientX, event.clientY), event.clientX, event.clientY);
+  });
+  picture.addEventListener("pointerleave", leave);
+  picture.addEventListener("blur", leave);
+  picture.addEventListener("click", (event) => {
+    const pixel = pixelAt(picture, view(), event.clientX, event.clientY);
+    if (pixel) selectObject(objectAt(view(), pixel));
+  });
+  picture.addEventListener("keydown", movePointer);
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && event.target !== byId("filter")) { leave(); select(nothing()); }
+  });
+  byId("opacity").addEventListener("input", drawOpacity);
+  byId("shared").addEventListener("change", drawOverlay);
+  for (const input of document.querySelectorAll('[name="quantity"], [name="scale"]')) input.addEventListener("change", drawOverlay);
+  byId("filter").addEventListener("input", () => { state.filter = byId("filter").value; drawTable(); });
+  byId("csv").addEventListener("click", () => download("attributions.csv", "text/csv", csvText()));
+  byId("json").addEventListener("click", () => download("attributions.json", "application/json", jsonText()));
+  new ResizeObserver(drawOutlines).observe(picture);
+}
+
+function followTheme() {
+  const system = window.matchMedia("(prefers-color-scheme: dark)");
+  let wanted = null;
+  const isDark = () => (wanted === null ? system.matches : wanted === "dark");
+  const show = () => {
+    document.documentElement.style.colorScheme = isDark() ? "dark" : "light";
+    byId("theme").textContent = isDark() ? "Light" : "Dark";
+    byId("theme").setAttribute("aria-label", isDark() ? "Switch to light colours" : "Switch to dark colours");
+  };
+  byId("theme").addEventListener("click", () => { wanted = isDark() ? "light" : "dark"; show(); });
+  system.addEventListener("change", show);
+  show();
+}
+
+async function start() {
+  followTheme();
+  try {
+    views = await Promise.all(data.views.map(readView));
+  } catch (error) {
+    byId("problem").hidden = false;
+    byId("problem").textContent = `This browser cannot read the report (${error.message}). A newer one can.`;
+    return;
+  }
+  drawResults();
+  listen();
+  drawOpacity();
+  drawResult();
+  document.documentElement.dataset.ready = "";
+}
+
+start();
