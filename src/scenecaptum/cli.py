@@ -28,6 +28,8 @@ GLARE = {
 }
 METRICS = ("luminance", *GLARE)
 
+REPORT = "report.html"
+
 BAD_INPUT, INTERRUPTED = 2, 130
 
 
@@ -140,6 +142,11 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--json", action="store_true", help="print the numbers as JSON instead of a table"
         )
+        command.add_argument(
+            "--report",
+            action="store_true",
+            help="also write report.html: all metrics in one page to explore in a browser",
+        )
         command.add_argument("--no-progress", action="store_true", help="show no progress bar")
 
     doctor = commands.add_parser("doctor", help="say whether this machine can render, and what to do if not")
@@ -170,6 +177,7 @@ def _attribute(options: argparse.Namespace) -> int:
             max_depth=options.max_depth,
             sensor=int(options.sensor) if options.sensor.isdigit() else options.sensor,
         )
+        finished: list[SceneAttribution] = []
         for name, create in chosen.items():
             folder = options.out if len(chosen) == 1 else options.out / _folder_name(name)
             try:
@@ -181,8 +189,12 @@ def _attribute(options: argparse.Namespace) -> int:
                 )
             except AttributionInterrupted as interruption:
                 _report(interruption.partial, folder, as_json=options.json)
+                _write_page([*finished, interruption.partial], options)
                 raise
             _report(attribution, folder, as_json=options.json)
+            finished.append(attribution)
+            # After every metric, so that Ctrl-C during the next leaves what is finished.
+            _write_page(finished, options)
     return 0
 
 
@@ -255,6 +267,18 @@ def _report(attribution: SceneAttribution, folder: Path, *, as_json: bool) -> No
     print()
     for path, content in written.items():
         print(f"{path}  {content}")
+
+
+def _write_page(attributions: Sequence[SceneAttribution], options: argparse.Namespace) -> None:
+    """Write the report of the results so far, where it was asked for."""
+    if not options.report:
+        return
+    from .visualization import write_report
+
+    path = options.out / REPORT
+    write_report(attributions, path)
+    if not options.json:
+        print(f"{path}  all results, to explore in a browser")
 
 
 # In the order in which they are written: the numbers first, so that Ctrl-C while drawing leaves them.
