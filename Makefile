@@ -18,7 +18,7 @@ help:
 demo: .venv/.llvm
 	$(BIN)/scenecaptum demo --out out
 
-test: lint .venv/.llvm
+test: lint .venv/.llvm .venv/.chromium
 	$(BIN)/python -m pytest
 
 test-long: .venv/.test .venv/.llvm
@@ -49,4 +49,8 @@ $(BIN)/python:
 .venv/.llvm: .venv/.base scripts/provide-llvm
 	@$(BIN)/scenecaptum doctor >/dev/null 2>&1 || scripts/provide-llvm .venv
 	$(BIN)/scenecaptum doctor
+	@touch $@
+
+.venv/.chromium: .venv/.test scripts/provide-chromium
+	@scripts/provide-chromium
 	@touch $@
