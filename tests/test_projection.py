@@ -128,6 +128,8 @@ def test_maps_with_a_shared_maximum_can_be_compared():
     torch.testing.assert_close(heatmap(after, maximum=4.0)[0, 0], torch.tensor(1.0))  # and no more
     assert shared_maximum([before, after], parameter="b") == 1.0
     assert shared_maximum([]) == 0.0
+    nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
+    assert not heatmap(nothing, maximum=shared_maximum([nothing, nothing])).any()
 
 
 @pytest.mark.parametrize(
@@ -135,8 +137,8 @@ def test_maps_with_a_shared_maximum_can_be_compared():
     [
         ({"scale": "cubic"}, 'scale must be "linear" or "log"'),
         ({"scale": "log", "decades": 0}, "decades must be positive"),
-        ({"maximum": 0.0}, "maximum must be positive"),
-        ({"maximum": float("nan")}, "maximum must be positive"),
+        ({"maximum": -1.0}, "maximum must be finite and not negative"),
+        ({"maximum": float("nan")}, "maximum must be finite and not negative"),
     ],
 )
 def test_a_scale_that_is_none_is_refused(options: dict[str, Any], told: str):

@@ -70,7 +70,8 @@ def heatmap(
     decades
         How many powers of ten a logarithmic map shows.
     maximum
-        The saliency that is painted as 1, and with it all above: see ``shared_maximum``.
+        The saliency that is painted as 1, and with it all above: see ``shared_maximum``. Where it is 0 the map is
+        black.
     texels
         Whether to paint bitmaps and environment maps texel by texel, where the surface's own coordinates put
         them, instead of all over their objects alike. A pixel then has the norm of the mean gradient per unit of
@@ -98,8 +99,8 @@ def heatmap(
     shown = _surfaces_of(attribution, surfaces)
     magnitude, sign, brightest = _entries(attribution, shown, parameter, texels)
     if maximum is not None:
-        if not 0 < maximum < math.inf:
-            raise SceneCaptumError(f"maximum must be positive and finite, not {maximum!r}.")
+        if not 0 <= maximum < math.inf:
+            raise SceneCaptumError(f"maximum must be finite and not negative, not {maximum!r}.")
         brightest = maximum
 
     height, width = shown.shape
