@@ -240,7 +240,7 @@ def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
 def test_colour_maps_are_as_light_as_they_are_strong() -> None:
     from kornia.color import rgb_to_lab
 
-    from scenecaptum.visualization._maps import _diverging
+    from scenecaptum.visualization._maps import diverging
 
     def lightness(colours: Any, at: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         rgb = torch.tensor(colours(at)[:, :3], dtype=torch.float32).T.reshape(3, 1, -1)
@@ -248,8 +248,8 @@ def test_colour_maps_are_as_light_as_they_are_strong() -> None:
 
     magnitude = plot_heatmap(make()).axes[1].images[0].cmap
     assert (np.diff(lightness(magnitude, np.linspace(0, 1, 40))) > 0).all()
-    negative = lightness(_diverging(), np.linspace(0, 0.5, 20))
-    positive = lightness(_diverging(), np.linspace(1, 0.5, 20))
+    negative = lightness(diverging(), np.linspace(0, 0.5, 20))
+    positive = lightness(diverging(), np.linspace(1, 0.5, 20))
     assert (np.diff(negative) > 0).all()
     assert (np.diff(positive) > 0).all()
     assert np.abs(negative - positive).max() < 12  # neither sign looks stronger

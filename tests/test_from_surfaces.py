@@ -42,10 +42,10 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
 @pytest.mark.parametrize(
     ("ball", "changes", "spp"),
     [
-        (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 64),
-        (FROSTED, {}, 256),
-        (LACQUER, {"camera": LENS}, 64),
-        (METAL, {"floor": {"bsdf": POLISHED}}, 64),
+        (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 32),
+        (FROSTED, {}, 128),
+        (LACQUER, {"camera": LENS}, 32),
+        (METAL, {"floor": {"bsdf": POLISHED}}, 32),
     ],
     ids=["two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor"],
 )

@@ -346,7 +346,10 @@ def test_the_scenes_own_values_are_within_their_bounds(
     assert not outside
 
 
-def test_the_table_prints_one_line_per_parameter(zoo: SceneParameters) -> None:
+def test_the_table_prints_one_line_per_parameter(
+    zoo: SceneParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)  # it would be cut to that width
     header, *lines = str(zoo).splitlines()
     assert header.split() == ["name", "kind", "shape", "bounds", "owner", "status"]
     assert [line.split()[0] for line in lines] == list(zoo)

@@ -145,7 +145,7 @@ def draw_map(
     ax: Axes, heat: np.ndarray[Any, Any], *, signed: bool, scale: Scale, alpha: float | None = None
 ) -> AxesImage:
     """Paint a map; with ``alpha`` it is the more transparent the weaker it is."""
-    norm, colours = _norm(scale, signed), _diverging() if signed else "inferno"
+    norm, colours = _norm(scale, signed), diverging() if signed else "inferno"
     opacity = None
     if alpha is not None:
         normed = norm(heat).filled(0)
@@ -197,7 +197,7 @@ def _norm(scale: Scale, signed: bool) -> Normalize:
     return FuncNorm((root, lambda x: np.sign(x) * np.square(x)), -1, 1)
 
 
-def _diverging() -> Colormap:
+def diverging() -> Colormap:
     """Return a map from the bars' vermillion by white to their blue, as dark at one end as at the other."""
     from matplotlib.colors import LinearSegmentedColormap
 

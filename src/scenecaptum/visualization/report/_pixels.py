@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from ...scene import SurfaceMap
-from .._maps import _diverging
+from .._maps import diverging
 from .._tonemap import display_image
 
 LAYERS = 3  # objects kept for each pixel; where more meet, the largest three share what they cover
@@ -70,7 +70,7 @@ def colour_maps() -> dict[str, str]:
 
     return {
         "magnitude": table(colormaps["inferno"]),
-        "signed": table(_diverging()),
+        "signed": table(diverging()),
     }
 
 
