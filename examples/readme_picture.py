@@ -13,7 +13,7 @@ from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 
 def main(path: Path) -> None:
     renderer = SceneRenderer(
-        "office", inputs=["materials", "emitters"], resolution=(640, 360), spp=256, max_depth=6
+        "office", inputs=["materials", "emitters"], resolution=(640, 360), spp=64, max_depth=6
     )
     method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
     attribution = method.attribute(seed=0, show_progress=sys.stderr.isatty())
