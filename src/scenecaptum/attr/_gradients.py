@@ -110,9 +110,9 @@ class GradientSum:
         self.share += point.share
         self.seen = point.adjoints
         self._passes.append(point.passes)
-        variance = point.share**2 / (point.passes * point.spp)
-        self._whole += variance
-        self._told += variance if point.passes > 1 else 0.0
+        of_a_sample = point.share**2 / (point.passes * point.spp)
+        self._whole += of_a_sample
+        self._told += of_a_sample if point.passes > 1 else 0.0
         for name, spread in point.spreads.items():
             if self._points is None:
                 self._sum[name].add_(spread.mean, alpha=point.share)
@@ -123,8 +123,8 @@ class GradientSum:
                 totals = torch.stack(spread.totals)
                 deviations = point.share * (totals - totals.mean(0))
                 self._deviations[name].extend(deviations)
-                variance = deviations.square().sum().item() / (point.passes * (point.passes - 1))
-                self._noise[name].append(variance)
+                squares = deviations.square().sum().item()
+                self._noise[name].append(squares / (point.passes * (point.passes - 1)))
         if self.bias is None or point.bias is None:
             self.bias = None
         else:
