@@ -160,6 +160,134 @@ def test_a_texture_inside_an_instance_is_found_on_the_part_that_wears_it(mi: Any
     assert ((weights > 0) & (weights < 0.999)).sum() < 5
 
 
+# --- Attributes of meshes --------------------------------------------------------------------------
+
+CORNERS = np.array([[-1, -1, 0], [1.2, -1, 0.3], [1, 0.8, 0], [-0.7, 1, -0.2], [0.1, 0.2, 0.5]], np.float32)
+FACES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+AREAS = np.linalg.norm(
+    np.cross(CORNERS[FACES[:, 1]] - CORNERS[FACES[:, 0]], CORNERS[FACES[:, 2]] - CORNERS[FACES[:, 0]]),
+    axis=-1,
+)
+
+
+def painted_mesh(mi: Any, attribute: str, colours: np.ndarray, **material: Any) -> Any:
+    """A tent of four faces whose ``material`` has the colours of its corners or faces."""
+    properties = mi.Properties()
+    for name, plugin in material.items():
+        properties[name] = mi.load_dict(plugin)
+    mesh = mi.Mesh("tent", len(CORNERS), len(FACES), props=properties)
+    geometry = mi.traverse(mesh)
+    geometry["vertex_positions"] = CORNERS.ravel()
+    geometry["faces"] = FACES.ravel().astype(np.uint32)
+    geometry.update()
+    mesh.add_attribute(attribute, colours.shape[1], colours.ravel())
+    return mesh
+
+
+def colours_of(attribute: str, seed: int = 8) -> np.ndarray:
+    count = len(CORNERS) if attribute.startswith("vertex") else len(FACES)
+    return np.random.default_rng(seed).uniform(0.2, 0.8, (count, 3)).astype(np.float32)
+
+
+def share_of(attribute: str) -> np.ndarray:
+    part = AREAS / AREAS.sum()
+    if attribute.startswith("face"):
+        return part
+    return np.bincount(FACES.ravel(), np.repeat(part / 3, 3))
+
+
+def painted_with(attribute: str) -> Config:
+    return {"type": "mesh_attribute", "name": attribute}
+
+
+@pytest.mark.parametrize("attribute", ["vertex_color", "face_color"])
+def test_the_map_mixes_the_colours_of_a_mesh_as_mitsuba_does(mi: Any, attribute: str) -> None:
+    colours = colours_of(attribute)
+    shining = painted_mesh(
+        mi, attribute, colours, emitter={"type": "area", "radiance": painted_with(attribute)}
+    )
+    scene = mi.load_dict({"type": "scene", "camera": camera(mi), "tent": shining}, optimize=False)
+    renderer = SceneRenderer(scene, "emitters")
+    name = f"tent.{attribute}"
+    assert renderer.inputs[name].shape == colours.shape
+    surfaces = renderer.surfaces_with_texels()
+    ray, pixel = rays(scene, mi, surfaces.shape)
+    si = scene.ray_intersect(ray)
+    seen = np.array(si.emitter(scene).eval(si)).T
+    expected = np.stack([np.bincount(pixel, channel) for channel in seen.T], -1) / 16
+    found = np.zeros_like(expected)
+    values = surfaces.texels[name].density(colours * share_of(attribute)[:, None], len(surfaces.pixel))
+    np.add.at(found, surfaces.pixel, values * surfaces.fraction[:, None])
+    error = np.abs(found - expected).max()
+    assert expected.max() > 0.5
+    assert error < 1e-5, f"what the mesh shows differs by {error}; allowed 1e-5"
+
+
+def tent_scene(mi: Any, attribute: str, colours: np.ndarray) -> Config:
+    matte = {"type": "diffuse", "reflectance": painted_with(attribute)}
+    return {
+        "type": "scene",
+        "camera": camera(mi),
+        "tent": painted_mesh(mi, attribute, colours, bsdf=matte),
+        "lamp": {"type": "point", "position": [1, 2, 4], "intensity": 9.0},
+        "sky": {"type": "constant", "radiance": 0.3},
+    }
+
+
+@pytest.mark.parametrize("attribute", ["vertex_color", "face_color"])
+def test_the_gradient_of_each_corner_and_face_agrees_with_differences(mi: Any, attribute: str) -> None:
+    name = f"tent.{attribute}"
+    renderer = SceneRenderer(tent_scene(mi, attribute, colours_of(attribute)), name, max_depth=4)
+    x = renderer.leaves()
+    renderer(x, seed=2, spp=16).square().mean().backward()
+    expected = torch.zeros(x[name].shape)
+    for place in np.ndindex(*expected.shape):
+        step = torch.zeros_like(expected)
+        step[place] = 0.02
+        up, down = (
+            renderer({name: renderer.inputs[name] + sign * step}, seed=2, spp=16).double().square().mean()
+            for sign in (1, -1)
+        )
+        expected[place] = (up - down) / 0.04
+    torch.testing.assert_close(x[name].grad, expected, rtol=1e-3, atol=1e-3 * expected.abs().max().item())
+
+
+def test_a_mesh_of_one_colour_ranks_like_that_colour(mi: Any) -> None:
+    colour = [0.5, 0.4, 0.3]
+    scene = tent_scene(mi, "vertex_color", np.tile(np.float32(colour), (5, 1)))
+    painted = SceneRenderer(scene, "reflectance", spp=16)
+    plain = {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}
+    scene["tent"] = painted_mesh(mi, "vertex_color", colours_of("vertex_color"), bsdf=plain)
+    uniform = SceneRenderer(scene, "reflectance", spp=16)
+    (many,), (one,) = (
+        VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=4).ranking(1)
+        for renderer in (painted, uniform)
+    )
+    assert len(many.total) == 3
+    np.testing.assert_allclose(many.total, one.total, rtol=1e-4)
+    np.testing.assert_allclose(many.total_error, one.total_error, rtol=1e-2)
+
+
+@pytest.mark.parametrize("attribute", ["vertex_color", "face_color"])
+def test_an_even_gradient_of_a_mesh_is_painted_evenly(mi: Any, attribute: str) -> None:
+    scene = tent_scene(mi, attribute, colours_of(attribute))
+    scene["mirror"] = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([1.7, 0, 0.5]).rotate([0, 1, 0], -60),
+        "bsdf": {"type": "conductor", "material": "none"},
+    }
+    renderer = SceneRenderer(scene, "reflectance", spp=1)
+    name = f"tent.{attribute}"
+    even = torch.from_numpy(share_of(attribute)[:, None] * np.float32([1.0, 0.5, 0.2])).float()
+    for surfaces in (renderer.surfaces_with_texels(), renderer.see_through()):
+        result = SceneAttribution({name: even}, standard_error=None, metric_value=1.0, surfaces=surfaces)
+        texel_by_texel = heatmap(result, texels=True)
+        torch.testing.assert_close(texel_by_texel, heatmap(result), rtol=0, atol=1e-5)
+        assert (texel_by_texel > 0.5).sum() > 30
+    mirrored = renderer.see_through().shown([name]) - renderer.surfaces.shown([name])
+    assert (mirrored > 0.9).sum() > 5, "the mirror shows the tent"
+
+
 # --- Gradients of texels ---------------------------------------------------------------------------
 
 

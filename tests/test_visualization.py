@@ -103,7 +103,7 @@ def test_table_ranks_with_sign_error_and_channels() -> None:
 def test_texture_shows_totals_and_says_so() -> None:
     text = table_text(make())
     assert re.search(r"Σ .*-0\.080 +-0\.120 +-0\.160$", row_of("floor", text))
-    assert "totals over its texels" in text
+    assert "Σ totals over the texels" in text
     plain = dataclasses.replace(make(), attributions={"rough": torch.tensor(1.0)})
     assert "texel" not in table_text(plain)
 
@@ -153,8 +153,8 @@ def test_long_rankings_end_with_what_is_left_out() -> None:
 
 
 def test_many_channels_are_summarised() -> None:
-    matrix = {"matrix": torch.tensor([[0.1, -0.3], [0.2, 0.0]]).repeat(2, 2)}
-    text = table_text(SceneAttribution(matrix, None, 1.0))
+    spectrum = {"spectrum": torch.tensor([0.1, -0.3, 0.2, 0.0]).repeat(4)}
+    text = table_text(SceneAttribution(spectrum, None, 1.0))
     assert "16 numbers, -0.300 to +0.200" in text
 
 

@@ -291,7 +291,7 @@ def _textures(
 ) -> dict[str, TexelMap]:
     """Return what the map tells of the chosen textures' texels; groups have none."""
     known = {name: surfaces.texels[name] for name in chosen if name in surfaces.texels}
-    if not known and any(attribution[name].ndim == IMAGE for name in chosen):
+    if not known and any(attribution[name].ndim in (2, IMAGE) for name in chosen):
         raise SceneCaptumError(
             "Which texels the pixels show is not known: attribute with a SceneRenderer of one camera, or give "
             "surfaces=renderer.surfaces_with_texels(...)."

@@ -58,7 +58,7 @@ def _errors(
         return None
     errors = {name: torch.hypot(a.standard_error[name], b.standard_error[name]) for name in a}
     for name, covariance in (shared or {}).items():
-        if a[name].ndim < 3:  # its channel totals are its elements
+        if a[name].ndim < 2:  # its channel totals are its elements
             errors[name] = covariance.diagonal().sqrt().reshape(a[name].shape)
     return errors
 

@@ -152,8 +152,8 @@ def _whole(values: Values, absent: Values, members: Mapping[str, tuple[str, ...]
 
 
 def _channel(tensor: torch.Tensor, channel: int) -> torch.Tensor:
-    """Return a view of one channel of a texture or grid, or of one element of anything smaller."""
-    return tensor.reshape(-1)[channel] if tensor.ndim < 3 else tensor[..., channel]
+    """Return a view of one channel at all places of a texture, or of one element of a scalar or vector."""
+    return tensor.reshape(-1)[channel] if tensor.ndim < 2 else tensor[..., channel]
 
 
 def _without(feature: _Feature, values: Values, absent: Values) -> dict[str, torch.Tensor]:

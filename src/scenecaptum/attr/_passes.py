@@ -210,10 +210,11 @@ class Spread:
 def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
     """Return what a parameter's attribution amounts to, a ``(C,)`` vector.
 
-    A scalar, vector or matrix is itself, flattened. A texture ``(H, W, C)`` or a grid is summed over its texels:
-    the effect of raising all of them alike, so that a texture of one colour counts like that colour.
+    A scalar or vector is itself. What has values at many places, a texture ``(H, W, C)``, a grid or the colours of
+    a mesh's vertices ``(N, C)``, is summed over these: the effect of raising all of them alike, so that a texture
+    of one colour counts like that colour.
     """
-    return tensor.reshape(-1) if tensor.ndim < 3 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
+    return tensor.reshape(-1) if tensor.ndim < 2 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
 
 
 def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:

@@ -115,11 +115,11 @@ class Effect:
     def of_totals(cls, totals: torch.Tensor, like: torch.Tensor) -> Effect:
         """Shape the ``(replicates, C)`` totals as a parameter; a texture's are spread evenly over its texels."""
         covariance = covariance_of_mean(totals) if len(totals) > 1 else None
-        texels = 1 if like.ndim < 3 else like[..., 0].numel()
+        texels = 1 if like.ndim < 2 else like[..., 0].numel()
 
         def shaped(channels: torch.Tensor) -> torch.Tensor:
             even = (channels / texels).to(like)
-            return even.reshape(like.shape) if like.ndim < 3 else even.expand(like.shape).clone()
+            return even.reshape(like.shape) if like.ndim < 2 else even.expand(like.shape).clone()
 
         error = None if covariance is None else shaped(covariance.diagonal().sqrt())
         return cls(shaped(totals.mean(0)), error, totals, covariance)

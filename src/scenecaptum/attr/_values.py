@@ -12,7 +12,7 @@ _MOST_NUMBERS = 16  # a 4 × 4 transform
 def summarise(values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return values worth keeping beside a result: a texture's mean over its texels, nothing for a long vector."""
     means = {
-        name: value.reshape(-1, value.shape[-1]).mean(0) if value.ndim >= 3 else value
+        name: value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value
         for name, value in values.items()
     }
     return {

@@ -102,7 +102,7 @@ class SceneRenderer(torch.nn.Module):
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         if max_depth is not None and max_depth != -1:
             whole_number("max_depth", max_depth)
-        state = SceneState(loaded, [name for name, p in self._table.items() if not p.problem])
+        state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
         values = {name: state.original[name] for name in self._names}
         self.plan = make_plan(self._graph, self._table, values, max_depth)
         self._surface_maps: dict[Any, SurfaceMap] = {}
@@ -208,7 +208,9 @@ class SceneRenderer(torch.nn.Module):
 
     def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
         wanted = self._names if names is None else tuple(names)
-        return tuple(n for n in wanted if n in self._engines[0].original and len(self._table[n].shape) == 3)
+        return tuple(
+            n for n in wanted if n in self._engines[0].original and len(self._table[n].shape) in (2, 3)
+        )
 
     def _surfaces_seen_by(
         self, index: int, textures: tuple[str, ...] = (), *, through: bool = False

@@ -23,17 +23,18 @@ class SceneState:
     ----------
     scene
         The live ``mi.Scene``.
-    names
-        The parameters that may be written.
+    shapes
+        The parameters that may be written, and their shapes in torch.
     """
 
-    def __init__(self, scene: Any, names: Sequence[str]) -> None:
+    def __init__(self, scene: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
         self._params = mi.traverse(scene)
-        self._params.properties = {n: p for n, p in self._params.properties.items() if n in set(names)}
-        self._types = {name: type(self._params[name]) for name in names}
+        self._params.properties = {n: p for n, p in self._params.properties.items() if n in shapes}
+        self._shapes = shapes
+        self._types = {name: type(self._params[name]) for name in shapes}
         self._found: dict[str, Any] = {}
         self.leaves: dict[str, Any] = {}
-        self.original = {name: _to_torch(self._params[name]) for name in names}
+        self.original = {name: self._to_torch(name, self._params[name]) for name in shapes}
         self._held = dict(self.original)
 
     @property
@@ -44,7 +45,7 @@ class SceneState:
     def look(self) -> None:
         """Take what the scene holds now for its own values: its owner may have changed them."""
         self._found = {name: kind(self._params[name]) for name, kind in self._types.items()}
-        self.original = {name: _to_torch(value) for name, value in self._found.items()}
+        self.original = {name: self._to_torch(name, value) for name, value in self._found.items()}
         self._held = dict(self.original)
 
     def stale(self, values: Mapping[str, torch.Tensor], tracked: Collection[str]) -> dict[str, torch.Tensor]:
@@ -113,6 +114,12 @@ class SceneState:
             self._params.update()
         self.leaves = {}
 
+    def _to_torch(self, name: str, value: Any) -> torch.Tensor:
+        tensor: torch.Tensor = flat(dr.detach(value)).torch()
+        # The attributes of a mesh are rows; a texture may have got another size since it was loaded.
+        rows = (-1, *self._shapes[name][1:]) if len(self._shapes[name]) == 2 else tensor.shape
+        return tensor.to(torch.float32).clone().reshape(rows)
+
     def _holds(self, name: str, tensor: torch.Tensor) -> bool:
         held = self._held.get(name)
         return held is not None and torch.equal(held, tensor)
@@ -128,11 +135,6 @@ def flat(value: Any) -> Any:
         return mi.TensorXf(dr.ravel(value), shape=(dr.size_v(value),))
     width = dr.width(value)
     return mi.TensorXf(value, shape=() if width == 1 else (width,))
-
-
-def _to_torch(value: Any) -> torch.Tensor:
-    tensor: torch.Tensor = flat(dr.detach(value)).torch()
-    return tensor.to(torch.float32).clone()
 
 
 def owned(value: Any) -> Any:

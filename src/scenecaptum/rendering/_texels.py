@@ -1,4 +1,4 @@
-"""Where a texture keeps what it shows at a point: its filter, its wrapping and its transform, in NumPy.
+"""Where a texture, or a mesh, keeps what it shows at a point, in NumPy.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -71,8 +71,9 @@ class Lookup:
         column = _wrap(column, self.width, self.wrap_x)
         return _wrap(row, self.height, self.wrap_y) * self.stride + column + self.first
 
-    def shown(self, entry: Indices, x: Floats, y: Floats, rays: Indices) -> TexelMap:
+    def shown(self, entry: Indices, place: Sequence[Any], rays: Indices) -> TexelMap:
         """Return the texels that rays show, each of which belongs to an entry that has ``rays`` of them."""
+        x, y = place
         texels = self.height * self.stride
         nearest = self.nearest_texel(x, y)
         if self.nearest:
@@ -83,14 +84,57 @@ class Lookup:
             mixed, shares = self.mixed_texels(x[~many], y[~many])
             key = np.concatenate([(entry * texels + nearest)[many], (entry[~many] * texels + mixed).ravel()])
             weight = np.concatenate([np.ones(many.sum(), np.float32), shares.ravel()])
-        items, item = np.unique(key, return_inverse=True)
-        entry, texel = items // texels, items % texels
-        part = np.bincount(item, weights=weight, minlength=len(items)) / rays[entry]
-        return TexelMap(
-            entry=entry.astype(np.int32),
-            texel=texel.astype(np.int32),
-            weight=(part / self.row_share[texel // self.stride]).astype(np.float32),
+        return _gathered(key, weight, texels, rays, lambda texel: self.row_share[texel // self.stride])
+
+
+@dataclass(frozen=True)
+class MeshLookup:
+    """How a mesh finds an attribute of its vertices, or of its faces.
+
+    Attributes
+    ----------
+    rows
+        ``(faces, 3)``, the row of each corner; or ``(faces, 1)``, that of the face itself.
+    share
+        What part of the surface's area belongs to each row: a vertex has a third of its faces.
+    """
+
+    rows: Indices
+    share: Floats
+
+    @classmethod
+    def of(cls, mesh: Any, attribute: str) -> MeshLookup:
+        """Look at a mesh."""
+        corners = mesh.faces_buffer().numpy().reshape(-1, 3).astype(np.int64)
+        points = mesh.vertex_positions_buffer().numpy().reshape(-1, 3)[corners]
+        area = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=-1)
+        rows = corners if attribute.startswith("vertex_") else np.arange(len(corners))[:, None]
+        part = np.repeat(area / (area.sum() * rows.shape[1]), rows.shape[1])
+        return cls(rows, np.bincount(rows.ravel(), weights=part).astype(np.float32))
+
+    def shown(self, entry: Indices, place: Sequence[Any], rays: Indices) -> TexelMap:
+        """Return the rows that rays show, each of which belongs to an entry that has ``rays`` of them."""
+        face, second, third = place
+        rows = self.rows[face]
+        weight = (
+            np.stack([1 - second - third, second, third]) if rows.shape[1] == 3 else np.ones((1, len(face)))
         )
+        key = entry[:, None] * len(self.share) + rows
+        return _gathered(key.ravel(), weight.T.ravel(), len(self.share), rays, lambda row: self.share[row])
+
+
+def _gathered(
+    key: Indices, weight: Any, texels: int, rays: Indices, share: Callable[[Indices], Floats]
+) -> TexelMap:
+    """Add up what several rays show of the same texel; a key is an entry's number times ``texels`` plus one's."""
+    items, item = np.unique(key, return_inverse=True)
+    entry, texel = items // texels, items % texels
+    part = np.bincount(item, weights=weight, minlength=len(items)) / rays[entry]
+    return TexelMap(
+        entry=entry.astype(np.int32),
+        texel=texel.astype(np.int32),
+        weight=(part / share(texel)).astype(np.float32),
+    )
 
 
 def _wrap(index: Indices, size: int, how: str) -> Indices:
@@ -104,7 +148,7 @@ def _wrap(index: Indices, size: int, how: str) -> Indices:
 
 @dataclass(frozen=True)
 class ShownTexture:
-    """A texture in a scene.
+    """A texture in a scene, or an attribute of a mesh.
 
     Attributes
     ----------
@@ -115,19 +159,20 @@ class ShownTexture:
     shapes
         The numbers that Dr.Jit gives the shapes that wear it; None for an environment, seen past all shapes.
     place
-        From texture coordinates and the ray's direction, in Dr.Jit arrays, to those of ``Lookup``.
+        From a surface interaction, the preliminary one and the ray's direction to the coordinates that
+        ``lookup`` takes, all in Dr.Jit arrays.
     """
 
     name: str
-    lookup: Lookup
+    lookup: Lookup | MeshLookup
     shapes: Sequence[int] | None
-    place: Callable[[Any, Any], tuple[Any, Any]]
+    place: Callable[[Any, Any, Any], tuple[Any, ...]]
 
 
 def find_textures(
     graph: SceneGraph, shapes: dict[str, tuple[int, ...]], hold: Callable[[str, Any], Any]
 ) -> Iterator[ShownTexture]:
-    """Describe the named parameters that are the texels of a bitmap or of an environment map.
+    """Describe the named parameters that are texels of a bitmap or environment map, or attributes of a mesh.
 
     Parameters
     ----------
@@ -148,6 +193,9 @@ def find_textures(
         elif node.class_name() == "EnvironmentMapEmitter" and node is graph.scene.environment():
             lookup = _environment_lookup(*shape[:2])
             yield ShownTexture(name, lookup, None, _on_environment(node, lookup))
+        elif isinstance(node, mi.Mesh):
+            of_mesh = MeshLookup.of(node, name.rsplit(".", 1)[-1])
+            yield ShownTexture(name, of_mesh, [number_of(node)], _on_mesh)
 
 
 def number_of(shape: Any) -> int:
@@ -187,11 +235,15 @@ def _to_uv(texture: Any) -> NDArray[np.float64]:
     return np.array(mi.traverse(texture)["to_uv"].matrix, dtype=np.float64).reshape(3, 3)
 
 
-def _on_bitmap(texture: Any, lookup: Lookup) -> Callable[[Any, Any], tuple[Any, Any]]:
+def _on_mesh(_: Any, hit: Any, __: Any) -> tuple[Any, Any, Any]:
+    return hit.prim_index, hit.prim_uv.x, hit.prim_uv.y
+
+
+def _on_bitmap(texture: Any, lookup: Lookup) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
     (a, b, c), (d, e, f), _ = _to_uv(texture).tolist()
 
-    def place(uv: Any, _: Any) -> tuple[Any, Any]:
-        u, v = a * uv.x + b * uv.y + c, d * uv.x + e * uv.y + f
+    def place(si: Any, _: Any, __: Any) -> tuple[Any, Any]:
+        u, v = a * si.uv.x + b * si.uv.y + c, d * si.uv.x + e * si.uv.y + f
         return u * lookup.width - 0.5, v * lookup.height - 0.5
 
     return place
@@ -210,10 +262,10 @@ def _environment_lookup(height: int, width: int) -> Lookup:
     return Lookup(height, width - 2, False, "repeat", "clamp", width, 1, share)
 
 
-def _on_environment(emitter: Any, lookup: Lookup) -> Callable[[Any, Any], tuple[Any, Any]]:
+def _on_environment(emitter: Any, lookup: Lookup) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
     to_local = emitter.world_transform().inverse()
 
-    def place(_: Any, direction: Any) -> tuple[Any, Any]:
+    def place(_: Any, __: Any, direction: Any) -> tuple[Any, Any]:
         local = to_local @ mi.Vector3f(direction)
         turn = dr.atan2(local.x, -local.z) / dr.two_pi
         height = dr.safe_acos(local.y) / dr.pi

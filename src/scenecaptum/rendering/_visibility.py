@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..scene import SceneParameters, SurfaceMap, TexelMap
 from ..scene._graph import SceneGraph
-from ._texels import Floats, Indices, ShownTexture, number_of
+from ._texels import Indices, ShownTexture, number_of
 
 # Hammersley points: 16 rays a pixel, no two in one row or column, so that an edge along either axis is located to
 # within 1/16 of a pixel; and the same map at every call.
@@ -85,7 +85,7 @@ class _Hits:
     seen: Indices
     shape: Indices
     looks: NDArray[np.bool_]
-    places: list[tuple[Floats, Floats]]
+    places: list[tuple[NDArray[Any], ...]]
 
 
 def _trace(
@@ -110,27 +110,28 @@ def _trace(
     with dr.suspend_grad():
         ray, weight = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        direction, uv = ray.d, mi.Point2f(0)
+        met, direction, places = hit, ray.d, []
         if textures or through:
-            hit = hit.compute_surface_interaction(ray)
+            met = hit.compute_surface_interaction(ray)
             if through:
-                hit, direction = _go_through(scene, hit, direction, pixel, point)
-            uv = hit.uv
-        shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (hit.shape, hit.instance))
-        shape = dr.select(hit.is_valid(), shape, 0)
-        seen = dr.select(hit.is_valid() & (instance != 0), instance, shape)
+                met, hit, direction = _go_through(scene, met, hit, direction, pixel, point)
+            places = [texture.place(met, hit, direction) for texture in textures]
+        shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (met.shape, met.instance))
+        shape = dr.select(met.is_valid(), shape, 0)
+        seen = dr.select(met.is_valid() & (instance != 0), instance, shape)
         looks = dr.max(weight) > 0
-        places = [texture.place(uv, direction) for texture in textures]
         dr.eval(seen, shape, looks, places)
     return _Hits(
         seen.numpy().astype(np.int64),
         shape.numpy().astype(np.int64),
         np.broadcast_to(looks.numpy(), count * RAYS),
-        [(x.numpy(), y.numpy()) for x, y in places],
+        [tuple(one.numpy() for one in place) for place in places],
     )
 
 
-def _go_through(scene: Any, si: Any, direction: Any, pixel: Any, point: Any) -> tuple[Any, Any]:
+def _go_through(
+    scene: Any, si: Any, hit: Any, direction: Any, pixel: Any, point: Any
+) -> tuple[Any, Any, Any]:
     """Follow rays off mirrors and through panes, glass and the holes of masks to the first other surface.
 
     Where a surface both mirrors and lets pass, the rays of a pixel part as its light does. A light, or a surface
@@ -155,9 +156,11 @@ def _go_through(scene: Any, si: Any, direction: Any, pixel: Any, point: Any) -> 
             break
         ray = si.spawn_ray(si.to_world(sample.wo))
         direction = dr.select(onwards, ray.d, direction)
-        si = dr.select(onwards, scene.ray_intersect(ray, onwards), si)
-        dr.eval(si, direction)
-    return si, direction
+        next_hit = scene.ray_intersect_preliminary(ray, active=onwards)
+        si = dr.select(onwards, next_hit.compute_surface_interaction(ray, active=onwards), si)
+        hit = dr.select(onwards, next_hit, hit)
+        dr.eval(si, hit, direction)
+    return si, hit, direction
 
 
 @dataclass
@@ -182,17 +185,17 @@ class _Part:
             object_index=(entries % count).astype(np.int32),
             fraction=(rays / RAYS).astype(np.float32),
             texels=[
-                _texels(texture, hits.shape[looks], (x[looks], y[looks]), entry, rays)
-                for texture, (x, y) in zip(textures, hits.places, strict=True)
+                _texels(texture, hits.shape[looks], [one[looks] for one in place], entry, rays)
+                for texture, place in zip(textures, hits.places, strict=True)
             ],
         )
 
 
 def _texels(
-    texture: ShownTexture, shape: Indices, place: tuple[Floats, Floats], entry: Indices, rays: Indices
+    texture: ShownTexture, shape: Indices, place: Sequence[NDArray[Any]], entry: Indices, rays: Indices
 ) -> TexelMap:
     showing = np.isin(shape, [0] if texture.shapes is None else texture.shapes)
-    return texture.lookup.shown(entry[showing], place[0][showing], place[1][showing], rays)
+    return texture.lookup.shown(entry[showing], [one[showing] for one in place], rays)
 
 
 def _joined(parts: Sequence[TexelMap], offsets: Indices) -> TexelMap:

@@ -44,9 +44,14 @@ class SceneGraph:
     def role(self, node: Any, attribute: str) -> tuple[Any, str]:
         """Return the material, light, medium, shape or sensor that uses a value, and what it uses it as.
 
-        The value of a texture has the role that its holder gives the texture: ``reflectance``, say.
+        The value of a texture has the role that its holder gives the texture: ``reflectance``, say; and so has a
+        mesh attribute that a texture looks up.
         """
         mi = activate()
+        if mesh_places(node, attribute):
+            looks_up = f'name = "{attribute}"'
+            textures = [one for one in self._below(node) if one.class_name() == "MeshAttribute"]
+            node = next((one for one in textures if looks_up in str(one)), node)
         while isinstance(node, (mi.Texture, mi.Volume)) and self._holders.get(node):
             node, attribute = self._holders[node][0]
         return node, attribute
@@ -111,6 +116,18 @@ class SceneGraph:
             fresh = [child for _, child in self._children.get(current, []) if child not in seen]
             seen.update(fresh)
             pending += fresh
+
+
+def mesh_places(node: Any, name: str) -> int | None:
+    """Return at how many vertices or faces a mesh has an attribute; None where it is not one."""
+    if name in _GEOMETRY or not isinstance(node, activate().Mesh):
+        return None
+    counts = {"vertex": node.vertex_count, "face": node.face_count}
+    count = counts.get(name.partition("_")[0])
+    return None if count is None else int(count())
+
+
+_GEOMETRY = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 
 
 def _children(node: Any) -> list[tuple[str, Any]]:

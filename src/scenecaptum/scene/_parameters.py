@@ -10,7 +10,7 @@ from typing import Any
 
 from ..backend import activate
 from ..errors import UnknownNameError, near_misses
-from ._graph import SceneGraph
+from ._graph import SceneGraph, mesh_places
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Parameter:
     @property
     def is_texture(self) -> bool:
         """Whether its value varies over a surface."""
-        return len(self.shape) == 3 and self.kind in SURFACE_KINDS
+        return len(self.shape) in (2, 3) and self.kind in SURFACE_KINDS
 
     @property
     def status(self) -> str:
@@ -207,23 +207,25 @@ def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
 
 
 def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int) -> Parameter:
-    holder, role = graph.role(node, name.rsplit(".", 1)[-1])
+    own_name = name.rsplit(".", 1)[-1]
+    holder, role = graph.role(node, own_name)
     kind, bounds = _kind_and_bounds(holder, role)
+    shape = _shape(value, mesh_places(node, own_name))
     tracked = _is_array(value) and not flags & _untracked_flags() and not _leaves_tables(holder, role)
-    problem = _problem(kind, role, holder, value, tracked)
+    problem = _problem(kind, role, holder, shape, value, tracked)
     return Parameter(
         name=name,
         label=label,
         kind=kind,
         plugin=holder.class_name(),
         role=role,
-        shape=_shape(value),
+        shape=shape,
         bounds=bounds,
         owners=graph.owners(node),
         tracked=tracked,
         specular_inside=_is_specular(holder),
         problem=problem,
-        caution=None if problem else _caution(kind, role, holder, value),
+        caution=None if problem else _caution(kind, role, holder, shape, value),
     )
 
 
@@ -239,18 +241,16 @@ def _kind_and_bounds(holder: Any, role: str) -> tuple[str, Bounds]:
     if isinstance(holder, (mi.Medium, mi.PhaseFunction)):
         return "media", _MEDIUM_ROLES.get(role, _NON_NEGATIVE)
     if isinstance(holder, mi.Shape):
-        # What a mesh carries beside its geometry are attributes that a material looks up.
-        attribute = role.startswith(("vertex_", "face_")) and role not in _GEOMETRY_BUFFERS
-        return ("surface", Bounds()) if attribute else ("geometry", Bounds())
+        # Attributes that no material looks up.
+        return ("surface", Bounds()) if mesh_places(holder, role) else ("geometry", Bounds())
     if isinstance(holder, (mi.Sensor, mi.Film, mi.Sampler)):
         return "camera", Bounds()
     return "scene", Bounds()
 
 
-_GEOMETRY_BUFFERS = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
-
-
-def _problem(kind: str, role: str, holder: Any, value: Any, tracked: bool) -> str | None:
+def _problem(
+    kind: str, role: str, holder: Any, shape: tuple[int, ...], value: Any, tracked: bool
+) -> str | None:
     """Why the parameter cannot be differentiated, or None where it can."""
     type_name = type(value).__name__
     if kind == "geometry" and ("position" in role or "to_world" in role):
@@ -276,14 +276,14 @@ def _problem(kind: str, role: str, holder: Any, value: Any, tracked: bool) -> st
         return "Mitsuba's SGGX samples other directions than its own density describes"
     if role in ("normalmap", "nested_texture") and _is_specular(holder):
         return "it turns perfectly specular reflections, and path replay does not follow where they go"
-    if not tracked and math.prod(_shape(value)) > 3:
+    if not tracked and math.prod(shape) > 3:
         return "Mitsuba keeps it outside the derivative graph, and it has too many numbers for differences"
     return None
 
 
-def _caution(kind: str, role: str, holder: Any, value: Any) -> str | None:
+def _caution(kind: str, role: str, holder: Any, shape: tuple[int, ...], value: Any) -> str | None:
     """Tell what is known to be wrong with a texture's derivative, which no difference can stand in for."""
-    if not _is_array(value) or len(_shape(value)) < 3:
+    if not _is_array(value) or len(shape) < 2:
         return None
     import drjit as dr
 
@@ -322,11 +322,16 @@ def _is_array(value: Any) -> bool:
     return value is not None and bool(dr.is_jit_v(value) and dr.is_float_v(value))
 
 
-def _shape(value: Any) -> tuple[int, ...]:
-    """Shape as a torch tensor: Dr.Jit gives a scalar shape (1,) and a uniform colour (3, 1)."""
+def _shape(value: Any, places: int | None) -> tuple[int, ...]:
+    """Shape as a torch tensor: Dr.Jit gives a scalar shape (1,) and a uniform colour (3, 1).
+
+    What a mesh has at so many ``places`` lies there one after the other; here these are rows.
+    """
     if not hasattr(value, "shape"):
         return ()
     shape = tuple(int(n) for n in value.shape)
+    if places:
+        return places, shape[0] // places
     return shape if "Tensor" in type(value).__name__ or shape[-1:] != (1,) else shape[:-1]
 
 

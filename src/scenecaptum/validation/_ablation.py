@@ -223,7 +223,7 @@ def _ablate(scenes: _Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
     value = scenes.values[row.name]
     totals = channel_totals(gradient)
     # Of a texture, all texels move alike: what single texels are said to do is mostly noise.
-    uphill = (totals / totals.norm()).reshape(gradient.shape if gradient.ndim < 3 else (-1,)).to(value)
+    uphill = (totals / totals.norm()).reshape(gradient.shape if gradient.ndim < 2 else (-1,)).to(value)
     step = _first_step(scenes.renderer, row.name, value, uphill)
 
     def rise(length: float) -> torch.Tensor:

@@ -124,7 +124,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
     marks = {name: markers[text] for text, names in groups.items() for name in names}
-    textures = {row.name for row in shown if attribution[row.name].ndim >= 3}
+    textures = {row.name for row in shown if attribution[row.name].ndim > 1}
     names = shorten([row.label for row in shown], _WIDEST_NAME)
     saliency, gradients = _saliency(shown), _gradients(shown)
     return _Table(
@@ -142,7 +142,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
         ],
         notes=[
             *_hidden(ranking, len(shown)),
-            *(["Σ texture: totals over its texels"] if textures else []),
+            *(["Σ totals over the texels, vertices or faces"] if textures else []),
             *(_caution(markers[text], text, names) for text, names in groups.items()),
         ],
     )

@@ -134,7 +134,7 @@ def _row(attribution: SceneAttribution, row: Ranked, caution: int | None) -> dic
         if few
         else [],
         "channels": len(row.total),
-        "texture": attribution[row.name].ndim >= 3,
+        "texture": attribution[row.name].ndim > 1,
         "caution": caution,
         **_value(attribution, row.name, members),
     }
@@ -152,7 +152,7 @@ def _value(attribution: SceneAttribution, name: str, members: Sequence[str] | No
     tensor = attribution.parameter_values.get(name)
     if tensor is None:
         return {}
-    textured = attribution[name].ndim >= 3
+    textured = attribution[name].ndim > 1
     numbers = [float(one) for one in tensor.flatten().tolist()]
     parts = set(name.replace("_", ".").split("."))
     colour = len(numbers) == 3 and bool(parts & set(_COLOURS))

@@ -117,7 +117,7 @@ function signMark(row, result) {
 /** The signs that the table of the terminal has too: Σ for a texture's total, ! for a derivative known to be off. */
 function markOf(row, result) {
   const marks = [];
-  if (row.texture) marks.push(make("abbr", { class: "mark", title: "a texture: totals over its texels, and its mean value" }, "Σ"));
+  if (row.texture) marks.push(make("abbr", { class: "mark", title: "totals over the texels, vertices or faces, and their mean value" }, "Σ"));
   if (row.caution !== null) marks.push(make("abbr", { class: "mark caution", title: result.cautions[row.caution] }, cautionMark(row.caution, result)));
   return marks;
 }

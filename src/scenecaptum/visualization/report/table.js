@@ -116,7 +116,7 @@ function drawNotes(result) {
     const count = result.rows.filter((row) => row.caution === index).length;
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);
   });
-  if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " a texture: totals over its texels, and its mean value"));
+  if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {
     notes.push(make("p", {}, ...["1", "-1", "0"].flatMap((sign, index) => [
       index ? "  ·  " : "", make("span", { class: `sign ${SIGNS[sign][1]}` }, SIGNS[sign][0]), signWords(result, sign),
