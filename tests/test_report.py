@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import dataclasses
 import io
@@ -10,6 +11,7 @@ import math
 import os
 import re
 import shutil
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,8 +22,8 @@ import torch
 
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.projection import heatmap
-from scenecaptum.scene import SurfaceMap
+from scenecaptum.projection import heatmap, shared_maximum
+from scenecaptum.scene import SurfaceMap, TexelMap
 from scenecaptum.visualization import write_report
 from scenecaptum.visualization.report._pixels import LAYERS, encode_surfaces
 
@@ -141,6 +143,45 @@ def test_objects_are_painted_like_the_heatmap(tmp_path):
     assert signs == [-1, 1, 1, 1]
 
 
+def with_texels() -> SceneAttribution:
+    """The chair has a texture of 2 × 2 texels, whose upper left one lowers the metric and lies at the left."""
+    attribution = make()
+    assert attribution.surfaces is not None
+    on_chair = np.flatnonzero(attribution.surfaces.object_index == 2).astype(np.int32)
+    column = attribution.surfaces.pixel[on_chair] % WIDTH
+    texels = TexelMap(
+        entry=on_chair,
+        texel=(column > 11).astype(np.int32),
+        weight=np.full(len(on_chair), 4.0, np.float32),
+    )
+    gradient = torch.zeros(2, 2, 3)
+    gradient[0, 0], gradient[0, 1] = -0.05, 0.02
+    return dataclasses.replace(
+        attribution,
+        attributions={**attribution.attributions, "chair.reflectance.data": gradient},
+        surfaces=dataclasses.replace(attribution.surfaces, texels={"chair.reflectance.data": texels}),
+    )
+
+
+def test_textures_are_painted_texel_by_texel_like_the_heatmap(tmp_path):
+    attribution = with_texels()
+    write_report([attribution], tmp_path / "report.html")
+    (texels,) = (one["texels"] for one in data_of(tmp_path / "report.html")["results"])
+    assert texels["largest"] == pytest.approx(shared_maximum([attribution], texels=True))
+    for name, zero, top in (("magnitude", 0, 255), ("signed", 128, 127)):
+        roots = np.frombuffer(zlib.decompress(base64.b64decode(texels[name])), np.uint8).astype(float) - zero
+        painted = np.sign(roots) * (roots / top) ** 4
+        expected = attribution.heatmap(texels=True, signed=name == "signed").numpy().ravel()
+        # Half a step of the root, which is what rounding leaves.
+        np.testing.assert_allclose(
+            np.abs(painted) ** 0.25 * np.sign(painted),
+            np.abs(expected) ** 0.25 * np.sign(expected),
+            atol=0.51 / top,
+        )
+    write_report([make()], tmp_path / "report.html")
+    assert data_of(tmp_path / "report.html")["results"][0]["texels"] is None
+
+
 def test_pixels_keep_their_three_largest_objects_and_whole_weights():
     rng = np.random.default_rng(3)
     count, objects = 60, 12
@@ -238,6 +279,7 @@ def test_a_noisy_render_of_640_by_360_stays_below_5_megabytes(tmp_path):
     edges = rng.integers(0, height * width, 60_000)
     pixel = np.concatenate([np.arange(height * width), edges])
     names = [f"shape_{one}.bsdf.reflectance.value" for one in range(objects)]
+    every = np.arange(len(pixel), dtype=np.int32)
     surfaces = SurfaceMap(
         shape=(height, width),
         pixel=pixel.astype(np.int32),
@@ -245,10 +287,12 @@ def test_a_noisy_render_of_640_by_360_stays_below_5_megabytes(tmp_path):
         fraction=np.concatenate([np.full(len(blocks), 0.6), np.full(len(edges), 0.4)]).astype(np.float32),
         objects=tuple(f"shape_{one}" for one in range(objects)),
         parameters=tuple((name,) for name in names),
+        texels={"noise": TexelMap(every, every, rng.exponential(size=len(pixel)).astype(np.float32))},
     )
     noise = torch.rand(2, height, width, 3, generator=torch.Generator().manual_seed(0))
     values = {name: torch.tensor([0.1 * index, 0.2, -0.3]) for index, name in enumerate(names)}
-    covariance = {name: 1e-4 * torch.eye(3) for name in names}
+    values["noise"] = torch.from_numpy(rng.normal(size=(1, len(pixel), 3)).astype(np.float32))
+    covariance = {name: 1e-4 * torch.eye(3) for name in values}
     both = [make(attributions=values, covariance=covariance, image=one, surfaces=surfaces) for one in noise]
     write_report(both, tmp_path / "report.html")
     size = (tmp_path / "report.html").stat().st_size
@@ -447,6 +491,21 @@ def test_switches_and_slider_repaint_the_picture(report):
     report.page.keyboard.press("Home")
     assert report.page.locator("#overlay").evaluate("canvas => getComputedStyle(canvas).opacity") == "0"
     assert report.page.locator("#opacity-value").inner_text() == "0 %"
+
+
+def test_texels_are_painted_until_they_are_switched_off(browser, tmp_path):
+    path = tmp_path / "report.html"
+    write_report([with_texels(), make("Other")], path)
+    page = Page(browser, path)
+    page.page.get_by_text("Signed", exact=True).click()
+    left, right = page.colour("overlay", 9, 1), page.colour("overlay", 14, 1)
+    assert left[0] > left[2]  # vermillion: that texel lowers the metric
+    assert right[2] > right[0]  # blue: the texel outdoes the roughness
+    page.page.locator("#texels").uncheck()
+    assert page.colour("overlay", 9, 1) == page.colour("overlay", 14, 1)
+    page.page.get_by_text("Other").click()
+    assert page.page.locator("#texels-choice").is_hidden()
+    page.check(path)
 
 
 def test_another_result_keeps_the_selection_and_shows_its_own_numbers(report):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class TexelMap:
-    """The texels of one texture that the entries of a ``SurfaceMap`` show.
+    """The texels of one texture, or the vertices or faces of one mesh, that the entries of a ``SurfaceMap`` show.
 
     It is a sparse matrix in coordinate form: entry ``entry[k]`` of the map shows texel ``texel[k]``, counted along
     the rows of the texture, with ``weight[k]``. The weight is the part that the texel has, by the texture's own
@@ -28,7 +28,7 @@ class TexelMap:
     def density(self, gradient: NDArray[np.float32], entries: int) -> NDArray[np.float64]:
         """Return the gradient per unit of texture that each entry shows, ``(entries, C)``.
 
-        ``gradient`` is that of the texels, ``(H, W, C)``.
+        ``gradient`` is that of the texels, ``(H, W, C)``, or of vertices or faces, ``(N, C)``.
         """
         texels = gradient.reshape(-1, gradient.shape[-1])
         columns = [

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SceneCaptumError
+from ...projection import heatmap, shared_maximum
 from .._figures import LOWERS, RAISES, UNCLEAR, colour_of
 from .._numbers import with_error
 from .._words import (
@@ -21,7 +22,7 @@ from .._words import (
     sampling_words,
     sign_words,
 )
-from ._pixels import colour_maps, encode_picture, encode_surfaces
+from ._pixels import colour_maps, encode_map, encode_picture, encode_surfaces
 
 if TYPE_CHECKING:
     from ...attr import Ranked, SceneAttribution
@@ -97,7 +98,22 @@ def _result(
         ],
         # Set by what is out of sight too, as in ``heatmap``.
         "largest": _number(max([row.saliency for row in ranking] + list(map(abs, objects)), default=0.0)),
+        "texels": _texels(attribution, surfaces),
         "info": _plain(attribution.info),
+    }
+
+
+def _texels(attribution: SceneAttribution, surfaces: SurfaceMap) -> dict[str, Any] | None:
+    """Return the maps that show textures texel by texel, where there are any."""
+    if not any(name in surfaces.texels for name in attribution):
+        return None
+    maps = {"magnitude": False, "signed": True}
+    return {
+        "largest": _number(shared_maximum([attribution], texels=True)),
+        **{
+            name: encode_map(heatmap(attribution, texels=True, signed=signed), signed=signed)
+            for name, signed in maps.items()
+        },
     }
 
 

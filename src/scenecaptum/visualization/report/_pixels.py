@@ -60,6 +60,16 @@ def encode_surfaces(surfaces: SurfaceMap) -> tuple[dict[str, str], NDArray[np.in
     return {name: _deflated(plane) for name, plane in planes.items()}, shown
 
 
+def encode_map(painted: torch.Tensor, *, signed: bool) -> str:
+    """Return a map from 0 or −1 to 1 as bytes, of which signed ones have 0 at 128; deflated, in base64.
+
+    They hold fourth roots, so that what is small keeps its digits for a logarithmic scale.
+    """
+    roots = painted.sign() * painted.abs().pow(0.25)
+    places = 128 + 127 * roots if signed else 255 * roots
+    return _deflated(places.round().to(torch.uint8).numpy(force=True).tobytes())
+
+
 def colour_maps() -> dict[str, str]:
     """Return the figures' sequential and diverging colour maps, 256 RGB triples of bytes in base64."""
     from matplotlib import colormaps

@@ -31,6 +31,17 @@ async function readView(view) {
   return { ...view, objects: new Uint16Array(objects), weights: new Uint8Array(weights) };
 }
 
+/** The maps that show textures texel by texel, of values from 0 or -1 to 1; null where there are none. */
+async function readTexels(texels) {
+  if (!texels) return null;
+  const [magnitude, signed] = await Promise.all([inflate(texels.magnitude), inflate(texels.signed)]);
+  return {
+    largest: texels.largest,
+    magnitude: Float32Array.from(new Uint8Array(magnitude), (root) => (root / 255) ** 4),
+    signed: Float32Array.from(new Uint8Array(signed), (root) => Math.sign(root - 128) * ((root - 128) / 127) ** 4),
+  };
+}
+
 const colours = Object.fromEntries(Object.entries(data.maps).map(([scale, text]) => [scale, bytesOf(text)]));
 
 /** Return how many powers of ten a logarithmic scale spans: as many as the objects do, 2 to 5. */

@@ -10,17 +10,21 @@ const state = {
 };
 const results = data.results;
 let views = [];
+let texels = [];
 
 const result = () => results[state.current];
 const view = () => views[result().view];
+const texelsOf = (one) => texels[results.indexOf(one)];
 const chosen = (name) => document.querySelector(`[name="${name}"]:checked`).value;
 const isAlike = (one) => one.metric === result().metric && one.quantity === result().quantity;
 
 /** The scale of this picture, or of all whose metric is the same. */
 function scaleNow() {
-  const scale = { signed: chosen("quantity") === "signed" && Boolean(result().signs), log: chosen("scale") === "log" };
+  const scale = {
+    signed: chosen("quantity") === "signed" && Boolean(result().signs), log: chosen("scale") === "log", texels: byId("texels").checked,
+  };
   const alike = byId("shared").checked ? results.filter(isAlike) : [result()];
-  const largest = Math.max(...alike.map((one) => one.largest ?? 0));
+  const largest = Math.max(...alike.map((one) => ((scale.texels && texelsOf(one)) || one).largest ?? 0));
   return { ...scale, largest, decades: decadesOf(alike.flatMap((one) => valuesOf(one, scale)), largest) };
 }
 
@@ -57,6 +61,7 @@ function drawResult() {
   byId("render").src = data.pictures[result().picture];
   byId("picture").style.aspectRatio = `${view().width} / ${view().height}`;
   byId("picture").style.setProperty("--ratio", view().width / view().height);
+  byId("texels-choice").hidden = !texelsOf(result());
   byId("shared-choice").hidden = results.filter(isAlike).length < 2;
   document.querySelector('[value="signed"]').disabled = !result().signs;
   drawOverlay();
@@ -259,7 +264,7 @@ function listen() {
     if (event.key === "Escape" && event.target !== byId("filter")) { leave(); select(nothing()); }
   });
   byId("opacity").addEventListener("input", drawOpacity);
-  byId("shared").addEventListener("change", drawOverlay);
+  for (const name of ["shared", "texels"]) byId(name).addEventListener("change", drawOverlay);
   for (const input of document.querySelectorAll('[name="quantity"], [name="scale"]')) input.addEventListener("change", drawOverlay);
   byId("filter").addEventListener("input", () => { state.filter = byId("filter").value; drawTable(); });
   byId("csv").addEventListener("click", () => download("attributions.csv", "text/csv", csvText()));
@@ -285,6 +290,7 @@ async function start() {
   followTheme();
   try {
     views = await Promise.all(data.views.map(readView));
+    texels = await Promise.all(results.map((one) => readTexels(one.texels)));
   } catch (error) {
     byId("problem").hidden = false;
     byId("problem").textContent = `This browser cannot read the report (${error.message}). A newer one can.`;

@@ -2,7 +2,7 @@
 
 const LAYERS = 3;
 
-/** Paint every pixel with the values of what it shows, weighted by how much of it they cover. */
+/** Paint every pixel with the values of what it shows, weighted by how much of it they cover, or of its texels. */
 function paintOverlay(canvas, view, result, scale) {
   canvas.width = view.width;
   canvas.height = view.height;
@@ -10,6 +10,7 @@ function paintOverlay(canvas, view, result, scale) {
   const image = context.createImageData(view.width, view.height);
   const table = colours[scale.signed ? "signed" : "magnitude"];
   const values = valuesOf(result, scale);
+  const texels = scale.texels && texelsOf(result)?.[scale.signed ? "signed" : "magnitude"];
   const count = view.width * view.height;
   for (let pixel = 0; pixel < count; pixel += 1) {
     let value = 0;
@@ -20,6 +21,7 @@ function paintOverlay(canvas, view, result, scale) {
       covered += weight;
     }
     if (covered === 0) continue;
+    if (texels) value = 255 * texels[pixel] * texelsOf(result).largest;
     const colour = 3 * Math.round(255 * placeOf(value / covered, scale));
     image.data.set([table[colour], table[colour + 1], table[colour + 2], covered], 4 * pixel);
   }
