@@ -11,6 +11,7 @@ import pytest
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
+from scenecaptum.cli._attribute import CONTENTS
 
 SMALL = ["--resolution", "24x24", "--spp", "16", "--max-depth", "3", "--no-progress"]
 
@@ -52,8 +53,8 @@ def finished(tmp_path_factory) -> tuple[Path, str]:
 
 def test_attribute_writes_every_file_and_says_so(finished):
     out, printed = finished
-    assert sorted(path.name for path in out.iterdir()) == sorted(cli.CONTENTS)
-    for name in cli.CONTENTS:
+    assert sorted(path.name for path in out.iterdir()) == sorted(CONTENTS)
+    for name in CONTENTS:
         assert str(out / name) in printed
 
 
@@ -91,7 +92,7 @@ def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
     glare = ["--metric", "ugr", "--threshold-factor", "5", "--sensor", sensor]
     assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *glare]) == 0
     assert "UnifiedGlareRating" in capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == sorted(cli.CONTENTS)
+    assert sorted(path.name for path in out.iterdir()) == sorted(CONTENTS)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +168,7 @@ def test_an_output_folder_that_cannot_be_written_is_refused_before_rendering(tmp
     def fail(*_: object, **__: object) -> None:
         raise AssertionError("the scene was loaded although its results could not be kept")
 
-    monkeypatch.setattr(cli, "SceneRenderer", fail)
+    monkeypatch.setattr(cli._arguments, "SceneRenderer", fail)
     for folder in unwritable_folders(tmp_path):
         assert cli.main(["attribute", "cornell-box", "--out", str(folder)]) == 2
         error = capsys.readouterr().err
@@ -194,7 +195,7 @@ def test_interruption_leaves_finished_and_partial_results(tmp_path, capsys, monk
     folders = sorted(out.iterdir())
     assert len(folders) == 2
     for folder in folders:
-        assert sorted(path.name for path in folder.iterdir()) == sorted(cli.CONTENTS)
+        assert sorted(path.name for path in folder.iterdir()) == sorted(CONTENTS)
 
 
 def test_ctrl_c_before_anything_is_finished_leaves_no_folder(tmp_path, capsys, monkeypatch):

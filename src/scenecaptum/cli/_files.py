@@ -1,0 +1,40 @@
+"""The folder that a command writes to."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from ..errors import SceneCaptumError
+
+
+@contextlib.contextmanager
+def writable(folder: Path) -> Iterator[None]:
+    """Make the output folder before hours of rendering, and leave none behind where nothing was written."""
+    existed = folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # Permissions do not tell the whole story (a read-only file system): only writing does.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise SceneCaptumError(
+            f"The output folder {folder} cannot be written: {error.strerror or error}. Choose another with --out."
+        ) from error
+    try:
+        yield
+    finally:
+        if not existed and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def write_each(folder: Path, names: Iterable[str], write: Callable[[Path], None]) -> None:
+    """Write each file elsewhere first, so that none is ever half-written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".scenecaptum-", dir=folder) as scratch:
+        for name in names:
+            write(Path(scratch, name))
+            os.replace(Path(scratch, name), folder / name)

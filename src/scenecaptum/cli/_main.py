@@ -1,0 +1,39 @@
+"""Which command was called, and what it exits with."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from .. import __version__
+from ..errors import SceneCaptumError
+from . import _attribute, _demo, _doctor
+
+BAD_INPUT, INTERRUPTED = 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status: 0 done, 2 bad input, 130 stopped by Ctrl-C."""
+    options = _parser().parse_args(arguments)
+    try:
+        status: int = options.run(options)
+    except SceneCaptumError as error:
+        print(f"scenecaptum: error: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("scenecaptum: interrupted; what was finished is on disk.", file=sys.stderr)
+        return INTERRUPTED
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scenecaptum",
+        description="Attribute any metric of a rendered image to the parameters of the scene.",
+    )
+    parser.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for command in (_attribute, _demo, _doctor):
+        command.add(commands)
+    return parser
