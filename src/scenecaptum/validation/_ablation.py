@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._gradients import input_values
-from ..attr._metric import Metric, Target, TargetedMetric
-from ..attr._passes import DEFAULT_PASSES, channel_totals
-from ..attr._ranges import ranges
-from ..errors import SceneCaptumError, check_seed, whole_number
+from ..attr._metric import Metric, Target
+from ..attr._passes import DEFAULT_PASSES
+from ..errors import SceneCaptumError, whole_number
+from ._scenes import Scenes, first_step, mean_and_error, unit_gradient
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-# Of a parameter's range: how far a step goes at most, and the room below which it turns round at a bound.
-LONGEST, CRAMPED = 0.1, 0.01
 
 # A step is short enough where bending takes less than this part of the slope; if not it is divided by SHORTER.
 BENT, SHORTER, SHORTEST = 0.2, 4.0, 6
@@ -169,11 +164,7 @@ def ablation_test(
         raise SceneCaptumError(
             "An ablation test takes plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
-    values = input_values(renderer, None)
-    spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
-    count = whole_number("replicates", replicates, 2)
-    seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
-    scenes = _Scenes(renderer, metric, target, values, seeds, spp and math.ceil(spp / count))
+    scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
     return AblationTest(
         rows=tuple(
             _ablate(scenes, row, attribution[row.name])
@@ -184,47 +175,10 @@ def ablation_test(
     )
 
 
-class _Scenes:
-    """Measures changed scenes, always with the same seeds."""
-
-    def __init__(
-        self,
-        renderer: Any,
-        metric: Metric,
-        target: Target,
-        values: Mapping[str, torch.Tensor],
-        seeds: Sequence[int],
-        spp: int | None,
-    ) -> None:
-        self.renderer = renderer
-        self.values = values
-        self.seeds = seeds
-        self.spp = spp
-        # What a metric holds fixed while it is differentiated, a threshold, is held fixed here too.
-        held_at = getattr(metric, "held_at", None)
-        self.metric = TargetedMetric(held_at(self._images({}).mean(0)) if held_at else metric, target)
-        self.still = self.measure({})
-
-    def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        changed = {**self.values, **changes}
-        with torch.no_grad():
-            return torch.stack([self.renderer(changed, seed=seed, spp=self.spp) for seed in self.seeds])
-
-    def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
-        images = self._images(changes)
-        total, count = images.sum(0), len(images)
-        whole = self.metric.value(total / count)
-        without = [self.metric.value((total - image) / (count - 1)) for image in images]
-        return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
-
-
-def _ablate(scenes: _Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
+def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
     value = scenes.values[row.name]
-    totals = channel_totals(gradient)
-    # Of a texture, all texels move alike: what single texels are said to do is mostly noise.
-    uphill = (totals / totals.norm()).reshape(gradient.shape if gradient.ndim < 2 else (-1,)).to(value)
-    step = _first_step(scenes.renderer, row.name, value, uphill)
+    uphill = unit_gradient(gradient, value)
+    step = first_step(scenes.renderer, row.name, value, uphill)
 
     def rise(length: float) -> torch.Tensor:
         return scenes.measure({row.name: value + length * uphill}) - scenes.still
@@ -232,7 +186,7 @@ def _ablate(scenes: _Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
     for _ in range(SHORTEST):
         half, full = rise(step / 2), rise(step)
         slope, curvature = (4 * half - full) / step, 4 * (full - 2 * half) / step**2
-        measured, error = _mean(slope)
+        measured, error = mean_and_error(slope)
         bending = abs(curvature.mean().item() * step / 2)
         if bending <= BENT * abs(measured) or error > BENT * abs(measured):
             break
@@ -247,26 +201,6 @@ def _ablate(scenes: _Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         step=step,
         curvature=curvature.mean().item(),
     )
-
-
-def _first_step(renderer: Any, name: str, value: torch.Tensor, uphill: torch.Tensor) -> float:
-    """Return a step down the gradient, or up it where a bound is near; its sign says which."""
-    length = ranges(renderer, {name: value})[name].item()
-    down, up = (_room(value, sign * uphill, *renderer.bounds[name]) for sign in (-1, 1))
-    room, sign = (down, -1) if down >= min(CRAMPED * length, up) else (up, 1)
-    # Only part of the way to a bound, which itself may be unphysical.
-    return sign * min(LONGEST * length, 0.5 * room)
-
-
-def _room(value: torch.Tensor, direction: torch.Tensor, low: float, high: float) -> float:
-    """Return how far every element can go in a direction before one meets a bound."""
-    direction = direction.expand_as(value)
-    towards = torch.where(direction > 0, high - value, value - low)
-    return (towards / direction.abs())[direction != 0].min().item()
-
-
-def _mean(pseudo: torch.Tensor) -> tuple[float, float]:
-    return pseudo.mean().item(), (pseudo.std() / math.sqrt(len(pseudo))).item()
 
 
 def _pairs(rows: Sequence[Ablated]) -> list[tuple[Ablated, Ablated]]:

@@ -1,0 +1,114 @@
+"""Measuring changed scenes with the same seeds, and how far a parameter can be moved in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..attr._gradients import input_values
+from ..attr._metric import Metric, Target, TargetedMetric
+from ..attr._passes import channel_totals
+from ..attr._ranges import ranges
+from ..errors import check_seed, whole_number
+
+# Of a parameter's range: how far a step goes at most, and the room below which it turns round at a bound.
+LONGEST, CRAMPED = 0.1, 0.01
+
+
+class Scenes:
+    """Measures changed scenes, always with the same seeds, so that most of their noise cancels in differences.
+
+    Parameters
+    ----------
+    renderer, metric, target
+        As for ``VanillaSceneGradient``.
+    values
+        The unchanged scene.
+    seeds
+        A seed for each replicate.
+    spp
+        Samples per pixel of each, or None where the renderer decides.
+
+    Attributes
+    ----------
+    metric
+        With what it holds fixed while it is differentiated, a threshold, held fixed at the unchanged scene.
+    still
+        The measurement of the unchanged scene.
+    """
+
+    def __init__(
+        self,
+        renderer: Any,
+        metric: Metric,
+        target: Target,
+        values: Mapping[str, torch.Tensor],
+        seeds: Sequence[int],
+        spp: int | None,
+    ) -> None:
+        self.renderer = renderer
+        self.values = values
+        self.seeds = seeds
+        self.spp = spp
+        held_at = getattr(metric, "held_at", None)
+        self.metric = TargetedMetric(held_at(self._images({}).mean(0)) if held_at else metric, target)
+        self.still = self.measure({})
+
+    @classmethod
+    def split(
+        cls, renderer: Any, metric: Metric, target: Target, *, seed: int, spp: int | None, replicates: int
+    ) -> Scenes:
+        """Split the samples per pixel of every scene, the renderer's by default, over so many replicates."""
+        values = input_values(renderer, None)
+        spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
+        count = whole_number("replicates", replicates, 2)
+        seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
+        return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count))
+
+    def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        changed = {**self.values, **changes}
+        with torch.no_grad():
+            return torch.stack([self.renderer(changed, seed=seed, spp=self.spp) for seed in self.seeds])
+
+    def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
+        images = self._images(changes)
+        total, count = images.sum(0), len(images)
+        whole = self.metric.value(total / count)
+        without = [self.metric.value((total - image) / (count - 1)) for image in images]
+        return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
+
+
+def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
+    """Return the direction of a parameter's gradient, of length 1 over its channels; it broadcasts to the value.
+
+    Of a texture, all texels move alike: what single texels are said to do is mostly noise.
+    """
+    totals = channel_totals(gradient)
+    direction: torch.Tensor = totals / totals.norm()
+    return direction.reshape(gradient.shape if gradient.ndim < 2 else (-1,)).to(value)
+
+
+def first_step(renderer: Any, name: str, value: torch.Tensor, uphill: torch.Tensor) -> float:
+    """Return a step down a direction, or up it where a bound is near; its sign says which."""
+    length = ranges(renderer, {name: value})[name].item()
+    down, up = (room(value, sign * uphill, *renderer.bounds[name]) for sign in (-1, 1))
+    free, sign = (down, -1) if down >= min(CRAMPED * length, up) else (up, 1)
+    # Only part of the way to a bound, which itself may be unphysical.
+    return sign * min(LONGEST * length, 0.5 * free)
+
+
+def room(value: torch.Tensor, direction: torch.Tensor, low: float, high: float) -> float:
+    """Return how far every element can go in a direction before one meets a bound."""
+    direction = direction.expand_as(value)
+    towards = torch.where(direction > 0, high - value, value - low)
+    return (towards / direction.abs())[direction != 0].min().item()
+
+
+def mean_and_error(replicates: torch.Tensor) -> tuple[float, float]:
+    """Return the mean of independent replicates and its standard error."""
+    return replicates.mean().item(), (replicates.std() / math.sqrt(len(replicates))).item()
