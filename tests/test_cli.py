@@ -12,6 +12,7 @@ import pytest
 from scenecaptum import SceneAttribution, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.cli._attribute import CONTENTS
+from scenecaptum.validation import AblationTest
 
 SMALL = ["--resolution", "24x24", "--spp", "16", "--max-depth", "3", "--no-progress"]
 
@@ -213,3 +214,22 @@ def test_every_command_has_help(command, capsys):
         cli.main([*command, "--help"])
     assert caught.value.code == 0
     assert "usage: scenecaptum" in capsys.readouterr().out
+
+
+def test_validate_writes_its_figure_and_exits_with_the_verdict(tmp_path, capsys, monkeypatch):
+    out = tmp_path / "out"
+    arguments = ["validate", "cornell-box", "--resolution", "16x16", "--spp", "64", "--inputs", "reflectance"]
+    arguments += ["--top", "2", "--max-depth", "3", "--no-progress", "--out", str(out)]
+    assert cli.main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "Confirmed: 2 of 2 parameters" in printed
+    numbers = json.loads((out / "validation.json").read_text())
+    rows = list(csv.DictReader((out / "validation.csv").open()))
+    assert [float(row["measured"]) for row in rows] == [row["measured"] for row in numbers["parameters"]]
+    assert (out / "validation.png").read_bytes().startswith(b"\x89PNG")
+    assert all(str(path) in printed for path in out.iterdir())
+
+    monkeypatch.setattr(AblationTest, "is_confirmed", False)
+    assert cli.main([*arguments, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["confirmed"] is False
+    assert cli.main([*arguments, "--top", "0"]) == 2

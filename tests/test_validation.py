@@ -39,6 +39,7 @@ def test_right_gradients_agree_in_size_and_order(metric):
     test = ablation_test(Curved(), metric)
     assert [row.agrees for row in test.rows] == [True] * 4, str(test)
     assert test.kendall_tau == 1.0
+    assert test.is_confirmed
     z = [
         (row.measured - row.predicted) / math.hypot(row.measured_error, row.predicted_error)
         for row in test.rows
@@ -118,8 +119,25 @@ def test_table_and_figure_tell_what_agrees_and_what_does_not():
     test = ablation_test(renderer, torch.mean, wrong)
     lines = {line.split()[0]: line for line in str(test).splitlines() if line}
     assert lines["a"].endswith("not as predicted")
-    assert "3 of 4 parameters above the noise" in test.verdict
+    assert not test.is_confirmed
+    assert test.verdict.startswith("Not confirmed: 3 of 4 parameters above the noise")
     (axes,) = test.plot().axes
     assert [label.get_text() for label in axes.get_yticklabels()] == [row.label for row in test.rows]
     texts = {text.get_text() for text in axes.get_legend().get_texts()}
     assert {"predicted: the saliency", "measured: not as predicted", "noise"} < texts
+
+
+def test_the_fixed_step_of_the_paper_is_measured_too():
+    test = ablation_test(Curved(noise=0.0), torch.mean)
+    rows = {row.name: row for row in test.rows}
+    renderer = Curved(noise=0.0)
+    for name in "abc":
+        step = 0.01 * rows[name].predicted
+        values = {**renderer.inputs, name: renderer.inputs[name] - step}
+        fall = renderer(renderer.inputs, seed=0, spp=1).mean() - renderer(values, seed=0, spp=1).mean()
+        assert rows[name].fixed == pytest.approx(fall.item() / step, rel=1e-2), name
+    # "d" is at its lower bound, and rises.
+    assert rows["d"].fixed is None
+    assert "on a step of 0.01 of the gradient" in {
+        text.get_text() for text in test.plot().axes[0].get_legend().get_texts()
+    }

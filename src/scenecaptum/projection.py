@@ -74,10 +74,11 @@ def heatmap(
         black.
     texels
         Whether to paint bitmaps and environment maps texel by texel, where the surface's own coordinates put
-        them, and meshes by their vertices or faces, instead of all over their objects alike. A pixel then has the norm of the mean gradient per unit of
-        texture of the texels that it shows: where that is the same everywhere it equals the saliency of the whole
-        texture, and a part that matters ten times as much for its size is ten times as bright. Gradients of
-        single texels are noisy, and the brightest sets the scale; more samples, or ``maximum``, help.
+        them, and meshes by their vertices or faces, instead of all over their objects alike. A pixel then has the
+        norm of the mean gradient per unit of texture of the texels that it shows: where that is even it equals the
+        saliency of the whole texture, and a part that matters ten times as much for its size is ten times as
+        bright. Gradients of single texels are noisy, and the brightest sets the scale; more samples, or
+        ``maximum``, help.
     surfaces
         What the pixels show, if not what is seen directly: ``renderer.see_through()``.
 

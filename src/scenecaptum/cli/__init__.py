@@ -1,3 +1,3 @@
-"""The command line: ``scenecaptum attribute``, ``scenecaptum demo`` and ``scenecaptum doctor``."""
+"""The command line, ``scenecaptum COMMAND``: one file for each command."""
 
 from ._main import main as main

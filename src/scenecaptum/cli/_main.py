@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import SceneCaptumError
-from . import _attribute, _demo, _doctor
+from . import _attribute, _demo, _doctor, _validate
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 2 bad input, 130 stopped by Ctrl-C."""
+    """Run a command and return its exit status: 0 done, 1 not confirmed, 2 bad input, 130 stopped by Ctrl-C."""
     options = _parser().parse_args(arguments)
     try:
         status: int = options.run(options)
@@ -34,6 +34,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (_attribute, _demo, _doctor):
+    for command in (_attribute, _validate, _demo, _doctor):
         command.add(commands)
     return parser

@@ -187,8 +187,8 @@ class SceneRenderer(torch.nn.Module):
         Parameters
         ----------
         names
-            Parameters that are the texels of bitmaps or of the environment map, or the colours of a mesh's vertices
-            or faces, by default all such inputs; others are passed over.
+            Parameters that are the texels of bitmaps or of the environment map, or attributes of the vertices or
+            faces of a mesh, by default all such inputs; others are passed over.
         """
         return None if self._stacked else self._surfaces_seen_by(0, self._textures(names))
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _NAME_WIDTH, _NOTE_WIDTH = 36, 90
 _OUTCOMES = {
-    RAISES: "measured: as predicted, within a tenth or its error",
+    RAISES: "measured: as predicted",
     LOWERS: "measured: not as predicted",
     UNCLEAR: "measured: in the noise",
 }
@@ -50,7 +50,7 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
     """Draw for each parameter how much the metric was predicted to change per unit, and how much it did.
 
     Parameters are in the computed order. Grey reaches up to what the noise hides: two standard errors of the
-    measurement.
+    measurement. Crosses are what the paper's step measures, 0.01 of the gradient for every parameter.
 
     Parameters
     ----------
@@ -66,9 +66,11 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
     noise = [2 * row.measured_error for row in rows]
     # A bar on a logarithmic axis begins where the axis does, so that this is fixed before.
     least = 0.5 * min(
-        value for row in rows for value in (row.predicted, 2 * row.measured_error or row.predicted)
+        value
+        for row in rows
+        for value in (row.predicted, 2 * row.measured_error or row.predicted, abs(row.fixed or row.predicted))
     )
-    ax.set_xlim(least, 2 * max(max(row.predicted, abs(row.measured)) for row in rows))
+    ax.set_xlim(least, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
     places = range(len(rows))
     ax.barh(
         places, [max(one - least, 0) for one in noise], left=least, height=0.7, color="0.88", label="noise"
@@ -82,6 +84,17 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
         edgecolors="black",
         label="predicted: the saliency",
         zorder=3,
+    )
+    fixed = [(place, row) for place, row in enumerate(rows) if row.fixed]
+    ax.scatter(
+        [abs(row.fixed or 0) for _, row in fixed],
+        [place for place, _ in fixed],
+        marker="x",
+        s=26,
+        linewidths=1,
+        color="0.45",
+        label="on a step of 0.01 of the gradient",
+        zorder=2,
     )
     for colour, words in _OUTCOMES.items():
         _draw_measured(ax, [(k, row) for k, row in enumerate(rows) if _colour(row) == colour], colour, words)

@@ -1,0 +1,91 @@
+"""``scenecaptum validate``: the ablation test, its figure and its verdict."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from ..validation import Ablated, AblationTest, ablation_test
+from . import _arguments
+from ._files import writable, write_each
+
+NOT_CONFIRMED = 1
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "validate",
+        help="move the leading parameters and see whether the metric changes as their gradients predict",
+        description="Attribute a metric, move each of the leading parameters along its own gradient, alone, "
+        "render again, and compare the change of the metric with the prediction. Exits with 1 where they differ.",
+        epilog="example: scenecaptum validate office --metric luminance --spp 256 --out out",
+    )
+    _arguments.add_scene(parser)
+    _arguments.add_metric(parser)
+    parser.add_argument(
+        "--top", type=int, default=10, metavar="N", help="how many of the leading parameters (default: 10)"
+    )
+    _arguments.add_output(parser)
+    parser.set_defaults(run=validate)
+
+
+def validate(options: argparse.Namespace) -> int:
+    """Run the command."""
+    (create,) = _arguments.find_metrics([options.metric], options.threshold_factor).values()
+    with writable(options.out):
+        renderer = _arguments.make_renderer(options)
+        test = ablation_test(
+            renderer,
+            create(renderer),
+            target=options.target,
+            top=options.top,
+            seed=options.seed,
+            show_progress=_arguments.shows_progress(options),
+        )
+        write_each(options.out, CONTENTS, lambda path: _write_file(test, path))
+    if options.json:
+        print(_json(test))
+    else:
+        print(test)
+        print()
+        for name, content in CONTENTS.items():
+            print(f"{options.out / name}  {content}")
+    return 0 if test.is_confirmed else NOT_CONFIRMED
+
+
+CONTENTS = {
+    "validation.json": "the numbers and the verdict",
+    "validation.csv": "the numbers as a table",
+    "validation.png": "prediction and measurement of each parameter, and the noise",
+}
+
+
+def _write_file(test: AblationTest, path: Path) -> None:
+    match path.suffix:
+        case ".json":
+            path.write_text(_json(test) + "\n", encoding="utf-8")
+        case ".csv":
+            with path.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, ["rank", *(one.name for one in dataclasses.fields(Ablated))])
+                writer.writeheader()
+                writer.writerows(
+                    {"rank": rank, **dataclasses.asdict(row)} for rank, row in enumerate(test.rows, start=1)
+                )
+        case ".png":
+            test.plot().savefig(path, dpi=150)
+
+
+def _json(test: AblationTest) -> str:
+    numbers = {
+        "metric": test.metric,
+        "confirmed": test.is_confirmed,
+        "verdict": test.verdict,
+        "kendall_tau": test.kendall_tau,
+        "parameters": [dataclasses.asdict(row) for row in test.rows],
+    }
+    return json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)
