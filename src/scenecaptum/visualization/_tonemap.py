@@ -54,7 +54,7 @@ def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.T
     if exposure is not None and not exposure > 0:
         raise SceneCaptumError(f"exposure must be a positive factor, not {exposure!r}.")
     radiance = image.detach().float().nan_to_num(0.0, _LARGEST, 0.0).clamp(0.0, _LARGEST)
-    factor = _automatic_exposure(radiance) if exposure is None else exposure
+    factor = automatic_exposure(radiance) if exposure is None else exposure
     shown = _shoulder((radiance * factor).clamp(max=_LARGEST))
     encoded: torch.Tensor = kornia.color.linear_rgb_to_rgb(channels_first(shown))
     return channels_last(encoded).clamp(0.0, 1.0)
@@ -86,7 +86,7 @@ def save_render(image: torch.Tensor, path: str | os.PathLike[str], exposure: flo
         raise SceneCaptumError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
-def _automatic_exposure(radiance: torch.Tensor) -> float:
+def automatic_exposure(radiance: torch.Tensor) -> float:
     """Return the factor that brings a picture's log-average luminance to middle grey, within limits."""
     luminance = (radiance.double() @ radiance.new_tensor(_LUMINANCE).double()).flatten()
     lit = luminance[luminance > 0]

@@ -1,0 +1,114 @@
+"""Optimisation: what it moves, where it stops, and what it leaves alone."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from scenecaptum import SceneRenderer, metrics, optimize
+from scenecaptum.errors import SceneCaptumError
+
+
+class Lamps:
+    """``image = colour · (strong + weak / 10 + faint / 100)`` with noise that falls as 1/√spp."""
+
+    spp = 64
+    bounds = {"strong": (0.0, 1.0), "weak": (0.0, math.inf), "faint": (0.0, 1.0)}  # noqa: RUF012
+    labels = {"strong": "the strong lamp"}  # noqa: RUF012
+
+    def __init__(self, noise: float = 0.1) -> None:
+        self.noise = noise
+        self.inputs = {
+            "strong": torch.tensor([0.5, 0.6, 0.7]),
+            "weak": torch.tensor(2.0),
+            "faint": torch.full((4, 4, 3), 0.5),
+        }
+
+    def __call__(self, inputs, *, seed, spp):
+        light = inputs["strong"] + inputs["weak"] / 10 + inputs["faint"].mean((0, 1)) / 100
+        noise = torch.randn(8, 8, 3, generator=torch.Generator().manual_seed(seed)) / math.sqrt(spp)
+        return light * (1 + self.noise * noise)
+
+
+def test_the_few_that_matter_most_are_moved_and_others_held():
+    found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
+    assert found.reached
+    assert found.after.value + 2 * found.after.error < 0.6 < found.before.value
+    assert [moved.name for moved in found.moved] == ["strong", "weak"]
+    assert torch.equal(found.values["faint"], Lamps().inputs["faint"])
+    assert found.history[0] > found.history[-1]
+    # It stops where the goal is reached, not where the parameters can go no farther.
+    assert len(found.history) < 20
+    assert max(moved.fraction for moved in found.moved) < 0.5
+    exact = Lamps(noise=0.0)(found.values, seed=0, spp=1).mean().item()
+    assert abs(exact - found.after.value) < 4 * found.after.error
+
+
+def test_nothing_goes_farther_than_it_may():
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
+    assert not found.reached
+    start = Lamps().inputs
+    # The range of "weak" has no end: its value stands in for it.
+    for name, length in {"strong": 1.0, "weak": 2.0, "faint": 1.0}.items():
+        torch.testing.assert_close(
+            start[name] - found.values[name], torch.full_like(start[name], 0.2 * length)
+        )
+    assert {moved.name: round(moved.fraction, 6) for moved in found.moved} == dict.fromkeys(start, 0.2)
+
+
+def test_physical_bounds_are_kept_with_a_margin():
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=1.0, steps=40)
+    torch.testing.assert_close(found.values["strong"], torch.full((3,), 0.01))
+    torch.testing.assert_close(found.values["weak"], torch.tensor(0.02))
+    at_its_bound = Lamps()
+    at_its_bound.inputs["faint"] = torch.zeros(4, 4, 3)
+    found = optimize.minimize(at_its_bound, torch.mean, -1.0, top=3, steps=3)
+    assert torch.equal(found.values["faint"], torch.zeros(4, 4, 3))
+
+
+def test_the_same_seed_takes_the_same_way_and_another_another():
+    ways = [optimize.minimize(Lamps(), torch.mean, 0.6, seed=seed).history for seed in (1, 1, 2)]
+    assert ways[0] == ways[1] != ways[2]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"change": 0.0}, "change must be a fraction"),
+        ({"change": 1.5}, "change must be a fraction"),
+        ({"top": 0}, "top"),
+        ({"steps": 0}, "steps"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_bad_options_are_refused(options, words):
+    with pytest.raises(SceneCaptumError, match=words):
+        optimize.minimize(Lamps(), torch.mean, 0.5, **options)
+
+
+def test_a_metric_that_nothing_moves_is_refused():
+    with pytest.raises(SceneCaptumError, match="No parameter moves"):
+        optimize.minimize(Lamps(), lambda image: 0 * image.mean(), -1.0)
+
+
+def test_table_and_figure_say_what_was_done():
+    found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
+    lines = str(found).splitlines()
+    assert lines[1].startswith("the strong lamp")
+    assert "below the goal of 0.6" in lines[-1]
+    figure = found.plot()
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles[0].startswith("before: 0.8")
+    assert titles[1].startswith("after: 0.5")
+    missed = optimize.minimize(Lamps(), torch.mean, 0.0, steps=1)
+    assert "not below the goal of 0" in str(missed)
+
+
+def test_glare_of_the_office_falls(mi):
+    renderer = SceneRenderer("office", ["reflectance", "emitters"], resolution=(32, 18), spp=64, max_depth=3)
+    glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5.0)
+    found = optimize.minimize(renderer, glare, 0.0, top=3, steps=4)
+    assert found.before.value - found.after.value > 4 * math.hypot(found.before.error, found.after.error)
+    assert len(found.moved) == 3
