@@ -141,3 +141,39 @@ def test_the_fixed_step_of_the_paper_is_measured_too():
     assert "on a step of 0.01 of the gradient" in {
         text.get_text() for text in test.plot().axes[0].get_legend().get_texts()
     }
+
+
+class Textured(Curved):
+    """A texture with a black and a white quarter, one of black and white halves, and a sky with a sun."""
+
+    bounds = {"wall": (0.0, 1.0), "chess": (0.0, 1.0), "sky": (0.0, math.inf)}  # noqa: RUF012
+
+    def __init__(self, noise: float = 0.1) -> None:
+        super().__init__(noise)
+        wall = torch.tensor([[0.0, 0.3], [0.6, 1.0]])[..., None].repeat(1, 1, 3)
+        chess = torch.tensor([[0.0, 1.0], [1.0, 0.0]])[..., None].repeat(1, 1, 3)
+        sky = torch.full((4, 4, 3), 0.5)
+        sky[0, 0] = 50.0  # the sun
+        self.inputs = {"wall": wall, "chess": chess, "sky": sky}
+
+    def __call__(self, inputs, *, seed, spp):
+        noise = torch.randn(self.matrix.shape, generator=torch.Generator().manual_seed(seed)) / math.sqrt(spp)
+        means = torch.stack([inputs[name].mean((0, 1)) for name in self.inputs], -1) * torch.tensor(
+            [2.0, 1.0, 0.1]
+        )
+        return (self.matrix[..., :3] * (1 + self.noise * noise[..., :3]) * (1 + means) ** 2).sum(
+            -1, keepdim=True
+        )
+
+
+def test_textures_move_by_the_texels_that_their_bounds_let_move():
+    test = ablation_test(Textured(), torch.mean)
+    rows = {row.name: row for row in test.rows}
+    assert rows["wall"].agrees, str(test)
+    assert abs(rows["wall"].step) == pytest.approx(0.1)
+    # The sun says nothing of how far the sky may be moved.
+    assert rows["sky"].agrees
+    assert abs(rows["sky"].step) < 0.5
+    assert rows["wall"].fixed == pytest.approx(rows["wall"].predicted, rel=0.05)
+    # Either half can move one way only.
+    assert rows["chess"].agrees

@@ -12,9 +12,10 @@ from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_PASSES
+from ..attr._passes import DEFAULT_PASSES, channel_totals
+from ..attr._student import student_t
 from ..errors import SceneCaptumError, whole_number
-from ._scenes import Scenes, first_step, mean_and_error, room, unit_gradient
+from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, unit_gradient
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 BENT, SHORTER, SHORTEST = 0.2, 4.0, 6
 
 AGREES = 0.1  # relative difference of prediction and measurement, where their errors are smaller
-CLEAR = 2.0  # standard errors
+CLEAR, SURE = 0.95, 0.997  # confidence that two numbers differ, and that prediction and measurement do
 ORDERED = 0.95  # Kendall's τ
 
 # The step of Beresna and Fiume: so much of the gradient itself.
@@ -45,6 +46,8 @@ class Ablated:
         Length of the step, negative down the gradient; in the parameter's unit, over its channels.
     curvature
         Second derivative along the gradient.
+    degrees_of_freedom
+        Of the errors.
     fixed, fixed_error
         How much it rises per unit on a step of one hundredth of the gradient, down it and at most to the bound, as
         in the paper, bending included; None where the bound leaves no room.
@@ -58,18 +61,25 @@ class Ablated:
     measured_error: float
     step: float
     curvature: float
+    degrees_of_freedom: int
     fixed: float | None = None
     fixed_error: float | None = None
 
     @property
+    def noise(self) -> float:
+        """Below what a measurement is not told from 0, with 95 % confidence."""
+        return student_t(CLEAR, self.degrees_of_freedom) * self.measured_error
+
+    @property
     def above_noise(self) -> bool:
         """Whether the measurement is told from 0."""
-        return abs(self.measured) > CLEAR * self.measured_error
+        return abs(self.measured) > self.noise
 
     @property
     def agrees(self) -> bool:
-        """Whether prediction and measurement are the same within a tenth or 3 standard errors."""
-        allowed = max(AGREES * self.predicted, 3 * math.hypot(self.predicted_error, self.measured_error))
+        """Whether prediction and measurement are the same within a tenth or their errors (99.7 % confidence)."""
+        error = math.hypot(self.predicted_error, self.measured_error)
+        allowed = max(AGREES * self.predicted, student_t(SURE, self.degrees_of_freedom) * error)
         return abs(self.measured - self.predicted) <= allowed
 
 
@@ -89,8 +99,7 @@ class AblationTest:
         signs = [
             math.copysign(1, (one.predicted - two.predicted) * (one.measured - two.measured))
             for one, two in _pairs([row for row in self.rows if row.above_noise])
-            if _told_apart(one.measured, one.measured_error, two.measured, two.measured_error)
-            and _told_apart(one.predicted, one.predicted_error, two.predicted, two.predicted_error)
+            if _told_apart(one, two, "measured") and _told_apart(one, two, "predicted")
         ]
         return sum(signs) / len(signs) if signs else None
 
@@ -142,7 +151,9 @@ def ablation_test(
 
     Every step is a part of the parameter's physical range, down the gradient unless a bound is near, and is
     shortened until the metric hardly bends on it; renders at half the step take out what bending is left. All
-    renders of one parameter share their seeds, so that most of their noise cancels.
+    renders of one parameter share their seeds, so that most of their noise cancels. The texels of a texture move
+    alike, but for those that would leave their bounds: what the others do is scaled up by their part of the
+    gradient.
 
     Example
     -------
@@ -196,24 +207,69 @@ def ablation_test(
         )
 
 
+@dataclass(frozen=True)
+class _Way:
+    """How a parameter is moved.
+
+    Attributes
+    ----------
+    direction
+        That of its gradient, of length 1 over the channels, and 0 where an element stays.
+    step
+        Length of the step, negative down the gradient.
+    share
+        What part of the saliency belongs to what moves.
+    """
+
+    direction: torch.Tensor
+    step: float
+    share: float = 1.0
+
+
+def _find_way(value: torch.Tensor, gradient: torch.Tensor, low: float, high: float) -> _Way:
+    """Go down the gradient, or up it where a bound is near; without the elements at bounds where both are."""
+    uphill = unit_gradient(gradient, value).expand_as(value)
+    # Of an environment map the sun is brightest by far: where there is no range, the mean tells the size.
+    length = high - low if math.isfinite(high - low) else value.abs().mean().item() or 1.0
+    rooms = {sign: _rooms(value, sign * uphill, low, high) for sign in (-1, 1)}
+    for sign, room in rooms.items():
+        # Only part of the way to a bound, which itself may be unphysical.
+        step = min(LONGEST * length, 0.5 * room.min().item())
+        if step >= CRAMPED * length:
+            return _Way(uphill, sign * step)
+    total = channel_totals(gradient).norm()
+    ways = []
+    for sign, room in rooms.items():
+        direction = torch.where(room >= LONGEST * length, uphill, 0.0)
+        ways.append(_Way(direction, sign * LONGEST * length, ((gradient * direction).sum() / total).item()))
+    return max(ways, key=lambda way: way.share)
+
+
+def _rooms(value: torch.Tensor, direction: torch.Tensor, low: float, high: float) -> torch.Tensor:
+    """Return how far each element can go in a direction before it meets a bound."""
+    towards = torch.where(direction > 0, high - value, value - low)
+    return torch.where(direction == 0, math.inf, towards / direction.abs())
+
+
 def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
-    value = scenes.values[row.name]
-    uphill = unit_gradient(gradient, value)
-    step = first_step(scenes.renderer, row.name, value, uphill)
+    value, (low, high) = scenes.values[row.name], scenes.renderer.bounds[row.name]
+    way = _find_way(value, gradient, low, high)
 
-    def rise(step: float) -> torch.Tensor:
-        return scenes.measure({row.name: value + step * uphill}) - scenes.still
+    def slope_on(step: float) -> torch.Tensor:
+        rise = scenes.measure({row.name: value + step * way.direction}) - scenes.still
+        return rise / (step * way.share)
 
+    step = way.step
     for _ in range(SHORTEST):
-        half, full = rise(step / 2), rise(step)
-        slope, curvature = (4 * half - full) / step, 4 * (full - 2 * half) / step**2
+        half, full = slope_on(step / 2), slope_on(step)
+        slope, curvature = 2 * half - full, 4 * (full - half) / step
         measured, error = mean_and_error(slope)
         bending = abs(curvature.mean().item() * step / 2)
         if bending <= BENT * abs(measured) or error > BENT * abs(measured):
             break
         step /= SHORTER
-    length = min(FIXED * row.saliency, room(value, -uphill, *scenes.renderer.bounds[row.name]))
-    fixed, fixed_error = mean_and_error(rise(-length) / -length) if length > 0 else (None, None)
+    length = min(FIXED * row.saliency, _rooms(value, -way.direction, low, high).min().item())
+    fixed, fixed_error = mean_and_error(slope_on(-length)) if length > 0 else (None, None)
     return Ablated(
         name=row.name,
         label=row.label,
@@ -223,6 +279,7 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         measured_error=error,
         step=step,
         curvature=curvature.mean().item(),
+        degrees_of_freedom=len(scenes.seeds) - 1,
         fixed=fixed,
         fixed_error=fixed_error,
     )
@@ -232,5 +289,7 @@ def _pairs(rows: Sequence[Ablated]) -> list[tuple[Ablated, Ablated]]:
     return [(one, two) for number, one in enumerate(rows) for two in rows[number + 1 :]]
 
 
-def _told_apart(one: float, one_error: float, two: float, two_error: float) -> bool:
-    return abs(one - two) > CLEAR * math.hypot(one_error, two_error)
+def _told_apart(one: Ablated, two: Ablated, what: str) -> bool:
+    error = math.hypot(getattr(one, f"{what}_error"), getattr(two, f"{what}_error"))
+    degrees = min(one.degrees_of_freedom, two.degrees_of_freedom)
+    return bool(abs(getattr(one, what) - getattr(two, what)) > student_t(CLEAR, degrees) * error)

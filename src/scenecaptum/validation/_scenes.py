@@ -12,7 +12,6 @@ import torch
 from ..attr._gradients import input_values
 from ..attr._metric import Metric, Target, TargetedMetric
 from ..attr._passes import channel_totals
-from ..attr._ranges import ranges
 from ..errors import check_seed, whole_number
 
 # Of a parameter's range: how far a step goes at most, and the room below which it turns round at a bound.
@@ -91,15 +90,6 @@ def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
     totals = channel_totals(gradient)
     direction: torch.Tensor = totals / totals.norm()
     return direction.reshape(gradient.shape if gradient.ndim < 2 else (-1,)).to(value)
-
-
-def first_step(renderer: Any, name: str, value: torch.Tensor, uphill: torch.Tensor) -> float:
-    """Return a step down a direction, or up it where a bound is near; its sign says which."""
-    length = ranges(renderer, {name: value})[name].item()
-    down, up = (room(value, sign * uphill, *renderer.bounds[name]) for sign in (-1, 1))
-    free, sign = (down, -1) if down >= min(CRAMPED * length, up) else (up, 1)
-    # Only part of the way to a bound, which itself may be unphysical.
-    return sign * min(LONGEST * length, 0.5 * free)
 
 
 def room(value: torch.Tensor, direction: torch.Tensor, low: float, high: float) -> float:

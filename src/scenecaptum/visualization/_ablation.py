@@ -49,8 +49,8 @@ def ablation_text(test: AblationTest) -> str:
 def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
     """Draw for each parameter how much the metric was predicted to change per unit, and how much it did.
 
-    Parameters are in the computed order. Grey reaches up to what the noise hides: two standard errors of the
-    measurement. Crosses are what the paper's step measures, 0.01 of the gradient for every parameter.
+    Parameters are in the computed order. Grey reaches up to what the noise hides, with 95 % confidence. Crosses
+    are what the paper's step measures, 0.01 of the gradient for every parameter.
 
     Parameters
     ----------
@@ -63,12 +63,12 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
     if ax is None:
         ax = new_figure(WIDTH, 1.7 + 0.24 * len(rows)).add_subplot()
     ax.set_xscale("log")
-    noise = [2 * row.measured_error for row in rows]
+    noise = [row.noise for row in rows]
     # A bar on a logarithmic axis begins where the axis does, so that this is fixed before.
     least = 0.5 * min(
         value
         for row in rows
-        for value in (row.predicted, 2 * row.measured_error or row.predicted, abs(row.fixed or row.predicted))
+        for value in (row.predicted, row.noise or row.predicted, abs(row.fixed or row.predicted))
     )
     ax.set_xlim(least, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
     places = range(len(rows))
