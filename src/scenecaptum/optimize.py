@@ -112,8 +112,8 @@ def minimize(
     Example
     -------
     >>> from scenecaptum import SceneRenderer, metrics, optimize
-    >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(16, 16), spp=16)
-    >>> found = optimize.minimize(renderer, metrics.MeanLuminance(), below=0.12, top=2)
+    >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(16, 16), spp=256)
+    >>> found = optimize.minimize(renderer, metrics.MeanLuminance(), below=0.15, top=2)
     >>> found.reached, len(found.moved)
     (True, 2)
 
