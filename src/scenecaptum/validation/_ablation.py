@@ -262,10 +262,10 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
     step = way.step
     for _ in range(SHORTEST):
         half, full = slope_on(step / 2), slope_on(step)
-        slope, curvature = 2 * half - full, 4 * (full - half) / step
-        measured, error = mean_and_error(slope)
-        bending = abs(curvature.mean().item() * step / 2)
-        if bending <= BENT * abs(measured) or error > BENT * abs(measured):
+        measured, error = mean_and_error(2 * half - full)
+        bending, bending_error = mean_and_error(2 * (full - half))
+        # What is only noise would be more of it on a shorter step.
+        if abs(bending) - 2 * bending_error <= BENT * abs(measured):
             break
         step /= SHORTER
     length = min(FIXED * row.saliency, _rooms(value, -way.direction, low, high).min().item())
@@ -278,7 +278,7 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         measured=measured,
         measured_error=error,
         step=step,
-        curvature=curvature.mean().item(),
+        curvature=2 * bending / step,
         degrees_of_freedom=len(scenes.seeds) - 1,
         fixed=fixed,
         fixed_error=fixed_error,
