@@ -3,3 +3,6 @@
 from ._ablation import Ablated as Ablated
 from ._ablation import AblationTest as AblationTest
 from ._ablation import ablation_test as ablation_test
+from ._hessian import hessian_vector_product as hessian_vector_product
+from ._interactions import Interactions as Interactions
+from ._interactions import interactions as interactions

@@ -8,6 +8,8 @@ drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: 
 from ._ablation import ablation_text as ablation_text
 from ._ablation import plot_ablation as plot_ablation
 from ._bars import plot_bars as plot_bars
+from ._interactions import interactions_text as interactions_text
+from ._interactions import plot_interactions as plot_interactions
 from ._luminance_map import plot_luminance as plot_luminance
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
