@@ -125,7 +125,9 @@ def product_of(scenes: Scenes, direction: Direction, **options: Any) -> SceneAtt
     stencil = stencil_along(scenes, direction)
     slope = _Slope(scenes.metric, stencil)
     moved = _Moved(scenes.renderer, direction, stencil.places)
-    found = VanillaSceneGradient(moved, slope).attribute(scenes.values, scenes.metric.target, **options)
+    found: SceneAttribution = VanillaSceneGradient(moved, slope).attribute(
+        scenes.values, scenes.metric.target, **options
+    )
     assert found.image is not None
     info = {key: value for key, value in found.info.items() if key != "scale"}
     reach = max(map(abs, stencil.places))
@@ -224,11 +226,13 @@ def _checked(direction: Direction, values: Mapping[str, torch.Tensor]) -> dict[s
         if name not in values:
             raise SceneCaptumError(f"direction names {name!r}, which is no input.{near_misses(name, values)}")
         tensor = torch.as_tensor(one).detach().to(values[name])
-        if torch.broadcast_shapes(tensor.shape, values[name].shape) != values[name].shape:
+        try:
+            tensor.broadcast_to(values[name].shape)
+        except RuntimeError:
             raise SceneCaptumError(
                 f"The direction of {name!r} has shape {tuple(tensor.shape)}, which does not broadcast to the "
                 f"parameter's {tuple(values[name].shape)}."
-            )
+            ) from None
         if not torch.isfinite(tensor).all():
             raise SceneCaptumError(f"The direction of {name!r} holds a value that is not finite.")
         if tensor.any():

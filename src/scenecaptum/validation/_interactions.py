@@ -171,7 +171,7 @@ def interactions(
     """
     if scale not in ("unit", "range"):
         raise SceneCaptumError(f'scale must be "unit" or "range", not {scale!r}.')
-    options = {"seed": seed, "spp": spp, "replicates": replicates}
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     if attribution is None:
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
     if attribution.info.get("scale") != "unit":
@@ -179,9 +179,7 @@ def interactions(
     scenes = Scenes.split(renderer, metric, target, **options)
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     if not rows:
-        raise SceneCaptumError(
-            "No parameter has a gradient other than 0, so that there is no direction to move in."
-        )
+        raise SceneCaptumError("All gradients are 0, so that there is no direction to move in.")
     directions = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
     products = [product_of(scenes, {name: one}, **options) for name, one in directions.items()]
     lengths = ranges(renderer, {name: scenes.values[name] for name in directions})

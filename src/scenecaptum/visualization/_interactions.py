@@ -73,7 +73,7 @@ def plot_interactions(found: Interactions, ax: Axes | None = None) -> Figure:
     ax.spines[:].set_visible(False)
     bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
     bar.ax.tick_params(labelsize=SMALL)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     title = textwrap.wrap(f"Interactions: second derivatives of {found.metric} {_per(found)}", 16 + 9 * count)
     ax.set_title("\n".join(title), loc="left", fontsize=TITLE, parse_math=False)
     width = int((2.6 + _CELL * max(count, 4)) * _NOTE_WIDTH / 7.2)
