@@ -3,6 +3,12 @@
 from ._ablation import Ablated as Ablated
 from ._ablation import AblationTest as AblationTest
 from ._ablation import ablation_test as ablation_test
+from ._deletion import DeletionInsertion as DeletionInsertion
+from ._deletion import deletion_insertion as deletion_insertion
+from ._faithfulness import Infidelity as Infidelity
+from ._faithfulness import SensitivityN as SensitivityN
+from ._faithfulness import infidelity as infidelity
+from ._faithfulness import sensitivity_n as sensitivity_n
 from ._hessian import hessian_vector_product as hessian_vector_product
 from ._interactions import Interactions as Interactions
 from ._interactions import interactions as interactions

@@ -31,11 +31,14 @@ class Scenes:
         A seed for each replicate.
     spp
         Samples per pixel of each, or None where the renderer decides.
+    hold
+        Whether what a metric holds fixed while it is differentiated, a threshold, is held fixed here too, at the
+        unchanged scene.
 
     Attributes
     ----------
     metric
-        With what it holds fixed while it is differentiated, a threshold, held fixed at the unchanged scene.
+        With its target, and what is held.
     still
         The measurement of the unchanged scene.
     """
@@ -48,25 +51,35 @@ class Scenes:
         values: Mapping[str, torch.Tensor],
         seeds: Sequence[int],
         spp: int | None,
+        *,
+        hold: bool = True,
     ) -> None:
         self.renderer = renderer
         self.values = values
         self.seeds = seeds
         self.spp = spp
-        held_at = getattr(metric, "held_at", None)
+        held_at = getattr(metric, "held_at", None) if hold else None
         self.metric = TargetedMetric(held_at(self._images({}).mean(0)) if held_at else metric, target)
         self.still = self.measure({})
 
     @classmethod
     def split(
-        cls, renderer: Any, metric: Metric, target: Target, *, seed: int, spp: int | None, replicates: int
+        cls,
+        renderer: Any,
+        metric: Metric,
+        target: Target,
+        *,
+        seed: int,
+        spp: int | None,
+        replicates: int,
+        hold: bool = True,
     ) -> Scenes:
         """Split the samples per pixel of every scene, the renderer's by default, over so many replicates."""
         values = input_values(renderer, None)
         spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
         seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
-        return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count))
+        return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count), hold=hold)
 
     def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         changed = {**self.values, **changes}

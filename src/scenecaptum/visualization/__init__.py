@@ -8,6 +8,12 @@ drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: 
 from ._ablation import ablation_text as ablation_text
 from ._ablation import plot_ablation as plot_ablation
 from ._bars import plot_bars as plot_bars
+from ._faithfulness import deletion_text as deletion_text
+from ._faithfulness import infidelity_text as infidelity_text
+from ._faithfulness import plot_deletion as plot_deletion
+from ._faithfulness import plot_infidelity as plot_infidelity
+from ._faithfulness import plot_sensitivity_n as plot_sensitivity_n
+from ._faithfulness import sensitivity_n_text as sensitivity_n_text
 from ._interactions import interactions_text as interactions_text
 from ._interactions import plot_interactions as plot_interactions
 from ._luminance_map import plot_luminance as plot_luminance
