@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from ._figures import LOWERS, RAISES, SMALL, TEXT, TITLE, UNCLEAR, WIDTH, figure_of, new_figure, small_print
+from ._figures import RAISES, SMALL, TEXT, TITLE, UNCLEAR, WIDTH, figure_of, new_figure, small_print
 from ._numbers import align_decimals, pad, shorten, with_error
 
 if TYPE_CHECKING:
@@ -18,20 +18,25 @@ if TYPE_CHECKING:
 
     from ..validation import DeletionInsertion, Infidelity, SensitivityN
 
-_NAME_WIDTH, _NOTE_WIDTH = 36, 90
+_NAME_WIDTH, _NOTE_WIDTH = 36, 110
 
 
 def deletion_text(curves: DeletionInsertion) -> str:
     """Write both curves for a terminal, and the areas and the verdict below them."""
-    names = ["", *_steps(curves)]
+    names = shorten(["", *_steps(curves)], _NAME_WIDTH)
     moved = [str(count) for count in curves.moved.tolist()]
+    whole = curves.deletion[0]
     deletion, insertion = (
-        align_decimals([_pair(*one) for one in _points(curve)])
+        align_decimals([_pair(*one) for one in points(curve - whole)])
         for curve in (curves.deletion, curves.insertion)
     )
     head = ("#", "moved", "deletion", "insertion")
-    grid = [head, *zip(moved, shorten(names, _NAME_WIDTH), deletion, insertion, strict=True)]
-    title = f"{curves.metric} while parameters move to their baselines (deletion) and from them (insertion)"
+    grid = [head, *zip(moved, names, deletion, insertion, strict=True)]
+    value = _pair(*points(whole[None])[0])
+    title = (
+        f"{curves.metric} = {value}, and its change with parameters moved to their baselines (deletion)\n"
+        "or from them (insertion)"
+    )
     return "\n".join([title, "", *_columns(grid), "", *_areas(curves), curves.verdict])
 
 
@@ -46,16 +51,17 @@ def _areas(curves: DeletionInsertion) -> list[str]:
     lines = []
     pairs = zip(("deletion", "insertion"), (curves.deletion_area, curves.insertion_area), strict=True)
     for (what, area), random in zip(pairs, curves.random_areas, strict=True):
-        spread = _pair(random.mean().item(), random.std().item())
+        mean, spread = with_error(random.mean().item(), random.std().item())
         better = "larger" if what == "deletion" else "smaller"
-        lines.append(f"mean change in {what} {_pair(*area)}; in random orders {spread} ({better} is better)")
+        others = f"of random orders {mean}, spread {spread}"
+        lines.append(f"mean change in {what} {_pair(*area)}; {others} ({better} is better)")
     return lines
 
 
 def plot_deletion(curves: DeletionInsertion, figure: Any = None) -> Figure:
     """Draw deletion and insertion side by side, over the number of parameters that have moved.
 
-    Grey lines are random orders; bars are standard errors.
+    Grey lines are random orders; bars are standard errors of the change.
 
     Parameters
     ----------
@@ -65,28 +71,28 @@ def plot_deletion(curves: DeletionInsertion, figure: Any = None) -> Figure:
         A matplotlib ``Figure`` or ``SubFigure`` to draw into; by default a new one.
     """
     if figure is None:
-        figure = new_figure(WIDTH, 3.3)
+        figure = new_figure(WIDTH, 3.6)
     axes = figure.subplots(1, 2, sharey=True)
-    moved = curves.moved.numpy()
-    left = moved[-1] - moved
+    moved, whole = curves.moved.numpy(), curves.deletion[0]
     panels = (
-        ("Deletion", LOWERS, curves.deletion, moved, "at their baselines"),
-        ("Insertion", RAISES, curves.insertion, left, "at their own values"),
+        ("Deletion", curves.deletion, moved, "at their baselines"),
+        ("Insertion", curves.insertion, moved[-1] - moved, "at their own values"),
     )
-    for ax, (title, colour, curve, places, where) in zip(axes, panels, strict=True):
-        for number, one in enumerate(curves.random.mean(2)):
+    for ax, (title, curve, places, where) in zip(axes, panels, strict=True):
+        for number, one in enumerate((curves.random - whole).mean(2)):
             ax.plot(places, one, color="0.8", linewidth=0.8, label=None if number else "random orders")
-        means, errors = zip(*_points(curve), strict=True)
+        means, errors = zip(*points(curve - whole), strict=True)
         ax.errorbar(
-            moved, means, errors, color=colour, marker="o", markersize=3, capsize=2, label=curves.method
+            moved, means, errors, color=RAISES, marker="o", markersize=3, capsize=2, label=curves.method
         )
-        ax.set_title(title, loc="left", fontsize=TITLE)
-        ax.set_xlabel(f"number of parameters {where}", fontsize=TEXT)
-        ax.tick_params(labelsize=SMALL)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.legend(fontsize=SMALL, frameon=False)
-    axes[0].set_ylabel(shorten([curves.metric], _NAME_WIDTH)[0], fontsize=TEXT, parse_math=False)
-    small_print(axes[0], textwrap.wrap(curves.verdict, _NOTE_WIDTH), below=34)
+        ax.set_xlabel(f"parameters {where}", fontsize=TEXT)
+        _tidy(ax, title)
+    name = shorten([curves.metric], _NAME_WIDTH)[0]
+    axes[0].set_ylabel(f"change of {name}\nfrom the whole scene", fontsize=TEXT, parse_math=False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=SMALL, frameon=False)
+    verdict = textwrap.fill(curves.verdict, _NOTE_WIDTH)
+    figure.supxlabel(verdict, x=0.02, ha="left", fontsize=SMALL, alpha=0.75, parse_math=False)
     return figure_of(axes[0])
 
 
@@ -115,7 +121,7 @@ def plot_infidelity(found: Infidelity, ax: Axes | None = None) -> Figure:
     """
     if ax is None:
         ax = new_figure(4.2, 4.2).add_subplot()
-    means, errors = zip(*_points(found.measured), strict=True)
+    means, errors = zip(*points(found.measured), strict=True)
     predicted = found.predicted.tolist()
     ax.axline((0, 0), slope=1, color="0.75", linewidth=1, zorder=0)
     ax.errorbar(predicted, means, errors, fmt="o", markersize=3, color=RAISES, elinewidth=0.8, alpha=0.8)
@@ -180,14 +186,14 @@ def _tidy(ax: Axes, title: str) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def _points(curve: torch.Tensor) -> list[tuple[float, float]]:
+def points(curve: torch.Tensor) -> list[tuple[float, float]]:
     """Return means and standard errors of ``(points, replicates)``."""
     errors = curve.std(1) / math.sqrt(curve.shape[1])
     return list(zip(curve.mean(1).tolist(), errors.tolist(), strict=True))
 
 
 def _pair(value: float, error: float) -> str:
-    return " ± ".join(filter(None, with_error(value, error)))
+    return " ± ".join(filter(None, with_error(value, error or None)))
 
 
 def _correlation(value: float, error: float) -> str:
