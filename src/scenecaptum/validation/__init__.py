@@ -12,3 +12,5 @@ from ._faithfulness import sensitivity_n as sensitivity_n
 from ._hessian import hessian_vector_product as hessian_vector_product
 from ._interactions import Interactions as Interactions
 from ._interactions import interactions as interactions
+from ._randomisation import RandomisationCheck as RandomisationCheck
+from ._randomisation import randomisation_check as randomisation_check

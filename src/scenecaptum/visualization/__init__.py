@@ -21,6 +21,8 @@ from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
 from ._optimisation import optimisation_text as optimisation_text
 from ._optimisation import plot_optimisation as plot_optimisation
+from ._randomisation import plot_randomisation as plot_randomisation
+from ._randomisation import randomisation_text as randomisation_text
 from ._ranks import plot_rank_comparison as plot_rank_comparison
 from ._scene_tables import parameters_html as parameters_html
 from ._scene_tables import parameters_text as parameters_text

@@ -1,0 +1,154 @@
+"""The randomisation check: it tells what depends on a network's weights from what does not."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from toy import ToyRenderer
+
+from scenecaptum import InputXGradientScene, metrics
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.validation import randomisation_check
+from scenecaptum.validation._randomisation import _ranks, _reset
+
+
+class Lamps(ToyRenderer):
+    """Twelve lamps, each of which lights pixels of its own."""
+
+    def __init__(self, noise: float = 0.1) -> None:
+        super().__init__(noise)
+        self.matrix = torch.rand(4, 4, 3, 12, generator=torch.Generator().manual_seed(2)) ** 4
+        self.inputs = {f"lamp {k}": torch.tensor(0.1) for k in range(12)}
+
+    def __call__(self, inputs, *, seed, spp):
+        return self.sampled(seed, spp) @ torch.stack(list(inputs.values()))
+
+
+class Network(torch.nn.Module):
+    """A linear layer on all pixels, and a scale that has no ``reset_parameters``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        with torch.random.fork_rng():
+            torch.manual_seed(1)
+            self.first = torch.nn.Linear(48, 8)
+            self.last = torch.nn.Linear(8, 1)
+        self.scale = torch.nn.Parameter(torch.tensor([1.0, 2.0]))
+
+    def forward(self, image):
+        return self.scale.abs().sum() * self.last(self.first(image.flatten()).tanh()).squeeze()
+
+
+class Deaf(Network):
+    """It has weights, and listens to none of them."""
+
+    def forward(self, image):
+        return (image * torch.linspace(0.1, 2, 48).reshape(image.shape)).sum() + 0 * self.scale.sum()
+
+
+def test_a_network_that_has_learnt_something_is_told_from_random_ones():
+    check = randomisation_check(Lamps(), Network())
+    assert check.changes, str(check)
+    assert check.ceiling.min() > 0.9
+    assert check.correlations[-1].mean() < 0.7
+    assert "depends on what the network has learnt" in check.verdict
+
+
+def test_a_metric_that_ignores_its_weights_is_found_out():
+    # Over many seeds by chance once in 70: never in all of three.
+    checks = [randomisation_check(Lamps(noise=1.0), Deaf(), seed=seed) for seed in range(3)]
+    assert not all(check.changes for check in checks)
+    for check in checks:
+        assert (check.correlations.mean() - check.ceiling.mean()).abs() < 0.1, str(check)
+    assert any("cannot be told to depend" in check.verdict for check in checks)
+
+
+def test_noise_is_not_taken_for_change():
+    check = randomisation_check(Lamps(noise=100.0), Deaf(), seed=1)
+    assert check.ceiling.mean() < 0.9, "there is too little noise for this test"
+    assert not check.changes
+
+
+def test_layers_become_random_from_the_output_on():
+    seen = []
+
+    class Watching(Network):
+        def forward(self, image):
+            state = {name: tuple(value.flatten().tolist()) for name, value in self.named_parameters()}
+            if state not in seen:
+                seen.append(state)
+            return super().forward(image)
+
+    check = randomisation_check(Lamps(), Watching(), draws=2)
+    assert check.layers == ("last", "first", "")
+    assert check.randomised == (1, 2, 3)
+    own, *stages = seen
+    changed = [{name for name in own if stage[name] != own[name]} for stage in stages]
+    last, first = {"last.weight", "last.bias"}, {"first.weight", "first.bias"}
+    assert changed == [last, last | first, last | first | {"scale"}] * 2
+    assert all(stages[0][name] == stages[2][name] for name in last), "what is random stays as it is"
+    assert stages[0]["last.weight"] != stages[3]["last.weight"], "draws differ"
+
+
+def test_the_metric_is_left_as_it_is_and_so_is_the_generator():
+    network = Network()
+    before, torch_state = copy.deepcopy(network.state_dict()), torch.get_rng_state()
+    first, second = (randomisation_check(Lamps(), network, draws=2, seed=3) for _ in range(2))
+    torch.testing.assert_close(network.state_dict(), before, rtol=0, atol=0)
+    assert torch.equal(torch.get_rng_state(), torch_state)
+    assert torch.equal(first.correlations, second.correlations)
+
+
+def test_weights_without_a_reset_keep_their_size():
+    layer = torch.nn.Module()
+    layer.weights = torch.nn.Parameter(3 + 0.5 * torch.randn(4000))
+    _reset(layer, 0)
+    assert layer.weights.mean().item() == pytest.approx(3, abs=0.05)
+    assert layer.weights.std().item() == pytest.approx(0.5, rel=0.1)
+
+
+def test_ranks_of_ties_are_their_mean():
+    assert _ranks(torch.tensor([3.0, 1.0, 3.0, 2.0])).tolist() == [3.5, 1.0, 3.5, 2.0]
+
+
+def test_other_methods_can_be_checked():
+    check = randomisation_check(Lamps(), Network(), method=InputXGradientScene, stages=1, draws=2)
+    assert check.method == "InputXGradientScene"
+    assert check.correlations.shape == (1, 2)
+
+
+def test_what_does_not_fit_is_said():
+    class Few(Lamps):
+        def __init__(self):
+            super().__init__()
+            self.inputs = {name: self.inputs[name] for name in ("lamp 0", "lamp 1", "lamp 2")}
+            self.matrix = self.matrix[..., :3]
+
+    with pytest.raises(SceneCaptumError, match=r"mean has none\. Give a torch\.nn\.Module"):
+        randomisation_check(Lamps(), torch.mean)
+    with pytest.raises(SceneCaptumError, match="MeanLuminance has none"):
+        randomisation_check(Lamps(), metrics.MeanLuminance())
+    with pytest.raises(SceneCaptumError, match="at least 4 parameters, not 3"):
+        randomisation_check(Few(), Network())
+    with pytest.raises(SceneCaptumError, match="draws must be a whole number of at least 2"):
+        randomisation_check(Lamps(), Network(), draws=1)
+
+
+def test_table_and_figure():
+    check = randomisation_check(Lamps(), Network(), draws=2)
+    lines = str(check).splitlines()
+    assert "Network, VanillaSceneGradient" in lines[0]
+    assert lines[3].split()[0] == "none"
+    assert lines[4].split()[:4] == ["1", "of", "3", "last"]
+    (axes,) = check.plot().axes
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["0", "1", "2", "3"]
+
+
+def test_on_the_shape_classifier(mi, cornell):
+    metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
+    check = randomisation_check(cornell, metric, stages=1, draws=3, spp=64)
+    assert len(check.layers) == 9
+    assert check.layers[0] == "model.head"
+    assert check.changes, str(check)
