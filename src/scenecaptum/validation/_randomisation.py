@@ -1,9 +1,9 @@
-"""Whether a ranking depends on what a metric's network has learnt: its weights are made random."""
+"""Whether an attribution depends on what a metric's network has learnt: its weights are made random."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_PASSES
+from ..attr._passes import DEFAULT_PASSES, channel_totals
 from ..errors import SceneCaptumError, check_seed, whole_number
 
 if TYPE_CHECKING:
@@ -24,46 +24,61 @@ FEWEST = 4  # parameters of which a rank correlation says anything
 
 @dataclass(frozen=True, repr=False)
 class RandomisationCheck:
-    """How much of a ranking is left when a network's layers are made random; prints as a table.
+    """How much of an attribution is left when a network's layers are made random; prints as a table.
 
     Attributes
     ----------
     layers
         The network's layers from the output to the input.
     randomised
-        ``(stages,)``: how many of them were random at each stage.
-    correlations
-        ``(stages, draws)``: Spearman's correlation of the saliencies with those of the network itself.
-    ceiling
-        ``(draws,)``: the same for the network itself and other seeds of the renderer: what noise leaves of it.
+        How many of them were random at each stage, from 0 to all.
+    magnitudes
+        ``(stages, draws)``: Spearman's correlation of the saliencies with those of the network itself. The first
+        row is of the network itself with other seeds of the renderer: what noise leaves of it.
+    signed
+        The same of the attributions with their signs, channel by channel.
     metric, method
         What was attributed, and how.
     """
 
     layers: tuple[str, ...]
     randomised: tuple[int, ...]
-    correlations: torch.Tensor
-    ceiling: torch.Tensor
+    magnitudes: torch.Tensor
+    signed: torch.Tensor
     metric: str
     method: str
 
     @property
-    def changes(self) -> bool:
-        """Whether with all layers random every correlation is below every one of the network itself.
+    def ranking_changes(self) -> bool:
+        """Whether with all layers random every correlation of saliencies is below all of the network itself.
 
         If the weights made no difference this would happen by chance once in ``(2n choose n)`` times for ``n``
         draws: once in 70 for 4.
         """
-        return bool(self.correlations[-1].max() < self.ceiling.min())
+        return _all_below(self.magnitudes)
+
+    @property
+    def signs_change(self) -> bool:
+        """The same of the attributions with their signs."""
+        return _all_below(self.signed)
 
     @property
     def verdict(self) -> str:
         """One sentence."""
-        what = "depends" if self.changes else "cannot be told to depend"
+        changed = [
+            what
+            for what, changes in (("ranking", self.ranking_changes), ("signs", self.signs_change))
+            if changes
+        ]
+        depends = (
+            f"the attribution depends on what the network has learnt, by its {' and its '.join(changed)}"
+            if changed
+            else "the attribution cannot be told to depend on what the network has learnt"
+        )
         return (
-            f"the ranking {what} on what the network has learnt: with all {len(self.layers)} layers random its "
-            f"rank correlation with the network's own is {_span(self.correlations[-1])}, against "
-            f"{_span(self.ceiling)} for the same network and other seeds"
+            f"{depends}: with all {len(self.layers)} layers random its magnitudes have a rank correlation of "
+            f"{_span(self.magnitudes[-1])} with the network's own, against {_span(self.magnitudes[0])} for the "
+            f"same network and other seeds; with signs {_span(self.signed[-1])} against {_span(self.signed[0])}"
         )
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -92,9 +107,10 @@ def randomisation_check(
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
 ) -> RandomisationCheck:
-    """Make the layers of a metric's network random, from the output on, and see whether the ranking changes.
+    """Make the layers of a metric's network random, from the output on, and see whether the attribution changes.
 
-    An attribution that stays the same shows the scene and not the network. Every layer is initialised anew, by
+    One that stays the same shows the scene and not the network. Large and bright objects rank high for almost any
+    network, so that magnitudes may change little where signs do. Every layer is initialised anew, by
     its own ``reset_parameters`` or else by normal numbers of the weights' own mean and standard deviation; those
     of earlier stages stay random. The metric itself is left as it is.
 
@@ -104,8 +120,8 @@ def randomisation_check(
     >>> renderer = SceneRenderer("cornell-box", "reflectance", resolution=(16, 16), spp=8)
     >>> metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
     >>> check = randomisation_check(renderer, metric, stages=2, draws=2)
-    >>> check.correlations.shape
-    torch.Size([2, 2])
+    >>> check.magnitudes.shape  # none, half and all layers random
+    torch.Size([3, 2])
 
     Parameters
     ----------
@@ -139,9 +155,9 @@ def randomisation_check(
     steps = min(whole_number("stages", stages), len(layers))
     ends = [round(len(layers) * stage / steps) for stage in range(steps + 1)]
     count = whole_number("draws", draws, 2)
-    # For the network itself, each of its repeats, and of each draw the weights and all stages.
+    # For the network itself, and of each draw for the weights, the network itself again and all stages.
     sequence = np.random.SeedSequence([check_seed("seed", seed), 8])
-    seeds = iter(sequence.generate_state(1 + count + count * (1 + steps)).tolist())
+    seeds = iter(sequence.generate_state(1 + count * (2 + steps)).tolist())
 
     def attribute(network: Metric) -> SceneAttribution:
         options = {"seed": next(seeds), "spp": spp, "replicates": replicates}
@@ -153,28 +169,35 @@ def randomisation_check(
         raise SceneCaptumError(
             f"A rank correlation takes at least {FEWEST} parameters, not {len(own)}: select more with inputs=."
         )
-    ceiling = [spearman(own, attribute(metric)) for _ in range(count)]
-    drawn = [
-        [spearman(own, attribute(network)) for network in _randomised(metric, layers, ends, next(seeds))]
-        for _ in range(count)
-    ]
+    drawn = []
+    for _ in range(count):
+        networks: list[Metric] = [metric, *_randomised(metric, layers, ends, next(seeds))]
+        found = [attribute(network) for network in networks]
+        drawn.append([(_spearman(own, one, _magnitudes), _spearman(own, one, _signed)) for one in found])
+    magnitudes, signed = torch.tensor(drawn, dtype=torch.float64).permute(2, 1, 0)
     return RandomisationCheck(
         layers=tuple(layers),
-        randomised=tuple(ends[1:]),
-        correlations=torch.tensor(drawn, dtype=torch.float64).T,
-        ceiling=torch.tensor(ceiling, dtype=torch.float64),
+        randomised=tuple(ends),
+        magnitudes=magnitudes,
+        signed=signed,
         metric=str(own.info["metric"]),
         method=str(own.info["method"]),
     )
 
 
-def spearman(one: SceneAttribution, two: SceneAttribution) -> float:
-    """Return the rank correlation of the saliencies of two attributions to the same parameters.
+def _magnitudes(attribution: SceneAttribution) -> torch.Tensor:
+    return torch.tensor(list(attribution.saliency().values()))
 
-    A ranking of nothing but ties agrees with no other: 0.
-    """
-    both = [one.saliency(), two.saliency()]
-    ranks = torch.stack([_ranks(torch.tensor([each[name] for name in one])) for each in both])
+
+def _signed(attribution: SceneAttribution) -> torch.Tensor:
+    return torch.cat([channel_totals(one) for one in attribution.values()])
+
+
+def _spearman(
+    one: SceneAttribution, two: SceneAttribution, of: Callable[[SceneAttribution], torch.Tensor]
+) -> float:
+    """Return the rank correlation of two attributions to the same parameters; a ranking of ties has none."""
+    ranks = torch.stack([_ranks(of(one)), _ranks(of(two))])
     return 0.0 if bool((ranks.std(1) == 0).any()) else torch.corrcoef(ranks)[0, 1].item()
 
 
@@ -204,14 +227,14 @@ def _randomised(
     metric: Metric, layers: Sequence[str], ends: Sequence[int], seed: int
 ) -> Iterator[torch.nn.Module]:
     """Yield the metric with more and more of its layers random."""
+    start = 0
     network = copy.deepcopy(metric)
     assert isinstance(network, torch.nn.Module)
     states = np.random.SeedSequence(seed).generate_state(len(layers)).tolist()
-    start = 0
     for end in ends[1:]:
         for name, state in zip(layers[start:end], states[start:end], strict=True):
             _reset(network.get_submodule(name), state)
-        yield network
+        yield copy.deepcopy(network)
         start = end
 
 
@@ -225,6 +248,10 @@ def _reset(layer: torch.nn.Module, seed: int) -> None:
         for weights in layer.parameters(recurse=False):
             spread = weights.std().item() if weights.numel() > 1 else abs(weights.item())
             weights.normal_(weights.mean().item(), spread)
+
+
+def _all_below(correlations: torch.Tensor) -> bool:
+    return bool(correlations[-1].max() < correlations[0].min())
 
 
 def _span(values: torch.Tensor) -> str:
