@@ -196,16 +196,21 @@ def test_of_a_linear_function_the_curves_are_running_sums():
     assert curves.insertion_area[0] == pytest.approx(backwards, rel=1e-3)
 
 
-def test_random_orders_are_measured_with_the_same_areas():
-    curves = deletion_insertion(Lamps(lamps=3), torch.mean, random_orders=40)
-    gradient = VanillaSceneGradient(Lamps(lamps=3), torch.mean).attribute()
-    parts = [gradient[name].item() * Lamps(lamps=3).inputs[name].item() for name in curves.names]
-    exact = {
-        round(np.trapezoid(np.abs([0, *np.cumsum(order)]), dx=1 / 3), 4)
-        for order in itertools.permutations(parts)
-    }
-    deletions, insertions = ({round(one, 4) for one in row.tolist()} for row in curves.random_areas)
-    assert deletions == insertions == exact
+@pytest.mark.parametrize(("steps", "moved"), [(3, [0, 1, 2, 3]), (2, [0, 2, 3])])
+def test_random_orders_are_measured_with_the_same_areas(steps, moved):
+    renderer = Lamps(lamps=3)
+    curves = deletion_insertion(renderer, torch.mean, random_orders=40, steps=steps)
+    assert curves.moved.tolist() == moved
+    gradient = VanillaSceneGradient(renderer, torch.mean).attribute()
+    parts = [gradient[name].item() * renderer.inputs[name].item() for name in curves.names]
+    sums = [np.cumsum([0, *order]) for order in itertools.permutations(parts)]
+    # A random deletion that is read backwards inserts first what it deleted last.
+    left = [3 - count for count in reversed(moved)]
+    exact = (
+        {round(np.trapezoid(np.abs(one[moved]), moved) / 3, 4) for one in sums},
+        {round(np.trapezoid(np.abs(one[3] - one[left]), left) / 3, 4) for one in sums},
+    )
+    assert tuple({round(area, 4) for area in row.tolist()} for row in curves.random_areas) == exact
 
 
 def test_the_right_order_wins_and_the_wrong_one_loses():
