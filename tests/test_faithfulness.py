@@ -280,6 +280,9 @@ def test_what_does_not_fit_is_said():
             function(renderer, torch.mean, grouped)
         with pytest.raises(SceneCaptumError, match="not 1"):
             function(Lamps(lamps=1), torch.mean)
+    dark = FeatureAblationScene(renderer, torch.mean).attribute()
+    with pytest.raises(SceneCaptumError, match=r"not finite with \d parameters at their baselines"):
+        deletion_insertion(renderer, lambda image: image.mean().log(), dark)
     with pytest.raises(SceneCaptumError, match="replicates must be a whole number of at least 3"):
         infidelity(renderer, torch.mean, replicates=2)
     with pytest.raises(SceneCaptumError, match="sizes must be a whole number from 1 to 4"):

@@ -163,7 +163,8 @@ def test_table_and_figure():
 
 def test_on_the_shape_classifier(mi, cornell):
     metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
-    check = randomisation_check(cornell, metric, stages=1, draws=3, spp=64)
+    # A network's derivative is noisy at few samples, and then nothing could be told.
+    check = randomisation_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
     assert len(check.layers) == 9
     assert check.layers[0] == "model.head"
     assert check.signs_change, str(check)

@@ -15,7 +15,7 @@ from ..attr._baselines import Baselines
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_PASSES
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ._faithfulness import contributions
+from ._faithfulness import contributions, measure_without
 from ._scenes import Scenes, mean_and_error
 
 if TYPE_CHECKING:
@@ -211,5 +211,5 @@ class _Curves:
     def _without(self, names: Sequence[str]) -> torch.Tensor:
         key = frozenset(names)
         if key not in self.seen:
-            self.seen[key] = self.scenes.measure({name: self.absent[name] for name in names})
+            self.seen[key] = measure_without(self.scenes, self.absent, names)
         return self.seen[key]

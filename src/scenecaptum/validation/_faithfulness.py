@@ -306,9 +306,7 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
     for size in chosen:
         sets = _subsets(list(absent), size, whole_number("subsets", subsets, 3), draw)
         predicted.append(torch.tensor([sum(totals[n] for n in one) for one in sets], dtype=torch.float64))
-        measured.append(
-            torch.stack([scenes.still - scenes.measure({n: absent[n] for n in one}) for one in sets])
-        )
+        measured.append(torch.stack([scenes.still - measure_without(scenes, absent, one) for one in sets]))
     return SensitivityN(
         parameters=len(absent),
         sizes=chosen,
@@ -339,6 +337,18 @@ def contributions(
     absent = resolve_baselines(scenes.renderer, scenes.values, baselines)
     names = parameters_of(attribution, scenes.values)
     return attribution, {n: absent[n] for n in names if not torch.equal(absent[n], scenes.values[n])}
+
+
+def measure_without(scenes: Scenes, absent: Tensors, names: Sequence[str]) -> torch.Tensor:
+    """Return the metric's pseudo-values with some parameters at their baselines, ``(replicates,)``."""
+    found = scenes.measure({name: absent[name] for name in names})
+    if not torch.isfinite(found).all():
+        raise SceneCaptumError(
+            f"The metric {scenes.metric.name} is not finite with {len(names)} parameters at their baselines, "
+            f"{names[0]!r} first. A logarithm of 0 is the usual cause: add a small constant inside it, or choose "
+            "other baselines=."
+        )
+    return found
 
 
 def parameters_of(attribution: SceneAttribution, values: Tensors) -> list[str]:
