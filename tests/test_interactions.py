@@ -100,6 +100,21 @@ def test_products_with_noise_agree_within_their_errors(metric):
         assert error.max() < 0.2 * max(exact.abs().max(), 0.01), f"{name}: an error so large shows nothing"
 
 
+def test_standard_errors_are_the_spread_of_repeats():
+    renderer = Bouncing(noise=1.0)
+    gradient = VanillaSceneGradient(Bouncing(noise=0.0), log_mean).attribute()
+    exact = interactions(Bouncing(noise=0.0), log_mean, gradient, top=2).matrix
+    z = []
+    for seed in range(16):
+        found = interactions(renderer, log_mean, gradient, top=2, seed=seed)
+        z.append(((found.matrix - exact) / found.standard_error)[torch.triu_indices(2, 2).unbind()])
+    each = torch.stack(z)
+    # Student's t of 7 degrees of freedom has a spread of 1.18, here of 16 repeats.
+    assert (each.mean(0).abs() < 4 * 1.18 / math.sqrt(16)).all(), each
+    assert (each.std(0) > 0.6).all(), each
+    assert (each.std(0) < 2.0).all(), each
+
+
 @pytest.mark.parametrize("stencil", [CENTRAL, ONE_SIDED, ONE_SIDED.times(-2.0)])
 def test_stencils_differentiate_cubics_exactly(stencil):
     def slope(weights, power):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,17 +116,21 @@ def hessian_vector_product(
     errors are larger.
     """
     scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
-    return product_of(scenes, direction, seed=seed, spp=spp, replicates=replicates)
+    options = {"seed": seed, "spp": spp, "replicates": replicates}
+    return product_of(scenes, direction, scenes.values, **options)
 
 
-def product_of(scenes: Scenes, direction: Direction, **options: Any) -> SceneAttribution:
-    """Return the Hessian-vector product at measured scenes, with the options of ``VanillaSceneGradient``."""
+def product_of(
+    scenes: Scenes, direction: Direction, names: Iterable[str], **options: Any
+) -> SceneAttribution:
+    """Return the part of ``H v`` that some parameters have, with the options of ``VanillaSceneGradient``."""
     direction = _checked(direction, scenes.values)
     stencil = stencil_along(scenes, direction)
     slope = _Slope(scenes.metric, stencil)
-    moved = _Moved(scenes.renderer, direction, stencil.places)
+    moved = _Moved(scenes, direction, stencil.places)
+    values = {name: scenes.values[name] for name in names}
     found: SceneAttribution = VanillaSceneGradient(moved, slope).attribute(
-        scenes.values, scenes.metric.target, **options
+        values, scenes.metric.target, **options
     )
     assert found.image is not None
     info = {key: value for key, value in found.info.items() if key != "scale"}
@@ -142,8 +146,9 @@ def product_of(scenes: Scenes, direction: Direction, **options: Any) -> SceneAtt
 class _Moved:
     """A renderer of several scenes along a direction, as one stack of images."""
 
-    def __init__(self, renderer: Any, direction: Direction, places: tuple[float, ...]) -> None:
-        self.renderer = renderer
+    def __init__(self, scenes: Scenes, direction: Direction, places: tuple[float, ...]) -> None:
+        self.renderer = renderer = scenes.renderer
+        self.values = scenes.values
         self.direction = direction
         self.places = places
         self.spp = getattr(renderer, "spp", None)
@@ -156,8 +161,8 @@ class _Moved:
         return torch.stack([self.renderer(self._at(place, inputs), **options) for place in self.places])
 
     def _at(self, place: float, inputs: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        moved = {name: inputs[name] + place * one for name, one in self.direction.items()}
-        return {**inputs, **moved}
+        whole = {**self.values, **inputs}
+        return {**whole, **{name: whole[name] + place * one for name, one in self.direction.items()}}
 
 
 class _Slope:

@@ -181,7 +181,7 @@ def interactions(
     if not rows:
         raise SceneCaptumError("All gradients are 0, so that there is no direction to move in.")
     directions = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
-    products = [product_of(scenes, {name: one}, **options) for name, one in directions.items()]
+    products = [product_of(scenes, {name: one}, directions, **options) for name, one in directions.items()]
     lengths = ranges(renderer, {name: scenes.values[name] for name in directions})
     factors = torch.tensor([lengths[name].item() if scale == "range" else 1.0 for name in directions])
     both = torch.outer(factors, factors).double()
