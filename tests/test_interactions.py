@@ -210,6 +210,15 @@ def test_directions_are_unit_gradients_and_the_scale_is_that_of_the_ranges():
     torch.testing.assert_close(scaled.matrix, found.matrix * torch.outer(lengths, lengths))
 
 
+def test_what_is_at_both_bounds_is_left_out():
+    renderer = Bouncing()
+    renderer.inputs["texture"] = torch.tensor([0.0, 1.0, 0.5, 0.5]).reshape(2, 2, 1).expand(2, 2, 3).clone()
+    found = interactions(renderer, torch.mean, top=4)
+    assert found.left_out == ("texture",)
+    assert set(found.labels) == {"light", "wall", "floor"}
+    assert "left out, being at both bounds: texture" in str(found)
+
+
 def test_a_metric_holds_its_threshold_where_the_scene_is():
     class AboveMean(torch.nn.Module):
         def __init__(self, threshold=None):

@@ -180,7 +180,7 @@ class _Slope:
 
 def stencil_along(scenes: Scenes, direction: Direction) -> Stencil:
     """Return a stencil that stays within the bounds, and on which the metric bends little."""
-    up, down = (_reach(scenes, direction, sign) for sign in (1, -1))
+    up, down = reaches(scenes, direction)
     if max(up, down) == 0:
         raise SceneCaptumError(
             f"The direction leads out of the physical bounds either way: {', '.join(direction)} cannot move along "
@@ -199,6 +199,11 @@ def stencil_along(scenes: Scenes, direction: Direction) -> Stencil:
             break
         step /= SHORTER
     return stencil
+
+
+def reaches(scenes: Scenes, direction: Direction) -> tuple[float, float]:
+    """Return how far to go along a direction and against it, 0 where a bound is met at once."""
+    return _reach(scenes, direction, 1), _reach(scenes, direction, -1)
 
 
 def _rounding(scenes: Scenes, stencil: Stencil) -> float:

@@ -15,7 +15,7 @@ from ..attr._passes import DEFAULT_PASSES, channel_totals
 from ..attr._ranges import ranges
 from ..attr._student import student_t
 from ..errors import SceneCaptumError, whole_number
-from ._hessian import product_of
+from ._hessian import product_of, reaches
 from ._scenes import Scenes, unit_gradient
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ class Interactions:
         How far each parameter was moved, in its own unit.
     metric, scale
         What was differentiated, and ``"unit"`` or ``"range"``.
+    left_out
+        Labels of salient parameters that cannot move either way: textures with texels at both bounds.
     """
 
     names: tuple[str, ...]
@@ -54,6 +56,7 @@ class Interactions:
     reaches: tuple[float, ...]
     metric: str
     scale: Scale
+    left_out: tuple[str, ...] = ()
 
     @property
     def measured(self) -> torch.Tensor:
@@ -99,9 +102,10 @@ class Interactions:
         clear = int(self.told_apart[upper[0], upper[1]].sum())
         worst = self.asymmetry.abs().max().item()
         symmetric = "symmetric within its errors" if self.is_symmetric else "not symmetric within its errors"
+        left_out = f"; left out, being at both bounds: {', '.join(self.left_out)}" if self.left_out else ""
         return (
             f"{clear} of {upper.shape[1]} second derivatives of {self.metric} are told from 0; the matrix is "
-            f"{symmetric} (largest difference {worst:.1f} standard errors)"
+            f"{symmetric} (largest difference {worst:.1f} standard errors){left_out}"
         )
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -178,21 +182,23 @@ def interactions(
         raise SceneCaptumError("interactions takes plain gradients: VanillaSceneGradient(...).attribute().")
     scenes = Scenes.split(renderer, metric, target, **options)
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
-    if not rows:
-        raise SceneCaptumError("All gradients are 0, so that there is no direction to move in.")
-    directions = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
+    ways = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
+    directions = {name: one for name, one in ways.items() if max(reaches(scenes, {name: one})) > 0}
+    if not directions:
+        raise SceneCaptumError("All gradients are 0 or lead out of bounds: there is no direction to move in.")
     products = [product_of(scenes, {name: one}, directions, **options) for name, one in directions.items()]
     lengths = ranges(renderer, {name: scenes.values[name] for name in directions})
     factors = torch.tensor([lengths[name].item() if scale == "range" else 1.0 for name in directions])
     both = torch.outer(factors, factors).double()
     return Interactions(
         names=tuple(directions),
-        labels=tuple(row.label for row in rows),
+        labels=tuple(row.label for row in rows if row.name in directions),
         replicates=both * torch.stack([_projected(one.replicates, directions) for one in products], 1),
         rest=both * torch.stack([_rest(one, attribution, directions) for one in products]),
         reaches=tuple(one.info["reach"] for one in products),
         metric=str(attribution.info["metric"]),
         scale=scale,
+        left_out=tuple(row.label for row in rows if row.name not in directions),
     )
 
 
