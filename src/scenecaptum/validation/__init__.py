@@ -5,6 +5,9 @@ from ._ablation import AblationTest as AblationTest
 from ._ablation import ablation_test as ablation_test
 from ._deletion import DeletionInsertion as DeletionInsertion
 from ._deletion import deletion_insertion as deletion_insertion
+from ._dgsm import DGSM as DGSM
+from ._dgsm import GlobalDerivative as GlobalDerivative
+from ._dgsm import dgsm as dgsm
 from ._faithfulness import Infidelity as Infidelity
 from ._faithfulness import SensitivityN as SensitivityN
 from ._faithfulness import infidelity as infidelity
@@ -14,3 +17,6 @@ from ._interactions import Interactions as Interactions
 from ._interactions import interactions as interactions
 from ._randomisation import RandomisationCheck as RandomisationCheck
 from ._randomisation import randomisation_check as randomisation_check
+from ._sensitivity import SensitivityComparison as SensitivityComparison
+from ._sensitivity import SensitivityIndex as SensitivityIndex
+from ._sensitivity import compare_sensitivity as compare_sensitivity

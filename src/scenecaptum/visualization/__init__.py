@@ -28,6 +28,9 @@ from ._scene_tables import parameters_html as parameters_html
 from ._scene_tables import parameters_text as parameters_text
 from ._scene_tables import plan_html as plan_html
 from ._scene_tables import plan_text as plan_text
+from ._sensitivity import dgsm_text as dgsm_text
+from ._sensitivity import plot_sensitivity as plot_sensitivity
+from ._sensitivity import sensitivity_text as sensitivity_text
 from ._specificity import plot_specificity as plot_specificity
 from ._table import table_html as table_html
 from ._table import table_text as table_text
