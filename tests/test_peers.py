@@ -1,0 +1,97 @@
+"""The arithmetic of the comparison with other tools: equal error, intervals, and where the table goes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from peers import BEGIN, END, TARGET, Case, Errors, Number, Numbers, Samples, cost, interval, write_section
+
+
+def noisy(runs, sd, bias=0.0, seed=0):
+    draws = torch.randn(runs, 5, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return sd / 5**0.5 * draws + bias / 5**0.5
+
+
+def test_samples_to_the_target_follow_variance_and_bias():
+    plain = Errors(noisy(400, 2 * TARGET), 0.0)
+    assert plain.systematic == 0
+    assert plain.times(plain.square(plain.runs)) == pytest.approx(4, rel=0.1)
+    # A bias of 2 targets falls with the samples, so that twice as many do where there is nothing else.
+    biased = Errors(noisy(400, 0.1 * TARGET, bias=2 * TARGET), 0.0)
+    assert biased.systematic == pytest.approx(2 * TARGET, rel=0.02)
+    assert biased.times(biased.square(biased.runs)) == pytest.approx(2, rel=0.05)
+
+
+def test_the_error_of_the_reference_is_not_theirs():
+    shift = noisy(1, TARGET, seed=5)
+    known = TARGET**2
+    runs = Errors(noisy(400, 2 * TARGET) + shift, known)
+    assert runs.systematic == 0
+    assert runs.told
+    assert runs.square(runs.runs) == pytest.approx((2 * TARGET) ** 2, rel=0.25)
+    assert not Errors(runs.runs, 2 * known).told
+
+
+def make(ours=0.1, theirs=0.2):
+    reference = torch.tensor([3.0, 4.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    numbers = [Number("a", k, 0.0, 1.0) for k in range(5)]
+    case = Case("", {}, {"m": torch.mean}, numbers, {"m": reference}, {"m": torch.zeros(5).double()})
+    samples = Samples()
+    for k, (peer, sd, seconds) in enumerate((("scenecaptum", ours, 1.0), ("other", theirs, 0.5))):
+        for run in reference + 5 * noisy(200, sd, seed=k):
+            samples.add(peer, "m", 5, run, seconds)
+    return case, samples
+
+
+def test_cost_is_time_at_equal_error():
+    found = cost(*make(), "other", "m", 5)
+    assert found.ratio == pytest.approx(2.0, rel=0.2)  # half the seconds, four times the variance
+    assert found.low < 2.0 < found.high
+    assert found.high < 1.5 * found.low
+    assert found.to_target == pytest.approx(0.5 * (0.2 / TARGET) ** 2, rel=0.1)
+    assert cost(*make(), "scenecaptum", "m", 5).ratio == 1
+
+
+def test_runs_with_more_numbers_tell_of_fewer():
+    case, samples = make()
+    samples.add("other", "m", 2, case.reference["m"][:2], 0.1)
+    assert samples.errors(case, "other", "m", 2).shape == (201, 2)
+    assert samples.errors(case, "other", "m", 5).shape == (200, 5)
+
+
+def test_single_numbers_are_put_into_their_parameters():
+    class Renderer:
+        spp = 4
+
+        def __call__(self, values, *, seed, spp, seed_grad):
+            return values["a"]
+
+    values = {"a": torch.tensor([0.1, 0.2, 0.3])}
+    numbers = [Number("a", 2, 0.0, 1.0), Number("a", 0, 0.0, 1.0), Number("a", 1, 0.0, 1.0)]
+    one = Numbers(Renderer(), Case("", values, {}, numbers, {}, {}), 2)
+    assert list(one.inputs) == ["a[2]", "a[0]"]
+    rendered = one({"a[2]": torch.tensor(0.9), "a[0]": torch.tensor(0.8)}, seed=0, spp=1)
+    assert rendered.tolist() == pytest.approx([0.8, 0.2, 0.9])
+
+
+def test_intervals_are_finite():
+    assert interval((0.0, 1.0), 0.3) == (1e-3, 1.0)
+    assert interval((0.0, float("inf")), 4.0) == (2.0, 6.0)
+
+
+def test_the_section_takes_its_own_place(tmp_path):
+    path = tmp_path / "docs" / "performance.md"
+    write_section(path, "one\n")
+    assert path.read_text() == f"# Performance\n\n{BEGIN}\none\n{END}\n"
+    path.write_text(f"# Performance\n\nbefore\n\n{BEGIN}\none\n{END}\n\nafter\n")
+    write_section(path, "two\n")
+    assert path.read_text() == f"# Performance\n\nbefore\n\n{BEGIN}\ntwo\n{END}\n\nafter\n"
+    path.write_text("# Performance\n\nbefore\n")
+    write_section(path, "three\n")
+    assert path.read_text() == f"# Performance\n\nbefore\n\n{BEGIN}\nthree\n{END}\n"
