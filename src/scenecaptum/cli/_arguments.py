@@ -41,7 +41,7 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         help="index of the scene's sensor, or fisheye: a 180° fisheye in its place (default: 0)",
     )
     parser.add_argument(
-        "--resolution", type=_resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
+        "--resolution", type=resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
     )
     parser.add_argument(
         "--spp", type=int, metavar="N", help="samples per pixel in all (default: the scene's own)"
@@ -94,7 +94,8 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-progress", action="store_true", help="show no progress bar")
 
 
-def _resolution(text: str) -> tuple[int, int]:
+def resolution(text: str) -> tuple[int, int]:
+    """Read ``320x180``."""
     width, separator, height = text.lower().partition("x")
     if not (separator and width.isdigit() and height.isdigit()):
         raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, such as 320x180")

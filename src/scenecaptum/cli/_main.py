@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import SceneCaptumError
-from . import _attribute, _demo, _doctor, _validate
+from . import _attribute, _demo, _doctor, _tradeoff, _validate
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
@@ -34,6 +34,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (_attribute, _validate, _demo, _doctor):
+    for command in (_attribute, _tradeoff, _validate, _demo, _doctor):
         command.add(commands)
     return parser

@@ -24,6 +24,7 @@ class RenderCall:
     seed: int
     seed_grad: int
     spp: int
+    spp_grad: int
     check: Callable[[dict[str, torch.Tensor]], None]
 
     def values(self, tensors: tuple[torch.Tensor, ...]) -> dict[str, torch.Tensor]:
@@ -101,7 +102,7 @@ class Adjoint(_Derivative):
             tracked,
             adjoint,
             call.seed_grad,
-            call.spp,
+            call.spp_grad,
             choose=call.seed_grad != call.seed,
         )
 
@@ -118,7 +119,7 @@ class Tangent(_Derivative):
     def forward(call: RenderCall, moving: tuple[str, ...], *tensors: torch.Tensor) -> torch.Tensor:
         tangents = dict(zip(moving, tensors, strict=False))
         values = call.values(tensors[len(moving) :])
-        return call.engine.tangent(values, tangents, call.seed_grad, call.spp)
+        return call.engine.tangent(values, tangents, call.seed_grad, call.spp_grad)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from ._routes import reason_against_replay, shiny_ones
 # random termination the rendered number is a smooth function of the parameters.
 FULL_PATH_DEPTH = 16
 DEFAULT_DEPTH = 6
+
+# Mitsuba's own path replay, without and with participating media.
+STOCK = ("prb", "prbvolpath")
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,20 @@ def make_plan(
         )
     cautions = tuple((n, caution) for n in inputs if (caution := parameters[n].caution) is not None)
     return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)
+
+
+def stock_plan(plan: RenderPlan) -> RenderPlan:
+    """Return the same plan with Mitsuba's own integrator, and its derivatives as they come."""
+    integrator = STOCK["volumetric" in plan.integrator]
+    return dataclasses.replace(
+        plan,
+        integrator=integrator,
+        reasons=(
+            (f"integrator {integrator}", "as asked: Mitsuba's own, to compare with"),
+            *plan.reasons[1:4],
+        ),
+        differences=(),
+    )
 
 
 def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:

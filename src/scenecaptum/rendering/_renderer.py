@@ -18,7 +18,7 @@ from ..scene._graph import SceneGraph
 from ..scene._loading import SceneLike, describe
 from ..scene._selection import Selection
 from ._function import RenderCall, render
-from ._plan import make_plan
+from ._plan import STOCK, RenderPlan, make_plan, stock_plan
 
 
 class SceneRenderer(torch.nn.Module):
@@ -86,8 +86,7 @@ class SceneRenderer(torch.nn.Module):
     ) -> None:
         super().__init__()
         mi = activate()
-        # Loaded only now: these modules need an active variant.
-        from ._engine import Engine
+        # Loaded only now: this module needs an active variant.
         from ._state import SceneState
 
         self.name = describe(scene)
@@ -98,27 +97,81 @@ class SceneRenderer(torch.nn.Module):
         self._stacked = isinstance(sensor, list)
         chosen = sensor if isinstance(sensor, list) else [sensor]
         self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
-        self.resolution = _common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
+        self._state = SceneState(
+            loaded, {name: p.shape for name, p in self._table.items() if not p.problem}
+        )
+        self._borrowed = isinstance(scene, mi.Scene)
+        self._prepare(_common_resolution(self._sensors, resolution), self._plan_for(max_depth))
+
+    def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
             whole_number("max_depth", max_depth)
-        state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
-        values = {name: state.original[name] for name in self._names}
-        self.plan = make_plan(self._graph, self._table, values, max_depth)
+        values = {name: self._state.original[name] for name in self._names}
+        return make_plan(self._graph, self._table, values, max_depth)
+
+    def _prepare(self, resolution: tuple[int, int], plan: RenderPlan) -> None:
+        """Make an engine for each sensor, all on the same scene."""
+        from ._engine import Engine
+        from ._stock import StockEngine
+
+        self.resolution = resolution
+        self.plan = plan
         self._surface_maps: dict[Any, SurfaceMap] = {}
         self._engines = [
-            Engine(
+            (StockEngine if plan.integrator in STOCK else Engine)(
                 self._graph,
                 one,
-                state,
+                self._state,
                 self._table,
-                self.plan,
-                self.resolution,
+                plan,
+                resolution,
                 partial(self._surfaces_seen_by, index),
-                borrowed=isinstance(scene, mi.Scene),
+                borrowed=self._borrowed,
             )
             for index, one in enumerate(self._sensors)
         ]
+
+    def replace(
+        self,
+        *,
+        resolution: tuple[int, int] | None = None,
+        max_depth: int | None = None,
+        integrator: str | None = None,
+    ) -> SceneRenderer:
+        """Return a renderer of the same scene and inputs with other settings; both hold one scene.
+
+        Example
+        -------
+        >>> renderer = SceneRenderer("cornell-box", resolution=(32, 32), max_depth=6)
+        >>> renderer.replace(max_depth=2).plan.max_depth
+        2
+
+        Parameters
+        ----------
+        resolution, max_depth
+            As for the constructor; this renderer's by default.
+        integrator
+            ``"prb"`` for Mitsuba's own path replay (``prbvolpath`` where there is a medium) with its derivatives
+            as they come, wrong ones included: to compare with.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where a setting is wrong.
+        """
+        if integrator not in (None, "prb"):
+            raise SceneCaptumError(f'integrator must be "prb", or left out, not {integrator!r}.')
+        size = self.resolution if resolution is None else _common_resolution(self._sensors, resolution)
+        plan = self.plan if max_depth is None else self._plan_for(max_depth)
+        stock = integrator is not None or self.plan.integrator in STOCK
+        if stock and plan.integrator not in STOCK:
+            plan = stock_plan(plan)
+        other = SceneRenderer.__new__(SceneRenderer)
+        other.__dict__.update(self.__dict__)
+        torch.nn.Module.__init__(other)  # hooks of its own
+        other._prepare(size, plan)
+        return other
 
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
@@ -241,6 +294,7 @@ class SceneRenderer(torch.nn.Module):
         seed: int = 0,
         spp: int | None = None,
         seed_grad: int | None = None,
+        spp_grad: int | None = None,
     ) -> torch.Tensor:
         """Render the scene.
 
@@ -256,6 +310,8 @@ class SceneRenderer(torch.nn.Module):
             Seed of the samples of the backward pass. By default the same samples are replayed, so that the
             gradient is that of the very image that was rendered. Samples of their own (``seed_grad`` other
             than ``seed``) are spent where the metric's derivative is: pixels are chosen by their adjoint.
+        spp_grad
+            Samples per pixel of the backward pass, as many as ``spp`` by default.
 
         Returns
         -------
@@ -273,6 +329,7 @@ class SceneRenderer(torch.nn.Module):
         seed = check_seed("seed", seed)
         seed_grad = seed if seed_grad is None else check_seed("seed_grad", seed_grad)
         spp = whole_number("spp", self.spp if spp is None else spp)
+        spp_grad = spp if spp_grad is None else whole_number("spp_grad", spp_grad)
         tensors = [value.to(device(), torch.float32) for value in given.values()]
         images = [
             render(
@@ -282,6 +339,7 @@ class SceneRenderer(torch.nn.Module):
                     seed=_seed_of_camera(seed, number),
                     seed_grad=_seed_of_camera(seed_grad, number),
                     spp=spp,
+                    spp_grad=spp_grad,
                     check=self._check_values,
                 ),
                 *tensors,

@@ -36,4 +36,7 @@ from ._table import table_html as table_html
 from ._table import table_text as table_text
 from ._tonemap import display_image as display_image
 from ._tonemap import save_render as save_render
+from ._tradeoff import plot_tradeoff as plot_tradeoff
+from ._tradeoff import recommendation_text as recommendation_text
+from ._tradeoff import tradeoff_text as tradeoff_text
 from .report import write_report as write_report
