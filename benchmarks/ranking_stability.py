@@ -11,6 +11,7 @@ depend on how busy the machine is. The cache keeps what is done, case by case.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import fnmatch
 import gc
 import json
@@ -25,17 +26,18 @@ import torch
 
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.tradeoff import Measured, Setting, measure
+from scenecaptum.tradeoff import Measured, Reference, Setting
 from scenecaptum.tradeoff._measure import Bench, Judge, gradient_of
+from scenecaptum.tradeoff._settings import own_setting
 from scenecaptum.tradeoff._statistics import Bias, relative_bias
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
-RESOLUTION, DEPTH, SPP = (64, 36), 6, 64
-SAMPLES, DEPTHS, LONGEST = (16, 256), (2, 4), 12
+DEPTH, SPP, PASSES = 6, 64, 4
+SAMPLES, DEPTHS, LONGEST = (16, 64, 256), (2, 4, 6), 12
 BEGIN, END = "<!-- ranking stability: begin -->", "<!-- ranking stability: end -->"
 
 # The noisy pictures: samples per pixel of each, and how often.
-BOX, NOISY, REPEATS = (32, 32), (4, 16, 64), 24
+BOX, NOISY, REPEATS = (32, 32), (4, 16, 64), 16
 
 Metric = Callable[[torch.Tensor], torch.Tensor]
 Row = list[str]
@@ -53,10 +55,11 @@ def rooms() -> dict[str, str]:
 
 
 @lru_cache(maxsize=1)
-def load(scene: str) -> tuple[SceneRenderer, dict[str, Metric]]:
+def load(scene: str, width: int) -> tuple[SceneRenderer, dict[str, Metric]]:
     """Load a room, and its metrics; the classifier gets a picture of middling brightness."""
     gc.collect()  # the room before
-    renderer = SceneRenderer(scene, "materials", resolution=RESOLUTION, spp=SPP, max_depth=DEPTH)
+    size = width, 9 * width // 16
+    renderer = SceneRenderer(scene, "materials", resolution=size, spp=SPP, max_depth=DEPTH)
     with torch.no_grad():
         mean = metrics.MeanLuminance()(renderer(seed=1, spp=16)).item()
     return renderer, {
@@ -74,33 +77,42 @@ def sphere_logit(exposure: float) -> Metric:
 
 
 def by_samples(room: str, scene: str, name: str, options: argparse.Namespace) -> list[Row]:
-    renderer, chosen = load(scene)
-    trade = measure(
-        renderer, chosen[name], vary={"spp": SAMPLES}, reference_spp=options.reference, runs=options.runs
-    )
-    print(trade, flush=True)
-    ordered = sorted(trade.rows, key=lambda row: row.setting.primal_spp)
-    known = f"{100 * trade.reference.relative_error:.1f} %, {trade.reference.kendall_of_halves:.2f}"
+    renderer, chosen = load(scene, options.width)
+    settings = [setting(renderer, spp) for spp in SAMPLES]
+    best = setting(renderer, options.reference, passes=4 * PASSES)
+    rows, reference = compare(renderer, chosen[name], settings, best, options.runs)
+    known = f"{100 * reference.relative_error:.1f} %, {reference.kendall_of_halves:.2f}"
     return [
-        [room, name, str(row.setting.primal_spp), *agreement(row), known if row is ordered[0] else ""]
-        for row in ordered
+        [room, name, str(row.setting.primal_spp), *agreement(row), known if row is rows[0] else ""]
+        for row in rows
     ]
 
 
 def by_depth(room: str, scene: str, options: argparse.Namespace) -> list[Row]:
-    renderer, chosen = load(scene)
-    trade = measure(
-        renderer,
-        chosen["mean luminance"],
-        vary={"max_depth": [*DEPTHS, LONGEST]},
-        reference_spp=options.reference // 2,
-        runs=options.runs,
-    )
-    print(trade, flush=True)
-    return [
-        [room, str(row.setting.max_depth), *agreement(row)]
-        for row in sorted(trade.rows, key=lambda row: row.setting.max_depth or 0)
+    renderer, chosen = load(scene, options.width)
+    settings = [setting(renderer, SPP, depth=depth) for depth in (*DEPTHS, LONGEST)]
+    best = setting(renderer, options.reference // 2, depth=LONGEST, passes=4 * PASSES)
+    rows, _ = compare(renderer, chosen["mean luminance"], settings, best, options.runs)
+    return [[room, str(row.setting.max_depth), *agreement(row)] for row in rows]
+
+
+def compare(
+    renderer: SceneRenderer, metric: Metric, settings: list[Setting], best: Setting, runs: int
+) -> tuple[list[Measured], Reference]:
+    bench = Bench(renderer, lambda _: metric)
+    judge = Judge.of(bench.run(best, seed=10**6))
+    rows = [
+        judge.compare("", one, [bench.run(one, seed=1000 * number + run) for run in range(runs)])
+        for number, one in enumerate(settings)
     ]
+    return rows, judge.describe(best)
+
+
+def setting(renderer: SceneRenderer, spp: int, *, depth: int | None = None, passes: int = PASSES) -> Setting:
+    own = own_setting(renderer)
+    return dataclasses.replace(
+        own, primal_spp=spp, gradient_spp=spp, replicates=passes, max_depth=depth or own.max_depth
+    )
 
 
 def agreement(row: Measured) -> Row:
@@ -120,7 +132,7 @@ def noisy(name: str) -> list[Row]:
     metric = noisy_metrics()[name]
     renderer = SceneRenderer("cornell-box", "reflectance", resolution=BOX, spp=16, max_depth=DEPTH)
     bench = Bench(renderer, lambda _: metric)
-    judge = Judge.of(bench.run(Setting(8192, 8192, 16, *_picture(renderer)), seed=10**6))
+    judge = Judge.of(bench.run(setting(renderer, 8192, passes=16), seed=10**6))
     targeted, rows = TargetedMetric(metric), []
 
     def replayed(seed: int, spp: int) -> torch.Tensor:
@@ -130,22 +142,15 @@ def noisy(name: str) -> list[Row]:
         return torch.cat([leaf.grad.flatten() for leaf in leaves.values()]).double()
 
     def attributed(replicates: int) -> Callable[[int, int], torch.Tensor]:
-        return lambda seed, spp: gradient_of(
-            bench.run(Setting(spp, spp, replicates, *_picture(renderer)), seed)
-        )
+        return lambda seed, spp: gradient_of(bench.run(setting(renderer, spp, passes=replicates), seed))
 
     for spp in NOISY:
         row = [name, str(spp)]
         for gradient in (replayed, attributed(1), attributed(8)):
             found = torch.stack([gradient(seed, spp) for seed in range(REPEATS)])
             row.append(bias_words(relative_bias(found - judge.gradient, judge.noise, judge.size)))
-        print(row, flush=True)
         rows.append(row)
     return rows
-
-
-def _picture(renderer: SceneRenderer) -> tuple[int, tuple[int, int], str]:
-    return renderer.plan.max_depth, renderer.resolution, renderer.plan.integrator
 
 
 def noisy_metrics() -> dict[str, Metric]:
@@ -186,8 +191,8 @@ def document(found: dict[str, list[Row]], options: argparse.Namespace) -> str:
     box = "×".join(map(str, BOX))
     ways = ["samples of the picture replayed", "samples of their own", "8 passes, jackknifed"]
     parts = [
-        f"Rooms at {'×'.join(map(str, RESOLUTION))}, all differentiable parameters of materials, "
-        f"{options.runs} runs of each setting.",
+        f"Rooms at {options.width}×{9 * options.width // 16}, all differentiable parameters of materials, "
+        f"{options.runs} runs of each setting in {PASSES} passes.",
         f"**Samples**, at depth {DEPTH}, against an independent reference of {options.reference} spp.",
         table(["room", "metric", "spp", *agreements, "reference"], samples),
         f"**Depth**, mean luminance at {SPP} spp, against {options.reference // 2} spp at depth {LONGEST}.",
@@ -216,6 +221,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", default="*", help="glob over the names of the cases")
+    parser.add_argument("--width", type=int, default=64, help="of the pictures of rooms, in pixels")
     parser.add_argument("--runs", type=int, default=6, help="of each setting")
     parser.add_argument("--reference", type=int, default=2048, help="its samples per pixel")
     parser.add_argument("--resume", action="store_true", help="keep the cases that the cache holds")
@@ -233,7 +239,7 @@ def main() -> None:
         if name not in found and fnmatch.fnmatch(name, options.only):
             began = time.perf_counter()
             found[name] = run()
-            print(f"{name}: {time.perf_counter() - began:.0f} s\n", flush=True)
+            print(f"{name}: {time.perf_counter() - began:.0f} s", *found[name], sep="\n  ", flush=True)
             options.cache.write_text(json.dumps(found, indent=1))
     text = document({name: found[name] for name in chosen if name in found}, options)
     print(text)

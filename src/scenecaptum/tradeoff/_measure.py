@@ -157,7 +157,8 @@ class Bench:
             self._target,
             seed=seed,
             spp=setting.primal_spp,
-            replicates=setting.replicates,
+            # A pass has one sample at least, of either kind.
+            replicates=min(setting.replicates, setting.gradient_spp),
             show_progress=show_progress,
         )
         return found

@@ -102,7 +102,8 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
 
 def _normal(ratio: float, above: float, below: float) -> float:
     """Return the normal deviate of a ratio of variances with these degrees of freedom (Paulson)."""
-    root, first, second = ratio ** (1 / 3), 2 / (9 * above), 2 / (9 * below)
+    root: float = ratio ** (1 / 3)
+    first, second = 2 / (9 * above), 2 / (9 * below)
     return ((1 - second) * root - (1 - first)) / math.sqrt(first + second * root**2)
 
 

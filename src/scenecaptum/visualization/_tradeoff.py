@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from ..rendering._plan import STOCK
 from ._figures import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure, small_print
 from ._words import pack
 
@@ -83,13 +84,13 @@ def recommendation_text(trade: Tradeoff, tolerance: float) -> str:
         )
     nearest = min(trade.rows, key=lambda row: row.relative_error.value)
     error, bias = nearest.relative_error.value, nearest.bias.value if nearest.bias.told else 0.0
-    found = f"No setting is within {_percent_of(tolerance)}: {setting_words(nearest.setting)} is nearest"
+    found = f"No setting is within {_percent_of(tolerance)}: the nearest, {setting_words(nearest.setting)},"
     if bias >= tolerance:
-        return f"{found}, but for a bias of {_percent_of(bias)}, which more samples do not lower."
+        return f"{found} has a bias of {_percent_of(bias)}, which more samples do not lower."
     # What is not bias falls as one over the root of the samples.
     more = ((error + nearest.relative_error.error) ** 2 - bias**2) / (tolerance**2 - bias**2)
     spp = math.ceil(more * max(nearest.setting.primal_spp, nearest.setting.gradient_spp))
-    return f"{found}, {_percent(*nearest.relative_error)} off; about {_round(spp)} spp should do."
+    return f"{found} is {_percent(*nearest.relative_error)} off; about {_round(spp)} spp should do."
 
 
 def setting_words(setting: Setting) -> str:
@@ -102,8 +103,8 @@ def setting_words(setting: Setting) -> str:
         words.append("×".join(map(str, setting.resolution)))
     if setting.replicates == 1:
         words.append("1 replicate")
-    if setting.integrator is not None and not setting.integrator.startswith("scenecaptum"):
-        words.append(setting.integrator)
+    if setting.integrator in STOCK:
+        words.append(str(setting.integrator))
     return ", ".join(words)
 
 
