@@ -145,7 +145,14 @@ def test_bad_input_is_one_clear_line_and_leaves_nothing(
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["attribute"], ["fly"], ["attribute", "office", "--resolution", "big"]]
+    "arguments",
+    [
+        [],
+        ["attribute"],
+        ["fly"],
+        ["attribute", "office", "--resolution", "big"],
+        ["tradeoff", "office", "--vary", "spp"],
+    ],
 )
 def test_bad_usage_exits_with_2(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
@@ -208,7 +215,54 @@ def test_ctrl_c_before_anything_is_finished_leaves_no_folder(tmp_path, capsys, m
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("command", [[], ["attribute"], ["demo"], ["doctor"]])
+TRADEOFF = ["tradeoff", "cornell-box", *SMALL, "--inputs", "reflectance", "--runs", "2"]
+
+
+def test_tradeoff_writes_what_it_measured_and_recommends(tmp_path, capsys):
+    out = tmp_path / "out"
+    glare = ["--metric", "ugr", "--threshold-factor", "2", "--reference-spp", "32"]
+    vary = ["--vary", "spp=4", "--vary", "resolution=12x12", "--vary", "spp=64", "--tolerance", "0.5"]
+    assert cli.main([*TRADEOFF, *glare, *vary, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    lines = list(csv.DictReader((out / "tradeoff.csv").open()))
+    assert [line["varied"] for line in lines] == ["own", "spp", "spp", "resolution"]
+    assert lines[-1]["resolution"] == "12x12"
+    assert (out / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
+    for words in ("UnifiedGlareRating", "spp 64", "12×12", "50 %", str(out / "tradeoff.csv")):
+        assert words in printed
+
+
+def test_tradeoff_prints_json(tmp_path, capsys):
+    vary = ["--vary", "spp=4", "--reference-spp", "32"]
+    assert cli.main([*TRADEOFF, *vary, "--json", "--out", str(tmp_path / "out")]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert [one["primal_spp"] for one in numbers["settings"]] == [16, 4]
+    assert "5 %" in numbers["recommendation"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--vary", "sp=4"], ["'sp'", "Did you mean 'spp'"]),
+        (["--vary", "spp=many"], ["spp", "whole number", "'many'"]),
+        (["--vary", "integrator=path"], ["prb", "'path'"]),
+        (["--metric", "luminence"], ["'luminence'", "Did you mean 'luminance'"]),
+        (["--tolerance", "0"], ["--tolerance", "above 0"]),
+        (["--runs", "1"], ["runs", "at least 2"]),
+    ],
+)
+def test_a_tradeoff_that_cannot_be_measured_is_one_clear_line(options, words, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main([*TRADEOFF, "--out", str(out), *options]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("scenecaptum: error: ")
+    assert error.count("\n") == 1
+    for word in words:
+        assert word in error
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("command", [[], ["attribute"], ["tradeoff"], ["demo"], ["doctor"]])
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main([*command, "--help"])

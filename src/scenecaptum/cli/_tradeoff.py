@@ -70,7 +70,7 @@ def tradeoff(options: argparse.Namespace) -> int:
             renderer,
             create(renderer),
             options.target,
-            vary=None if options.vary is None else dict(options.vary),
+            vary=None if options.vary is None else _together(options.vary),
             metric_for=create,
             reference_spp=options.reference_spp,
             runs=options.runs,
@@ -93,6 +93,13 @@ def _varied(text: str) -> tuple[str, list[Any]]:
     if not (separator and values):
         raise argparse.ArgumentTypeError(f"{text!r} is not WHAT=VALUES, such as spp=16,256")
     return key, [_value(key, one) for one in values.split(",")]
+
+
+def _together(pairs: list[tuple[str, list[Any]]]) -> dict[str, list[Any]]:
+    found: dict[str, list[Any]] = {}
+    for key, values in pairs:
+        found.setdefault(key, []).extend(values)
+    return found
 
 
 def _value(key: str, text: str) -> Any:
