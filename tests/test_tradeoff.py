@@ -131,10 +131,19 @@ def test_false_alarms_are_rare_whatever_the_noise_is_like():
         assert told <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
 
 
-def test_the_size_of_a_bias_is_found_below_the_noise_of_a_run():
+def test_the_size_of_a_bias_is_that_which_was_put_in():
     generator = torch.Generator().manual_seed(0)
-    deviations = 0.3 + torch.randn(100, 8, generator=generator, dtype=torch.float64)
-    bias = statistics.relative_bias(deviations, torch.zeros(1, 8, dtype=torch.float64), 2.0)
+    nothing = torch.zeros(1, 8, dtype=torch.float64)
+    squares = []
+    for _ in range(300):
+        # The square of the bias is 4 times what the noise of the mean adds to it.
+        noise = torch.randn(8, 8, generator=generator, dtype=torch.float64)
+        squares.append((2 * statistics.relative_bias(2 / math.sqrt(8) + noise, nothing, 2.0).value) ** 2)
+    mean = torch.tensor(squares)
+    assert abs(z_of(mean.mean().item(), mean.std().item() / math.sqrt(300), 4.0)) < 3
+
+    many = 0.3 + torch.randn(100, 8, generator=generator, dtype=torch.float64)
+    bias = statistics.relative_bias(many, nothing, 2.0)
     assert bias.told
     assert abs(z_of(bias.value, bias.error, 0.3 * math.sqrt(8) / 2)) < 3
     assert bias.value + bias.error < bias.limit < bias.value + 2 * bias.error
