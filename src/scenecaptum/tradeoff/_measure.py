@@ -166,8 +166,16 @@ class Bench:
     def try_all(self, settings: Sequence[Setting]) -> None:
         """Render each picture with a sample: what cannot work is said before the long work begins."""
         for setting in settings:
-            if _picture(setting) not in self._made:
+            if _picture(setting) in self._made:
+                continue
+            try:
                 self.run(Setting(1, 1, 1, *_picture(setting)), seed=0)
+            except SceneCaptumError as error:
+                if setting.resolution == self._own.resolution:
+                    raise
+                raise SceneCaptumError(
+                    f"{error} For pictures of another resolution metric_for= makes the metric from the renderer."
+                ) from error
 
     def _at(self, setting: Setting) -> tuple[Any, Metric]:
         key = _picture(setting)
