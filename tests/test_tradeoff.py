@@ -142,6 +142,10 @@ def test_the_size_of_a_bias_is_that_which_was_put_in():
     mean = torch.tensor(squares)
     assert abs(z_of(mean.mean().item(), mean.std().item() / math.sqrt(300), 4.0)) < 3
 
+    for runs in (3, 8):
+        one = 0.3 + 1e-3 * torch.randn(runs, 1, generator=generator, dtype=torch.float64)
+        assert statistics.relative_bias(one, nothing[:, :1], 1.0).told
+
     many = 0.3 + torch.randn(100, 8, generator=generator, dtype=torch.float64)
     bias = statistics.relative_bias(many, nothing, 2.0)
     assert bias.told
@@ -301,7 +305,7 @@ def test_table_and_figure_show_every_setting(trade):
     (axes,) = figure.axes
     assert axes.get_xscale() == axes.get_yscale() == "log"
     texts = all_text(figure)
-    for words in ("own: 16 spp, depth 4", "samples per pixel", "depth", "4096", "dashed", "mean"):
+    for words in ("own: 16 spp, depth 4", "spp", "depth", "4096", "dashed", "mean"):
         assert words in texts
 
 

@@ -82,6 +82,7 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
     ----------
     Box, "Some theorems on quadratic forms", Annals of Mathematical Statistics 25, 1954.
     Paulson, "An approximate normalization of the analysis of variance distribution", ibid. 13, 1942.
+    Kelley, "Fundamentals of Statistics", 1947.
     """
     runs, mean = len(deviations), deviations.mean(0)
     noise = torch.cat([(deviations - mean) / math.sqrt(runs * (runs - 1)), reference_noise])
@@ -104,7 +105,9 @@ def _normal(ratio: float, above: float, below: float) -> float:
     """Return the normal deviate of a ratio of variances with these degrees of freedom (Paulson)."""
     root: float = ratio ** (1 / 3)
     first, second = 2 / (9 * above), 2 / (9 * below)
-    return ((1 - second) * root - (1 - first)) / math.sqrt(first + second * root**2)
+    z = ((1 - second) * root - (1 - first)) / math.sqrt(first + second * root**2)
+    # Kelley's correction: with few degrees below, the formula levels off.
+    return z * (1 + 0.08 * z**4 / below**3)
 
 
 def spearman(a: torch.Tensor, b: torch.Tensor) -> float:

@@ -15,15 +15,16 @@ if TYPE_CHECKING:
 
     from ..tradeoff import Measured, Setting, Tradeoff
 
-# What is varied, with a marker and a colour of its own (Okabe and Ito's) in the figure.
+# What is varied, with a marker and a colour of its own (Okabe and Ito's) in the figure; and where its value is
+# written, in points to the right and up, so that those of settings side by side keep apart.
 _FAMILIES = {
-    "spp": ("samples per pixel", "o", "#0072B2"),
-    "primal_spp": ("of the primal alone", "^", "#56B4E9"),
-    "gradient_spp": ("of the gradient alone", "v", "#009E73"),
-    "max_depth": ("depth", "s", "#D55E00"),
-    "resolution": ("resolution", "D", "#CC79A7"),
-    "replicates": ("replicates", "P", "#E69F00"),
-    "integrator": ("integrator", "X", "#000000"),
+    "spp": ("spp", "o", "#0072B2", (0, 6)),
+    "primal_spp": ("spp of the primal", "^", "#56B4E9", (-6, 4)),
+    "gradient_spp": ("spp of the gradient", "v", "#009E73", (6, -9)),
+    "max_depth": ("depth", "s", "#D55E00", (6, 4)),
+    "resolution": ("resolution", "D", "#CC79A7", (-6, -10)),
+    "replicates": ("replicates", "P", "#E69F00", (0, -13)),
+    "integrator": ("integrator", "X", "#000000", (-6, 5)),
 }
 _HEAD = ("", "seconds", "error", "bias", "Spearman", "Kendall", "top 5")
 _NOTE_WIDTH = 96
@@ -130,16 +131,17 @@ def plot_tradeoff(trade: Tradeoff, ax: Axes | None = None) -> Figure:
         [row.relative_error.value for row in front],
         color="0.7",
         linewidth=1.2,
+        drawstyle="steps-post",
         zorder=1,
     )
     own = trade.rows[0]
     _draw(ax, [own], "*", "0.35", f"own: {setting_words(own.setting)}", size=11)
-    for key, (label, marker, colour) in _FAMILIES.items():
+    for key, (label, marker, colour, away) in _FAMILIES.items():
         rows = [row for row in trade.rows if row.varied == key]
         if rows:
             _draw(ax, rows, marker, colour, label)
             for row in rows:
-                _write_value(ax, row, colour)
+                _write_value(ax, row, colour, away)
     if trade.reference.relative_error > 0:
         ax.axhline(trade.reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
     _finish(ax, trade)
@@ -160,12 +162,13 @@ def _draw(ax: Axes, rows: list[Measured], marker: str, colour: str, label: str, 
     )
 
 
-def _write_value(ax: Axes, row: Measured, colour: str) -> None:
+def _write_value(ax: Axes, row: Measured, colour: str, away: tuple[float, float]) -> None:
     ax.annotate(
         _value(row),
         (row.seconds, row.relative_error.value),
-        xytext=(5, 4),
+        xytext=away,
         textcoords="offset points",
+        ha="right" if away[0] < 0 else "left" if away[0] > 0 else "center",
         fontsize=SMALL - 0.5,
         color=colour,
         parse_math=False,
@@ -185,7 +188,7 @@ def _finish(ax: Axes, trade: Tradeoff) -> None:
     ax.tick_params(labelsize=SMALL)
     ax.set_xlabel("seconds", fontsize=TEXT)
     ax.set_ylabel("relative error of the gradient", fontsize=TEXT)
-    columns = 4
+    columns = 5
     ax.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1),
