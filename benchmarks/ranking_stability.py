@@ -190,17 +190,28 @@ def document(found: dict[str, list[Row]], options: argparse.Namespace) -> str:
     agreements = ["error", "bias", "Spearman", "Kendall", "Kendall, resolved", "top 5"]
     box = "×".join(map(str, BOX))
     ways = ["samples of the picture replayed", "samples of their own", "8 passes, jackknifed"]
+    size = f"{options.width}×{9 * options.width // 16}"
     parts = [
-        f"Rooms at {options.width}×{9 * options.width // 16}, all differentiable parameters of materials, "
-        f"{options.runs} runs of each setting in {PASSES} passes.",
-        f"**Samples**, at depth {DEPTH}, against an independent reference of {options.reference} spp.",
-        table(["room", "metric", "spp", *agreements, "reference"], samples),
-        f"**Depth**, mean luminance at {SPP} spp, against {options.reference // 2} spp at depth {LONGEST}.",
-        table(["room", "depth", *agreements], depths),
-        f"**A noisy picture**: bias of the gradient of the Cornell box at {box}, {REPEATS} runs.",
-        table(["metric", "spp", *ways], pictures),
+        (
+            f"**Samples**, at depth {DEPTH}, in rooms at {size}, against an independent reference of "
+            f"{options.reference} spp: all differentiable parameters of materials, {options.runs} runs of each "
+            f"setting in {PASSES} passes.",
+            ["room", "metric", "spp", *agreements, "reference"],
+            samples,
+        ),
+        (
+            f"**Depth**, mean luminance at {SPP} spp, in rooms at {size}, against {options.reference // 2} spp at "
+            f"depth {LONGEST}: {options.runs} runs.",
+            ["room", "depth", *agreements],
+            depths,
+        ),
+        (
+            f"**A noisy picture**: bias of the gradient of the Cornell box at {box}, {REPEATS} runs.",
+            ["metric", "spp", *ways],
+            pictures,
+        ),
     ]
-    return "\n\n".join(parts)
+    return "\n\n".join(f"{words}\n\n{table(head, rows)}" for words, head, rows in parts if rows)
 
 
 # ------------------------------------------------------------------------------------------------ running
