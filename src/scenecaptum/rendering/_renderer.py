@@ -97,12 +97,13 @@ class SceneRenderer(torch.nn.Module):
         self._stacked = isinstance(sensor, list)
         chosen = sensor if isinstance(sensor, list) else [sensor]
         self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
+        size = _common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(
             loaded, {name: p.shape for name, p in self._table.items() if not p.problem}
         )
         self._borrowed = isinstance(scene, mi.Scene)
-        self._prepare(_common_resolution(self._sensors, resolution), self._plan_for(max_depth))
+        self._prepare(size, self._plan_for(max_depth))
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
