@@ -99,9 +99,7 @@ class SceneRenderer(torch.nn.Module):
         self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
         size = _common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
-        self._state = SceneState(
-            loaded, {name: p.shape for name, p in self._table.items() if not p.problem}
-        )
+        self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
         self._borrowed = isinstance(scene, mi.Scene)
         self._prepare(size, self._plan_for(max_depth))
 
