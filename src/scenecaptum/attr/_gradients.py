@@ -121,10 +121,10 @@ class GradientSum:
             if point.passes > 1 and self._by_passes:
                 self._variance[name].add_(spread.variance(), alpha=point.share**2)
                 totals = torch.stack(spread.totals)
-                deviations = point.share * (totals - totals.mean(0))
+                scale = point.share / math.sqrt(point.passes * (point.passes - 1))
+                deviations = scale * (totals - totals.mean(0))
                 self._deviations[name].extend(deviations)
-                squares = deviations.square().sum().item()
-                self._noise[name].append(squares / (point.passes * (point.passes - 1)))
+                self._noise[name].append(deviations.square().sum().item())
         if self.bias is None or point.bias is None:
             self.bias = None
         else:
@@ -177,15 +177,18 @@ class GradientSum:
         mean = channel_totals(self.mean[name])
         if not self.degrees_of_freedom:
             return mean[None]
-        if self._by_passes or self._points is None:
-            deviations, each = torch.stack(self._deviations[name]), max(self._passes)
-            whole = self._whole / self._told
-        else:
-            totals = torch.stack(self._points[name].totals)
-            deviations, each, whole = self.share * (totals - totals.mean(0)), len(totals), 1.0
+        deviations = self.deviations(name)
         count = len(deviations)
         # The passes of a point deviate from its own mean: all rows from the mean of all would count too little.
-        return mean + math.sqrt(whole * count * (count - 1) / (each * (each - 1))) * deviations
+        return mean + math.sqrt(count * (count - 1)) * deviations
+
+    def deviations(self, name: str) -> torch.Tensor:
+        """Return ``(replicates, C)`` channel totals whose squares sum to the variance of those of the sum."""
+        if self._by_passes or self._points is None:
+            return math.sqrt(self._whole / self._told) * torch.stack(self._deviations[name])
+        totals = torch.stack(self._points[name].totals)
+        count = len(totals)
+        return self.share / math.sqrt(count * (count - 1)) * (totals - totals.mean(0))
 
     @property
     def _by_passes(self) -> bool:
@@ -221,6 +224,11 @@ class Gradients:
         # A renderer that cannot replay its backward pass with another seed is called twice.
         self._replays = "seed_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
 
+    @property
+    def points(self) -> int:
+        """At how many points gradients are taken."""
+        return len(self.budget.spp)
+
     def at(self, index: int, point: Point) -> tuple[list[PointGradient], bool]:
         """Take the gradients at a point, the number ``index`` of the budget.
 
@@ -242,6 +250,8 @@ class Gradients:
         ]
         try:
             for number, graph in enumerate(graphs):
+                if self._is_late(number):
+                    break
                 pulled = [_pull_back(graph, leaves, one.adjoints.passes[number], point) for one in found]
                 for one, gradients in zip(found, pulled, strict=True):
                     for name, gradient in gradients.items():
@@ -252,6 +262,10 @@ class Gradients:
         except KeyboardInterrupt:
             return found, True
         return found, False
+
+    def _is_late(self, done: int) -> bool:
+        """Whether there is no time for one more pass after those that are done."""
+        return False
 
     def _render(
         self, index: int, leaves: dict[str, torch.Tensor]

@@ -191,7 +191,7 @@ def _budget_info(budget: Budget, gradients: Gradients) -> dict[str, Any]:
     """Say how the samples were split."""
     counts = [one for one in budget.spp if one is not None]
     return {
-        "points": len(budget.spp),
+        "points": gradients.points,
         "passes_per_point": [min(budget.passes), max(budget.passes)],
         "spp_per_pass": [min(counts), max(counts)] if counts else None,
         "spp_added_for_the_metric": gradients.extra,

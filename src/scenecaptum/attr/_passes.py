@@ -65,6 +65,16 @@ class Budget:
             tuple(tuple(row[:count]) for row, count in zip(gradient_seeds, counts, strict=True)),
         )
 
+    def with_round(self, passes: int, spp: int, seed: int) -> Budget:
+        """Return the same and one more round of passes, whose seeds are its own."""
+        entropy = [check_seed("seed", seed), 2, len(self.spp)]
+        seeds, gradient_seeds = (
+            np.random.SeedSequence(entropy).generate_state(2 * passes).reshape(2, -1).tolist()
+        )
+        return Budget(
+            (*self.spp, spp), (*self.seeds, tuple(seeds)), (*self.gradient_seeds, tuple(gradient_seeds))
+        )
+
     @property
     def passes(self) -> tuple[int, ...]:
         """For each point, how many independent passes it has."""
@@ -121,38 +131,54 @@ class Adjoints:
         return self.bias is not None and self.bias_adjoint is None
 
 
-def jackknife(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> Adjoints:
+def jackknife(
+    metric: TargetedMetric, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
+) -> Adjoints:
     """Evaluate a metric on the mean image, and on the mean of all images but one, for each one.
 
-    Backward pass ``r`` gets the pseudo-value ``R·a(mean) − (R − 1)·a(mean without r)`` of the adjoint image
-    ``a = ∂M/∂I``. To first order it is ``a + H (image r − mean)`` with ``H`` the metric's Hessian, so the spread
-    of the propagated gradients contains the noise of the image at its full size (propagating ``a(mean without
-    r)`` itself would show only the fraction ``1/(R − 1)`` of it), and their mean is free of the bias of order
-    ``1/R`` that a noisy image puts into the adjoint of a non-linear metric.
+    Backward pass ``r`` gets the pseudo-value ``h·a(mean) − (h − 1)·a(mean without r)`` of the adjoint image
+    ``a = ∂M/∂I``, where ``1/h`` is the image's share of all ``samples`` (by default all have as many). To first
+    order it is ``a + H (image r − mean)`` with ``H`` the metric's Hessian, so the spread of the propagated
+    gradients contains the noise of the image at its full size (propagating ``a(mean without r)`` itself would show
+    only a fraction of it), and their mean is free of the bias of first order that a noisy image puts into the
+    adjoint of a non-linear metric.
 
     References
     ----------
     Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+    Busing, Meijer and van der Leeden, "Delete-m jackknife for unequal m", Statistics and Computing 9, 1999.
     """
     count = len(images)
-    total = torch.stack(tuple(images)).sum(0)
-    value, adjoint = metric.value_and_adjoint(total / count)
+    weights = [1.0] * count if samples is None else samples
+    shares = [weight / sum(weights) for weight in weights]
+    mean = torch.stack([share * image for share, image in zip(shares, images, strict=True)]).sum(0)
+    value, adjoint = metric.value_and_adjoint(mean)
     if count == 1:
         return Adjoints(value, None, None, (adjoint,), None)
 
-    values, adjoints = zip(
-        *(metric.value_and_adjoint((total - image) / (count - 1)) for image in images), strict=True
+    without = [
+        metric.value_and_adjoint((mean - share * image) / (1 - share))
+        for share, image in zip(shares, images, strict=True)
+    ]
+    # By how much each image that is left out moves the metric: to first order these sum to 0.
+    moves = [(1 - share) * (one - value) for share, (one, _) in zip(shares, without, strict=True)]
+    bias = sum(moves)
+    bias_adjoint = torch.zeros_like(adjoint)
+    for share, (_, one) in zip(shares, without, strict=True):
+        bias_adjoint.add_(one - adjoint, alpha=1 - share)
+    spread = sum(
+        (move / share - bias) ** 2 * share / (1 - share) for share, move in zip(shares, moves, strict=True)
     )
-    mean_value = sum(values) / count
-    spread = sum((one - mean_value) ** 2 for one in values)
-    bias_adjoint = (count - 1) * (torch.stack(adjoints).mean(0) - adjoint)
     # A linear metric leaves rounding errors here, which are not worth a pass.
     linear = _is_rounding(bias_adjoint, adjoint)
     return Adjoints(
         value=value,
-        standard_error=math.sqrt((count - 1) / count * spread),
-        bias=(count - 1) * (mean_value - value),
-        passes=tuple(count * adjoint - (count - 1) * one for one in adjoints),
+        standard_error=math.sqrt(spread / count),
+        bias=bias,
+        passes=tuple(
+            adjoint - (1 / share - 1) * (one - adjoint)
+            for share, (_, one) in zip(shares, without, strict=True)
+        ),
         bias_adjoint=None if linear else bias_adjoint,
     )
 

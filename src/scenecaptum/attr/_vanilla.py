@@ -12,6 +12,7 @@ from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
+from ._planner import SHARE, Goal, reach
 from ._ranges import ranges
 
 Scale = Literal["unit", "range", "value"]
@@ -44,7 +45,7 @@ class VanillaSceneGradient(GradientMethod):
     Simonyan, Vedaldi and Zisserman, "Deep Inside Convolutional Networks", 2013.
     """
 
-    def attribute(
+    def attribute(  # noqa: PLR0913 -- those of every method, and five of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
@@ -54,9 +55,13 @@ class VanillaSceneGradient(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        tolerance: float | None = None,
+        share: float = SHARE,
+        top: int | None = None,
+        time_limit: float | None = None,
         show_progress: bool = False,
     ) -> Result:
-        """Attribute the metric to each input.
+        """Attribute the metric to each input, from so many samples or from as many as a goal takes.
 
         Parameters
         ----------
@@ -76,17 +81,29 @@ class VanillaSceneGradient(GradientMethod):
             Seed from which those of all passes are drawn.
         spp
             Total samples per pixel, split over the passes; the renderer's by default. The backward passes take
-            as many again, with seeds of their own.
+            as many again, with seeds of their own. Where there is a goal, those of the first round: 32 by default.
         replicates
             Least number of independent passes. Their spread gives the standard errors; with 1 there are none,
             and no correction of the bias that a noisy image puts into a non-linear metric.
+        tolerance
+            Goal: add passes until the 95 % interval of every parameter that has at least ``share`` of all saliency
+            reaches no further than ``tolerance`` times its saliency; they hold for all of these at once.
+        share
+            See ``tolerance``.
+        top
+            Goal: add passes until the order of the first ``top`` parameters is clear. Two that differ by less than
+            ``tolerance`` (0.05 by default) are tied.
+        time_limit
+            In seconds, without what compiling takes: the best that can be had in that time, or a goal if it is
+            reached before.
         show_progress
             Whether to show a progress bar.
 
         Returns
         -------
         SceneAttribution
-            Signed gradients with standard errors; a list of them for a list of targets.
+            Signed gradients with standard errors; a list of them for a list of targets. Where there was a goal,
+            ``info["planner"]`` says what was reached: the half-widths, the order with its ties, and each round.
 
         Raises
         ------
@@ -97,7 +114,10 @@ class VanillaSceneGradient(GradientMethod):
         """
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         factors = _factors(scale, self.renderer, run.values)
-        return run.finish([Point(run.values, factors=factors)], scale=scale, quantity=_QUANTITIES[scale])
+        point = Point(run.values, factors=factors)
+        what: dict[str, Any] = {"scale": scale, "quantity": _QUANTITIES[scale]}
+        goal = Goal(tolerance, share, top, time_limit)
+        return reach(run, point, goal, spp, **what) if goal.is_set else run.finish([point], **what)
 
 
 def _factors(scale: Scale, renderer: Any, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

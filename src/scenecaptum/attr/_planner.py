@@ -1,0 +1,351 @@
+"""Sampling until an error is small enough, an order is clear, or time is up."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from ..errors import SceneCaptumError, whole_number
+from ._attribution import SceneAttribution, surfaces_of
+from ._gradients import GradientSum, Point
+from ._method import Own, Result, Run
+from ._passes import channel_totals
+from ._rounds import Rounds, RoundSum
+from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
+
+SHARE = 0.05
+FIRST = 4  # samples of each pass of the first round
+TIE = 0.05  # how near two saliencies are that count as tied, where no tolerance is given
+
+_MARGIN = 1.1  # more samples than the prediction says
+_FAR = 8.0  # a prediction of more growth than this is made again on the way
+_LEAST, _MOST = 1.2, 16.0  # growth of all samples by one round
+_ROUNDS = 10
+_CLEAR = 6.0  # standard errors apart: no need to compare
+_SPENT = 0.05  # of a time limit, too little to begin another round
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What ``attribute`` was asked to reach: see there."""
+
+    tolerance: float | None
+    share: float
+    top: int | None
+    time_limit: float | None
+
+    def __post_init__(self) -> None:
+        for name in ("tolerance", "time_limit"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and 0 < value < math.inf):
+                raise SceneCaptumError(f"{name} must be a positive number, not {value!r}.")
+        if not (_is_number(self.share) and 0 <= self.share <= 1):
+            raise SceneCaptumError(f"share must lie between 0 and 1, not {self.share!r}.")
+        if self.top is not None:
+            whole_number("top", self.top)
+
+    @property
+    def is_set(self) -> bool:
+        """Whether there is anything to reach."""
+        return not (self.tolerance is None and self.top is None and self.time_limit is None)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is known of one metric's gradients after a round.
+
+    Attributes
+    ----------
+    widths
+        The parameters that have the share, which the report is about.
+    wanted
+        What the goal asks for: those parameters, or the differences between neighbours.
+    quantiles
+        Of ``widths`` and of ``wanted``.
+    order
+        All parameters by falling saliency.
+    degrees
+        Degrees of freedom of the errors.
+    """
+
+    widths: list[Quantity]
+    wanted: list[Quantity]
+    quantiles: tuple[float, float]
+    order: list[str]
+    degrees: int
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """The simultaneous half-width of each parameter that has the share, in the ℓ2 norm."""
+        return {one.names[0]: self.quantiles[0] * one.error for one in self.widths if self.degrees}
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the goal is reached."""
+        return all(one.is_reached(self.quantiles[1]) for one in self.wanted)
+
+    @property
+    def relative_width(self) -> float:
+        """The largest half-width in units of its parameter's saliency."""
+        if not self.degrees or any(one.error and not one.size for one in self.widths):
+            return math.inf
+        return max(
+            (self.quantiles[0] * one.error / one.size for one in self.widths if one.error), default=0.0
+        )
+
+    def tiers(self, top: int) -> list[list[str]]:
+        """Return the first parameters in their order, those together that are tied or not told apart."""
+        together = {one.names for one in self.wanted if self.quantiles[1] * one.error > one.total.item()}
+        tiers = [[self.order[0]]] if self.order else []
+        for above, below in pairwise(self.order[:top]):
+            if (above, below) in together:
+                tiers[-1].append(below)
+            else:
+                tiers.append([below])
+        last = self.order[min(top, len(self.order)) - 1]
+        return [*tiers[:-1], [*tiers[-1], *(b for a, b in together if a == last)]]
+
+    def growth(self, passes: int) -> float:
+        """Return by which factor the samples must grow, where they come in so many more passes."""
+        quantile = simultaneous_quantile(self.wanted, self.degrees + passes)
+        return max((one.growth(quantile) for one in self.wanted), default=1.0)
+
+
+def judge(found: GradientSum, goal: Goal, members: Mapping[str, tuple[str, ...]] | None) -> Verdict:
+    """Compare what is known with what is wanted."""
+    quantities = _totals(found, members)
+    every = sum(one.size for one in quantities)
+    slack = goal.tolerance or 0.0
+    # Whose share is below by less than its error may have it.
+    widths = [one for one in quantities if (1 + slack) * one.size >= goal.share * every]
+    widths = widths or quantities[:1]
+    if goal.top is None:
+        wanted = [dataclasses.replace(one, target=slack * one.size) for one in widths]
+    else:
+        wanted = _differences(quantities, goal.top, slack or TIE)
+    degrees = found.degrees_of_freedom
+    return Verdict(
+        widths,
+        wanted,
+        (simultaneous_quantile(widths, degrees), simultaneous_quantile(wanted, degrees)),
+        [one.names[0] for one in quantities],
+        degrees,
+    )
+
+
+def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -> list[Quantity]:
+    """Return the channel totals of every parameter, or group, by falling size."""
+    whole = 1 / found.share
+    vectors = {
+        name: (
+            whole * channel_totals(mean),
+            whole * found.deviations(name)
+            if found.degrees_of_freedom
+            else torch.zeros_like(channel_totals(mean))[None],
+            whole * channel_totals(torch.zeros_like(mean) if found.bias is None else found.bias[name]),
+        )
+        for name, mean in found.mean.items()
+    }
+    if members is not None:
+        vectors = {
+            group: (
+                torch.stack([vectors[name][0].sum() for name in names]).sum(0, keepdim=True),
+                torch.stack([vectors[name][1].sum(1, keepdim=True) for name in names]).sum(0),
+                torch.stack([vectors[name][2].sum() for name in names]).sum(0, keepdim=True),
+            )
+            for group, names in members.items()
+        }
+    quantities = [Quantity((name,), *vector, target=0.0) for name, vector in vectors.items()]
+    return sorted(quantities, key=lambda one: -one.size)
+
+
+def _differences(quantities: list[Quantity], top: int, tie: float) -> list[Quantity]:
+    """Return the differences that the order of the first ones rests on: of neighbours, and of the last to others.
+
+    One is known well enough where its interval leaves out 0, or where all of it is nearer to 0 than a tie.
+    """
+    pairs = list(pairwise(quantities[: top + 1]))
+    pairs += [(quantities[top - 1], other) for other in quantities[top + 1 :]]
+    found = []
+    for above, below in pairs:
+        difference = above.size - below.size
+        one = Quantity(
+            (above.names[0], below.names[0]),
+            above.total.new_tensor([difference]),
+            above.noise @ _along(above) - below.noise @ _along(below),
+            above.bias @ _along(above) - below.bias @ _along(below),
+            max(difference, tie * above.size - difference),
+        )
+        if difference < _CLEAR * one.error:
+            found.append(one)
+    return found
+
+
+def _along(quantity: Quantity) -> torch.Tensor:
+    """Return the direction of a vector, along which an error changes its norm, as one column."""
+    norm = quantity.total.norm()
+    return (quantity.total / norm if norm > 0 else quantity.total)[:, None]
+
+
+def reach(run: Run, point: Point, goal: Goal, first: int | None, **info: Any) -> Result:
+    """Take gradients in rounds until a goal is reached or time is up; return what ``attribute`` returns.
+
+    A first round, of ``first`` samples per pixel, tells how large the errors are and so how many samples the goal
+    takes; the next takes these, or a third of them where they are many, to predict once more. A round that falls
+    short is followed by another. To look at errors and stop where they are small favours errors that are
+    underestimated; few looks, each with the degrees of freedom of all passes so far, keep that small.
+
+    References
+    ----------
+    Stein, "A two-sample test for a linear hypothesis whose power is independent of the variance", Annals of
+    Mathematical Statistics 16(3), 1945.
+    """
+    if run.settings.replicates < 2:
+        raise SceneCaptumError(
+            "tolerance=, top= and time_limit= need errors, which take two passes or more: leave out replicates=1."
+        )
+    search = _Search(run, point, goal, FIRST * run.settings.replicates if first is None else first)
+    interrupted = search.run_rounds()
+    return run.hand_over(search.results(interrupted, **info), interrupted=interrupted)
+
+
+class _Search:
+    """One search for a goal."""
+
+    def __init__(self, run: Run, point: Point, goal: Goal, first: int) -> None:
+        self.run = run
+        self.point = point
+        self.goal = goal
+        self.sums = [RoundSum(run.values) for _ in run.metrics]
+        self.verdicts: list[Verdict] = []
+        self.passes = run.settings.replicates
+        self.first = math.ceil(whole_number("spp", first) / self.passes)  # samples of a pass
+        self.setup = 0.0  # seconds before the clock begins
+        self.began = time.perf_counter()
+        self.bar = tqdm(
+            total=0, disable=not run.settings.show_progress, desc=run.metrics[0].name, unit="pass"
+        )
+        self.rounds = Rounds(run.renderer, run.metrics, self.bar, seed=run.settings.seed, left=self.left)
+
+    def left(self) -> float:
+        """Return how many seconds are left."""
+        limit = self.goal.time_limit
+        return math.inf if limit is None else limit - (time.perf_counter() - self.began)
+
+    def run_rounds(self) -> bool:
+        """Take rounds until one reaches the goal; say whether Ctrl-C ended it early."""
+        with self.bar:
+            size: tuple[int, int] | None = self._first_size()
+            try:
+                while size is not None:
+                    if self._round(*size):
+                        return True
+                    size = self._next_size()
+            except KeyboardInterrupt:
+                if not self.verdicts:
+                    raise
+                return True
+        return False
+
+    def _round(self, passes: int, spp: int) -> bool:
+        self.bar.total += 2 * passes
+        found, interrupted = self.rounds.take(self.point, passes, spp)
+        if interrupted and not all(one.passes for one in found):
+            raise KeyboardInterrupt
+        for one, into in zip(found, self.sums, strict=True):
+            into.add(one)
+        self.verdicts = [judge(one, self.goal, self.run.members) for one in self.sums]
+        return interrupted
+
+    def _first_size(self) -> tuple[int, int]:
+        """Return the passes of the first round and their samples; a time limit may leave only few.
+
+        What happens only once, compiling above all, is done before the clock begins; then a pass of one sample is
+        timed.
+        """
+        if self.goal.time_limit is None:
+            return self.passes, self.first
+        surfaces_of(self.run.renderer, self.run.values)
+        self.rounds.rehearse(self.point)
+        began = time.perf_counter()
+        self.rounds.rehearse(self.point)
+        each = time.perf_counter() - began
+        self.setup, self.began = time.perf_counter() - self.began, time.perf_counter()
+        passes = min(self.passes, max(2, int(self.goal.time_limit / (2 * each))))
+        return passes, min(self.first, max(1, int(self.goal.time_limit / (4 * each * passes))))
+
+    def _next_size(self) -> tuple[int, int] | None:
+        """Return the passes of the next round and their samples, or None where there is to be none."""
+        if len(self.rounds.seconds) == _ROUNDS or all(one.is_reached for one in self.verdicts):
+            return None
+        growth = _MARGIN * max(one.growth(self.passes) for one in self.verdicts)
+        growth = min(max(growth / 3 if growth > _FAR else growth, _LEAST), _MOST)
+        samples = math.ceil((growth - 1) * self.sums[0].share)
+        if self.goal.time_limit is not None:
+            budget = self.rounds.budget
+            rate = self.rounds.seconds[-1] / (budget.passes[-1] * (budget.spp[-1] or 1))
+            if self.left() < max(
+                _SPENT * self.goal.time_limit, 2 * self.rounds.seconds[-1] / budget.passes[-1]
+            ):
+                return None
+            samples = min(samples, int(self.left() / rate))
+        passes = samples // (4 * self.first)
+        passes = min(max(passes, math.ceil(self.passes / 2), 2), 3 * self.passes)
+        return passes, max(1, round(samples / passes))
+
+    def results(self, interrupted: bool, **info: Any) -> list[SceneAttribution]:
+        """Return the results so far, each with a report."""
+        found = []
+        for metric, one, verdict in zip(self.run.metrics, self.sums, self.verdicts, strict=True):
+            assert one.seen is not None
+            own = Own(one.seen, self.rounds.image)
+            report = {**self._report(verdict), "stopped": self._stopped(interrupted)}
+            found.append(
+                self.run.result(
+                    metric,
+                    one,
+                    own,
+                    self.rounds.budget,
+                    self.rounds,
+                    interrupted=interrupted,
+                    planner=report,
+                    **info,
+                )
+            )
+        return found
+
+    def _stopped(self, interrupted: bool) -> str:
+        if interrupted:
+            return "interrupted"
+        if all(one.is_reached for one in self.verdicts):
+            return "goal"
+        return "rounds" if len(self.rounds.seconds) == _ROUNDS else "time limit"
+
+    def _report(self, verdict: Verdict) -> dict[str, Any]:
+        budget = self.rounds.budget
+        relative = verdict.relative_width
+        return {
+            **dataclasses.asdict(self.goal),
+            "level": LEVEL,
+            "reached": verdict.is_reached,
+            "relative_half_width": relative if math.isfinite(relative) else None,
+            "half_widths": verdict.half_widths,
+            "order": verdict.tiers(self.goal.top) if self.goal.top and verdict.degrees else None,
+            "rounds": [
+                {"passes": passes, "spp_per_pass": spp, "seconds": seconds}
+                for passes, spp, seconds in zip(budget.passes, budget.spp, self.rounds.seconds, strict=True)
+            ],
+            "setup_seconds": self.setup,
+        }

@@ -1,0 +1,141 @@
+"""Gradients at one point in several rounds of passes, which one estimate is made of."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from ._gradients import Gradients, GradientSum, Point, PointGradient
+from ._metric import TargetedMetric
+from ._passes import Adjoints, Budget, jackknife
+
+_GROUPS = 8  # into which the pictures of earlier rounds are merged: memory does not grow with the rounds
+
+
+class RoundSum(GradientSum):
+    """Running sum of the gradients of rounds, each weighted by its samples.
+
+    Weights that follow from the rounds' own spread would favour rounds that miss the rare bright paths.
+    """
+
+    def add(self, point: PointGradient) -> None:
+        """Take in a round; its bias is that of all rounds so far, because its metric saw all pictures."""
+        super().add(point)
+        if self.bias is not None and point.bias is not None:
+            self.bias = {
+                name: self.share * point.bias[name] if name in point.bias else torch.zeros_like(value)
+                for name, value in self.bias.items()
+            }
+
+
+class Rounds(Gradients):
+    """Takes the gradients at a point in rounds; a metric sees the pictures of all rounds so far.
+
+    Let ``a_r`` be the adjoint image, corrected by the jackknife, that a metric has after round ``r``, when it has
+    seen ``N_r`` samples per pixel. Round ``r`` propagates ``(N_r a_r − N_{r−1} a_{r−1}) / (N_r − N_{r−1})``:
+    then the rounds together, weighted by their samples, have propagated ``a_r``, the best there is, however noisy
+    the pictures of the first rounds were. To first order this is the adjoint of the round's own pictures, so that
+    rounds are independent and their variances add up.
+
+    Parameters
+    ----------
+    renderer, metrics, bar
+        As for ``Gradients``.
+    seed
+        From which the seeds of all rounds are drawn.
+    left
+        Says how many seconds are left; a round ends before its last pass where there is no time for it.
+    """
+
+    def __init__(
+        self,
+        renderer: Any,
+        metrics: Sequence[TargetedMetric],
+        bar: tqdm[Any],
+        *,
+        seed: int,
+        left: Callable[[], float],
+    ) -> None:
+        super().__init__(renderer, metrics, Budget((), (), ()), bar)
+        self.seconds: list[float] = []  # of each round
+        self._seed = seed
+        self._left = left
+        self._began = 0.0  # the backward passes of this round
+        self._more = 0  # backward passes that a bias takes
+        self._pictures: list[tuple[torch.Tensor, int]] = []  # means, and the samples of each
+        self._propagated: list[torch.Tensor] = []  # by metric, in all rounds so far
+
+    @property
+    def points(self) -> int:
+        """Rounds are all at one point."""
+        return 1
+
+    def rehearse(self, point: Point) -> None:
+        """Render and differentiate one sample per pixel, and keep nothing."""
+        leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
+        seeds = {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._replays else {"seed": self._seed}
+        graph = self.renderer(leaves, spp=1, **seeds)
+        for metric in self.metrics:
+            _, adjoint = metric.value_and_adjoint(graph)
+            torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
+
+    def take(self, point: Point, passes: int, spp: int) -> tuple[list[PointGradient], bool]:
+        """Take one more round; return as ``at``, each share being the samples of the passes that were finished."""
+        began = time.perf_counter()
+        self.budget = self.budget.with_round(passes, spp, self._seed)
+        found, interrupted = self.at(len(self.budget.spp) - 1, point)
+        for one in found:
+            one.share = one.passes * spp
+        done = min(one.passes for one in found)
+        # What was not propagated was not spent.
+        self.budget = dataclasses.replace(
+            self.budget,
+            gradient_seeds=(*self.budget.gradient_seeds[:-1], self.budget.gradient_seeds[-1][:done]),
+        )
+        self.seconds.append(time.perf_counter() - began)
+        return found, interrupted
+
+    def _seen(
+        self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
+    ) -> list[Adjoints]:
+        spp, old = self.budget.spp[index] or 1, len(self._pictures)
+        pictures = [*self._pictures, *((image, spp) for image in images)]
+        samples = torch.tensor([count for _, count in pictures], dtype=torch.float32)
+        shares = (samples / samples.sum()).to(images[0])
+        self.image = torch.tensordot(shares, torch.stack([image for image, _ in pictures]), 1)
+        seen = [jackknife(one, [image for image, _ in pictures], samples.tolist()) for one in self.metrics]
+        # The pseudo-values' mean is the adjoint without its bias.
+        propagated = [torch.tensordot(shares, torch.stack(one.passes), 1) for one in seen]
+        found = []
+        for number, one in enumerate(seen):
+            new, mean = torch.stack(one.passes[old:]), propagated[number]
+            if old:
+                before = shares[:old].sum()
+                mean = (mean - before * self._propagated[number]) / (1 - before)
+            found.append(dataclasses.replace(one, passes=tuple(new - new.mean(0) + mean)))
+        self._propagated = propagated
+        self._more = 0 if all(one.is_linear for one in seen) else 1
+        self._keep(images, spp)
+        self._began = time.perf_counter()
+        return found
+
+    def _keep(self, images: Sequence[torch.Tensor], spp: int) -> None:
+        """Merge new pictures into the groups, the smallest of which takes in each."""
+        for image in images:
+            if len(self._pictures) < _GROUPS:
+                self._pictures.append((image, spp))
+                continue
+            index = min(range(_GROUPS), key=lambda one: self._pictures[one][1])
+            mean, count = self._pictures[index]
+            self._pictures[index] = (torch.lerp(mean, image, spp / (count + spp)), count + spp)
+
+    def _is_late(self, done: int) -> bool:
+        if done < 2:  # which an error takes
+            return False
+        each = (time.perf_counter() - self._began) / done
+        return self._left() < (1 + self._more) * each
