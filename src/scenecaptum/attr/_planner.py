@@ -25,9 +25,9 @@ SHARE = 0.05
 FIRST = 4  # samples of each pass of the first round
 TIE = 0.05  # how near two saliencies are that count as tied, where no tolerance is given
 
-_MARGIN = 1.1  # more samples than the prediction says
+_MARGIN = 1.05  # more samples than the prediction says
 _FAR = 8.0  # a prediction of more growth than this is made again on the way
-_LEAST, _MOST = 1.2, 16.0  # growth of all samples by one round
+_LEAST, _MOST = 1.1, 16.0  # growth of all samples by one round
 _ROUNDS = 10
 _CLEAR = 6.0  # standard errors apart: no need to compare
 _SPENT = 0.05  # of a time limit, too little to begin another round
@@ -131,18 +131,14 @@ def judge(found: GradientSum, goal: Goal, members: Mapping[str, tuple[str, ...]]
     # Whose share is below by less than its error may have it.
     widths = [one for one in quantities if (1 + slack) * one.size >= goal.share * every]
     widths = widths or quantities[:1]
+    degrees = found.degrees_of_freedom
+    quantile = simultaneous_quantile(widths, degrees)
+    order = [one.names[0] for one in quantities]
     if goal.top is None:
         wanted = [dataclasses.replace(one, target=slack * one.size) for one in widths]
-    else:
-        wanted = _differences(quantities, goal.top, slack or TIE)
-    degrees = found.degrees_of_freedom
-    return Verdict(
-        widths,
-        wanted,
-        (simultaneous_quantile(widths, degrees), simultaneous_quantile(wanted, degrees)),
-        [one.names[0] for one in quantities],
-        degrees,
-    )
+        return Verdict(widths, wanted, (quantile, quantile), order, degrees)
+    wanted = _differences(quantities, goal.top, slack or TIE)
+    return Verdict(widths, wanted, (quantile, simultaneous_quantile(wanted, degrees)), order, degrees)
 
 
 def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -> list[Quantity]:
@@ -292,18 +288,19 @@ class _Search:
             return None
         growth = _MARGIN * max(one.growth(self.passes) for one in self.verdicts)
         growth = min(max(growth / 3 if growth > _FAR else growth, _LEAST), _MOST)
-        samples = math.ceil((growth - 1) * self.sums[0].share)
+        sampled = self.sums[0].share
+        samples = math.ceil((growth - 1) * sampled)
         if self.goal.time_limit is not None:
-            budget = self.rounds.budget
-            rate = self.rounds.seconds[-1] / (budget.passes[-1] * (budget.spp[-1] or 1))
-            if self.left() < max(
-                _SPENT * self.goal.time_limit, 2 * self.rounds.seconds[-1] / budget.passes[-1]
-            ):
+            done, spp = self.rounds.budget.passes[-1], self.rounds.budget.spp[-1] or 1
+            each = self.rounds.seconds[-1] / done
+            if self.left() < max(_SPENT * self.goal.time_limit, 2 * each / spp):
                 return None
-            samples = min(samples, int(self.left() / rate))
-        passes = samples // (4 * self.first)
-        passes = min(max(passes, math.ceil(self.passes / 2), 2), 3 * self.passes)
-        return passes, max(1, round(samples / passes))
+            samples = min(samples, int(spp * self.left() / each))
+        # A round that counts little tells little of the error: half as many passes do.
+        least = self.passes if samples > sampled else math.ceil(self.passes / 2)
+        passes = max(2, min(max(samples // (4 * self.first), least), 3 * self.passes))
+        fewest = self.first if self.goal.time_limit is None else 1
+        return passes, max(fewest, samples // passes)
 
     def results(self, interrupted: bool, **info: Any) -> list[SceneAttribution]:
         """Return the results so far, each with a report."""
@@ -331,7 +328,7 @@ class _Search:
             return "interrupted"
         if all(one.is_reached for one in self.verdicts):
             return "goal"
-        return "rounds" if len(self.rounds.seconds) == _ROUNDS else "time limit"
+        return "the number of rounds" if len(self.rounds.seconds) == _ROUNDS else "the time limit"
 
     def _report(self, verdict: Verdict) -> dict[str, Any]:
         budget = self.rounds.budget
@@ -339,7 +336,7 @@ class _Search:
         return {
             **dataclasses.asdict(self.goal),
             "level": LEVEL,
-            "reached": verdict.is_reached,
+            "reached": None if self.goal.tolerance is self.goal.top is None else verdict.is_reached,
             "relative_half_width": relative if math.isfinite(relative) else None,
             "half_widths": verdict.half_widths,
             "order": verdict.tiers(self.goal.top) if self.goal.top and verdict.degrees else None,

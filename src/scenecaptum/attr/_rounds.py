@@ -87,10 +87,14 @@ class Rounds(Gradients):
     def take(self, point: Point, passes: int, spp: int) -> tuple[list[PointGradient], bool]:
         """Take one more round; return as ``at``, each share being the samples of the passes that were finished."""
         began = time.perf_counter()
-        self.budget = self.budget.with_round(passes, spp, self._seed)
-        found, interrupted = self.at(len(self.budget.spp) - 1, point)
+        before, self.budget = self.budget, self.budget.with_round(passes, spp, self._seed)
+        try:
+            found, interrupted = self.at(len(before.spp), point)
+        except KeyboardInterrupt:
+            self.budget = before
+            raise
         for one in found:
-            one.share = one.passes * spp
+            one.share = float(one.passes * spp)
         done = min(one.passes for one in found)
         # What was not propagated was not spent.
         self.budget = dataclasses.replace(

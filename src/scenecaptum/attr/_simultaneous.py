@@ -87,9 +87,11 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
         return 0.0
     degrees = min(degrees, _DEGREES)
     factor = torch.cat([torch.cat([one.noise, one.bias[None]]) / one.error for one in live], 1)
+    # The same covariance from as few random numbers as will do.
+    factor = torch.linalg.qr(factor.cpu().float(), mode="r").R
     generator = torch.Generator().manual_seed(0)
     largest = torch.zeros(_DRAWS)
-    drawn = torch.randn(_DRAWS * (degrees + 1), len(factor), generator=generator) @ factor.cpu().float()
+    drawn = torch.randn(_DRAWS * (degrees + 1), len(factor), generator=generator) @ factor
     for errors in drawn.split([one.noise.shape[1] for one in live], 1):
         squares = errors.square().sum(1).reshape(_DRAWS, degrees + 1)
         largest = torch.maximum(largest, squares[:, 0] / squares[:, 1:].mean(1))

@@ -82,9 +82,27 @@ def sampling_words(attribution: SceneAttribution) -> list[str]:
         words.append(f"interrupted after {counted}" if counted else "interrupted")
     elif counted:
         words = [f"{' '.join([*words, 'in'])} {counted}" if words else counted]
+    words += goal_words(attribution)
     if attribution.covariance is None:
         words.append(f"no error bars: {counted}" if passes == 1 else "no error bars")
     return words
+
+
+def goal_words(attribution: SceneAttribution) -> list[str]:
+    """Say how near a result came to what it was asked to reach; nothing where its samples were fixed."""
+    planner = attribution.info.get("planner")
+    if planner is None:
+        return []
+    top, tolerance, width = planner["top"], planner["tolerance"], planner["relative_half_width"]
+    unless = "" if planner["reached"] else f", stopped by {planner['stopped']}"
+    if top is not None:
+        tied = sum(len(tier) > 1 for tier in planner["order"] or [])
+        ties = f" but for {count_words(tied, 'tie')}" if tied else ""
+        return [f"order of the first {top} {f'clear{ties}' if planner['reached'] else f'not clear{unless}'}"]
+    known = "unknown" if width is None else f"{100 * width:.2g} %"
+    if tolerance is None:
+        return [f"95 % half-widths ≤ {known} in {planner['time_limit']:g} s"]
+    return [f"95 % half-widths ≤ {known} (asked: {100 * tolerance:g} %{unless})"]
 
 
 def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[str, list[str]]:

@@ -1,0 +1,417 @@
+"""Sampling until a goal is reached: on toys of known noise, whose runs are cheap enough to count."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+import torch
+from results import make
+from toy import ToyRenderer
+
+from scenecaptum import SceneCaptumError, VanillaSceneGradient
+from scenecaptum.attr import AttributionInterrupted
+from scenecaptum.attr._metric import TargetedMetric
+from scenecaptum.attr._passes import Budget, jackknife
+from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
+from scenecaptum.attr._student import student_t
+from scenecaptum.visualization._words import goal_words
+
+RUNS = 40
+
+
+class SpikyRenderer:
+    """Six parameters under few bright paths: the mean of n samples is a gamma variate of shape ``n/spikes``."""
+
+    spp = 16
+
+    def __init__(self, spikes: float = 10.0, tied: bool = False) -> None:
+        generator = torch.Generator().manual_seed(1)
+        self.spikes = spikes
+        names = [f"p{i}" for i in range(6)]
+        self.weights = {
+            n: (torch.rand(4, 4, 3, generator=generator) + 0.5) / (1 + 0.4 * i) for i, n in enumerate(names)
+        }
+        self.inputs = {n: torch.rand(3, generator=generator) + 0.3 for n in names}
+        if tied:
+            self.weights["p1"], self.inputs["p1"] = self.weights["p0"], self.inputs["p0"]
+
+    def exact(self, inputs):
+        return sum(self.weights[n] * inputs[n] for n in inputs)
+
+    def sampled(self, inputs, seed, spp):
+        shape = spp / self.spikes
+        noise = np.random.default_rng(seed).gamma(shape, 1 / shape, (len(inputs) + 1, 4, 4, 1))
+        noise = torch.from_numpy(noise).float()
+        return sum(
+            self.weights[n] * value * (noise[i] + noise[-1]) / 2
+            for i, (n, value) in enumerate(inputs.items())
+        )
+
+    def __call__(self, inputs, *, seed, spp, seed_grad=None):
+        linear = self.sampled(inputs, seed if seed_grad is None else seed_grad, spp)
+        return self.sampled(inputs, seed, spp).detach() + linear - linear.detach()
+
+
+def log_mean(image):
+    return image.mean().log()
+
+
+def contrast(image):
+    """Bends within the noise of a pixel, as a glare threshold does."""
+    return torch.sigmoid((image - image.mean()) * 4).mean() + log_mean(image)
+
+
+METRICS = {"linear": torch.mean, "log": log_mean, "contrast": contrast}
+
+
+def truth_of(renderer, metric):
+    leaves = {n: value.clone().requires_grad_() for n, value in renderer.inputs.items()}
+    metric(renderer.exact(leaves)).backward()
+    return {n: leaf.grad for n, leaf in leaves.items()}
+
+
+def worst_error(attribution, truth, names=None):
+    return max(((attribution[n] - truth[n]).norm() / truth[n].norm()).item() for n in names or truth)
+
+
+# ------------------------------------------------------------------------------------------ the statistics
+
+
+def quantity(noise, total=1.0, bias=0.0, target=0.0):
+    noise = torch.as_tensor(noise, dtype=torch.float32).reshape(len(noise), -1)
+    return Quantity(
+        ("x",), torch.full(noise.shape[1:], total), noise, torch.full(noise.shape[1:], bias), target
+    )
+
+
+@pytest.mark.parametrize("degrees", [7, 23])
+def test_quantile_of_one_number_is_students(degrees):
+    found = simultaneous_quantile([quantity(torch.ones(degrees + 1))], degrees)
+    assert found == pytest.approx(student_t(0.95, degrees), rel=0.05)  # of 2000 draws
+
+
+def test_quantile_knows_how_parameters_move_together():
+    rows = torch.eye(6)
+    apart = simultaneous_quantile([quantity(row) for row in rows], 23)
+    together = simultaneous_quantile([quantity(rows[0]) for _ in rows], 23)
+    assert together == pytest.approx(student_t(0.95, 23), rel=0.04)
+    # Independent errors: each is inside with the sixth root of the level, nearly (their estimates vary, too).
+    assert apart == pytest.approx(student_t(0.95 ** (1 / 6), 23), rel=0.05)
+
+
+def test_simultaneous_half_widths_hold_for_all_parameters_at_once():
+    renderer, truth = SpikyRenderer(spikes=0.5), truth_of(SpikyRenderer(), torch.mean)
+    inside = 0
+    for seed in range(RUNS):
+        found = VanillaSceneGradient(renderer, torch.mean).attribute(tolerance=9.0, share=0.0, seed=seed)
+        widths = found.info["planner"]["half_widths"]
+        assert set(widths) == set(truth)
+        inside += all((found[n] - truth[n]).norm() <= widths[n] for n in truth)
+    allowed = 3 * math.sqrt(0.95 * 0.05 / RUNS)
+    assert abs(inside / RUNS - 0.95) < allowed, f"{inside} of {RUNS}, allowed 95 % ± {allowed:.1%}"
+
+
+def test_predicted_growth_is_what_the_half_width_takes():
+    noise = 0.1 * torch.ones(4)
+    for bias in (0.0, 0.3):
+        one = quantity(noise, bias=bias, target=0.05)
+        growth = one.growth(2.5)
+        then = quantity(noise / math.sqrt(growth), bias=bias / growth, target=0.05)
+        assert 2.5 * then.error == pytest.approx(0.05, rel=1e-5)
+        assert not one.is_reached(2.5)
+
+
+def test_unequal_jackknife_takes_the_same_bias_out():
+    """The bias of a log is −var/2, whichever way the same samples are put into groups."""
+    metric, generator = TargetedMetric(log_mean), torch.Generator().manual_seed(2)
+    sizes, biases = [8, 8, 4, 4, 4, 2, 2], []
+    for _ in range(400):
+        images = [1 + 0.2 * torch.randn(1, 1, 3, generator=generator) / math.sqrt(n) for n in sizes]
+        biases.append(jackknife(metric, images, sizes).bias)
+    found = torch.tensor(biases)
+    expected = -(0.2**2) / 3 / sum(sizes) / 2
+    z = (found.mean() - expected) / (found.std() / math.sqrt(len(found)))
+    assert abs(z) < 4, f"mean {found.mean():.2e}, expected {expected:.2e}, z = {z:.1f}"
+
+
+# ------------------------------------------------------------------------------------------ tolerance
+
+
+@pytest.fixture(scope="module", params=METRICS)
+def runs(request):
+    """Runs whose first pictures are far too noisy for the metric."""
+    renderer, metric = SpikyRenderer(), METRICS[request.param]
+    found = [VanillaSceneGradient(renderer, metric).attribute(tolerance=0.1, seed=s) for s in range(RUNS)]
+    return truth_of(renderer, metric), found
+
+
+def test_tolerance_is_kept_in_95_percent_of_runs_also_by_rare_bright_samples(runs):
+    """Stopping where errors happen to look small would keep it less often."""
+    truth, found = runs
+    kept = sum(worst_error(one, truth) <= 0.1 for one in found)
+    least = 0.95 - 3 * math.sqrt(0.95 * 0.05 / RUNS)
+    assert kept / RUNS >= least, f"kept in {kept} of {RUNS}, allowed {least:.1%}"
+    for one in found:
+        assert one.info["planner"]["reached"]
+        assert one.info["planner"]["relative_half_width"] <= 0.1
+
+
+@pytest.mark.parametrize("name", ["p0", "p5"])
+def test_rounds_together_are_unbiased_and_their_bars_honest(runs, name):
+    truth, found = runs
+    values = torch.stack([one[name] for one in found])
+    bars = torch.stack([one.standard_error[name] for one in found]).square().mean(0).sqrt()
+    z = (values.mean(0) - truth[name]) / (values.std(0) / math.sqrt(RUNS))
+    assert (z.abs() < 4).all(), f"bias in standard errors {z.tolist()}, allowed 4"
+    ratio, allowed = values.std(0) / bars, 1 + 4 / math.sqrt(2 * RUNS)
+    assert (ratio < allowed).all(), f"spread over bar {ratio.tolist()}, allowed {allowed:.2f}"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS)
+@pytest.mark.parametrize("spikes", [1.0, 30.0])
+def test_tolerance_is_kept_in_95_percent_of_a_thousand_runs(metric, spikes):
+    renderer, count = SpikyRenderer(spikes), 1000
+    truth = truth_of(renderer, metric)
+    errors = [
+        worst_error(VanillaSceneGradient(renderer, metric).attribute(tolerance=0.1, seed=seed), truth)
+        for seed in range(count)
+    ]
+    kept = sum(one <= 0.1 for one in errors) / count
+    least = 0.95 - 3 * math.sqrt(0.95 * 0.05 / count)
+    assert kept >= least, f"kept in {kept:.1%}, allowed {least:.1%}"
+
+
+def test_a_fifth_of_the_tolerance_takes_25_times_the_samples():
+    renderer = SpikyRenderer()
+    spent = {
+        tolerance: np.mean(
+            [
+                VanillaSceneGradient(renderer, log_mean).attribute(tolerance=tolerance, seed=s).info["spp"]
+                for s in range(6)
+            ]
+        )
+        for tolerance in (0.1, 0.02)
+    }
+    assert 25 / 1.5 < spent[0.02] / spent[0.1] < 25 * 1.5, spent
+
+
+def test_replicates_of_unequal_rounds_tell_the_error_that_is_shown():
+    found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.05, seed=1)
+    assert len({one["passes"] for one in found.info["planner"]["rounds"]}) > 1
+    torch.testing.assert_close(found.covariance["p0"].diagonal().sqrt(), found.standard_error["p0"])
+
+
+@pytest.mark.parametrize("options", [{"tolerance": 1e-3}, {"time_limit": 60.0}, {"top": 1}])
+def test_without_noise_one_round_is_enough(options):
+    found = VanillaSceneGradient(ToyRenderer(noise=0.0), log_mean).attribute(**options)
+    assert len(found.info["planner"]["rounds"]) == 1
+    assert found.info["planner"]["relative_half_width"] < 1e-5
+    assert found.info["planner"]["stopped"] == "goal"
+
+
+def test_same_seed_same_result_and_first_round_as_large_as_asked():
+    def attribute(**options):
+        return VanillaSceneGradient(SpikyRenderer(), log_mean).attribute(tolerance=0.1, **options)
+
+    one, other = attribute(seed=3), attribute(seed=3)
+    assert torch.equal(one["p0"], other["p0"])
+    first = attribute(seed=3, spp=160, replicates=10).info["planner"]["rounds"][0]
+    assert (first["passes"], first["spp_per_pass"]) == (10, 16)
+
+
+def test_seeds_of_all_rounds_differ():
+    budget = Budget((), (), ()).with_round(8, 4, 0).with_round(24, 9, 0)
+    seeds = [seed for rows in (*budget.seeds, *budget.gradient_seeds) for seed in rows]
+    assert len(set(seeds)) == len(seeds) == 64
+    assert budget.total == 8 * 4 + 24 * 9
+
+
+def test_every_target_reaches_the_goal():
+    def channels(image):
+        return image.mean((0, 1))
+
+    found = VanillaSceneGradient(SpikyRenderer(), channels).attribute(target=[0, 2], tolerance=0.1)
+    assert [one.info["planner"]["reached"] for one in found] == [True, True]
+    assert found[0].info["spp"] == found[1].info["spp"]
+
+
+def test_goal_is_one_of_groups_where_there_are_groups():
+    groups = {"first": ["p0", "p1"], "rest": ["p[2-5]"]}
+    found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.1, groups=groups)
+    planner, error = found.info["planner"], found.saliency_error()
+    assert set(planner["half_widths"]) == {"first", "rest"}
+    for name, width in planner["half_widths"].items():
+        assert 1.9 < width / error[name] < 3.5  # a quantile of Student's t, for two at once
+
+
+# ------------------------------------------------------------------------------------------ order and time
+
+
+def test_order_is_right_where_it_is_called_clear():
+    renderer, wrong = SpikyRenderer(), 0
+    truth = truth_of(renderer, torch.mean)
+    order = sorted(truth, key=lambda n: -truth[n].norm())[:3]
+    for seed in range(RUNS // 3):
+        found = VanillaSceneGradient(renderer, torch.mean).attribute(top=3, seed=seed)
+        assert found.info["planner"]["reached"]
+        wrong += found.info["planner"]["order"] != [[name] for name in order]
+    # At most 5 % in the long run, and three standard errors.
+    assert wrong / (RUNS // 3) < 0.05 + 3 * math.sqrt(0.05 * 0.95 / (RUNS // 3))
+
+
+def test_equal_parameters_are_tied_instead_of_sampled_for_ever():
+    found = VanillaSceneGradient(SpikyRenderer(tied=True), torch.mean).attribute(top=3)
+    planner = found.info["planner"]
+    assert planner["reached"]
+    assert [sorted(tier) for tier in planner["order"]] == [["p0", "p1"], ["p2"]]
+
+
+class Clock:
+    """A clock that only rendering moves."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+class SlowRenderer(SpikyRenderer):
+    """Compiles once, and takes some time for each pass and each sample; backward passes take three times that."""
+
+    def __init__(self, clock, each, overhead):
+        super().__init__()
+        self.clock, self.each, self.overhead, self.compile = clock, each, overhead, 30.0
+
+    def __call__(self, inputs, *, seed, spp, seed_grad=None):
+        self.clock.now += self.compile + self.overhead + self.each * spp
+        self.compile = 0.0
+        image = super().__call__(inputs, seed=seed, spp=spp, seed_grad=seed_grad)
+        return Slow.apply(image, self.clock, 3 * (self.overhead + self.each * spp))
+
+
+class Slow(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, image, clock, seconds):
+        ctx.clock, ctx.seconds = clock, seconds
+        return image.view_as(image)
+
+    @staticmethod
+    def backward(ctx, adjoint):
+        ctx.clock.now += ctx.seconds
+        return adjoint, None, None
+
+
+@pytest.mark.parametrize("metric", [torch.mean, log_mean], ids=["linear", "log"])
+@pytest.mark.parametrize(("each", "overhead"), [(0.001, 0.05), (0.02, 0.0), (0.0001, 0.01), (1.0, 0.0)])
+def test_time_limit_is_kept_within_a_tenth_or_a_pass(monkeypatch, metric, each, overhead):
+    clock = Clock()
+    monkeypatch.setattr(time, "perf_counter", clock)
+    found = VanillaSceneGradient(SlowRenderer(clock, each, overhead), metric).attribute(time_limit=10.0)
+    planner = found.info["planner"]
+    spent = clock.now - planner["setup_seconds"]
+    last = planner["rounds"][-1]
+    a_pass = 4 * (overhead + each * last["spp_per_pass"])
+    assert planner["setup_seconds"] >= 30
+    assert 10 - max(1.0, 2 * a_pass) <= spent <= 10 + max(1.0, a_pass), (
+        f"{spent:.2f} s, rounds {planner['rounds']}"
+    )
+    assert sum(one["passes"] for one in planner["rounds"]) >= 2
+    assert planner["reached"] is None
+
+
+def test_time_limit_ends_a_goal_that_is_out_of_reach(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(time, "perf_counter", clock)
+    renderer = SlowRenderer(clock, 0.01, 0.0)
+    found = VanillaSceneGradient(renderer, torch.mean).attribute(tolerance=1e-4, time_limit=5.0)
+    planner = found.info["planner"]
+    assert (planner["reached"], planner["stopped"]) == (False, "the time limit")
+    assert planner["relative_half_width"] > 1e-4
+
+
+def test_ctrl_c_leaves_the_rounds_that_are_finished():
+    calls = []
+
+    class Stopped(SpikyRenderer):
+        def __call__(self, inputs, **options):
+            calls.append(options["spp"])
+            if len(calls) == 20:
+                raise KeyboardInterrupt
+            return super().__call__(inputs, **options)
+
+    with pytest.raises(AttributionInterrupted) as stopped:
+        VanillaSceneGradient(Stopped(), torch.mean).attribute(tolerance=0.01)
+    partial = stopped.value.partial
+    assert partial.info["spp"] == 32
+    assert partial.info["planner"]["stopped"] == "interrupted"
+
+
+# ------------------------------------------------------------------------------------------ words, and bad input
+
+
+def planned(**changes):
+    planner = {
+        "tolerance": 0.05,
+        "share": 0.05,
+        "top": None,
+        "time_limit": None,
+        "reached": True,
+        "stopped": "goal",
+        "relative_half_width": 0.0463,
+        "order": None,
+    }
+    return make(planner={**planner, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "95 % half-widths ≤ 4.6 % (asked: 5 %)"),
+        (
+            {"reached": False, "stopped": "the time limit"},
+            "95 % half-widths ≤ 4.6 % (asked: 5 %, stopped by the time limit)",
+        ),
+        (
+            {"tolerance": None, "time_limit": 10.0, "reached": None},
+            "95 % half-widths ≤ 4.6 % in 10 s",
+        ),
+        ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the first 3 clear"),
+        ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the first 3 clear but for 1 tie"),
+        (
+            {"top": 3, "order": [["a", "b"], ["c"]], "reached": False, "stopped": "the time limit"},
+            "order of the first 3 not clear, stopped by the time limit",
+        ),
+    ],
+)
+def test_tables_say_in_one_line_what_was_reached(changes, words):
+    assert goal_words(planned(**changes)) == [words]
+    assert words in str(planned(**changes))
+    assert words in planned(**changes)._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tolerance": 0}, "tolerance must be a positive number, not 0"),
+        ({"tolerance": "5 %"}, "tolerance must be a positive number, not '5 %'"),
+        ({"time_limit": math.inf}, "time_limit must be a positive number, not inf"),
+        ({"top": 0}, "top must be a whole number"),
+        ({"tolerance": 0.1, "share": 5}, "share must lie between 0 and 1, not 5"),
+        ({"tolerance": 0.1, "spp": 0}, "spp must be a whole number"),
+        ({"tolerance": 0.1, "replicates": 1}, "replicates"),
+    ],
+)
+def test_bad_goals_are_refused(options, message):
+    with pytest.raises(SceneCaptumError, match=message):
+        VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(**options)
+
+
+def test_result_saves_and_loads_with_its_report(tmp_path):
+    found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.2, top=2)
+    found.save(tmp_path / "planned.npz")
+    assert type(found).load(tmp_path / "planned.npz").info["planner"] == found.info["planner"]
