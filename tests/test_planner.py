@@ -11,7 +11,7 @@ import torch
 from results import make
 from toy import ToyRenderer
 
-from scenecaptum import SceneCaptumError, VanillaSceneGradient
+from scenecaptum import SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._metric import TargetedMetric
 from scenecaptum.attr._passes import Budget, jackknife
@@ -19,7 +19,7 @@ from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
 from scenecaptum.attr._student import student_t
 from scenecaptum.visualization._words import goal_words
 
-RUNS = 40
+RUNS = 30
 
 
 class SpikyRenderer:
@@ -347,8 +347,49 @@ def test_ctrl_c_leaves_the_rounds_that_are_finished():
     with pytest.raises(AttributionInterrupted) as stopped:
         VanillaSceneGradient(Stopped(), torch.mean).attribute(tolerance=0.01)
     partial = stopped.value.partial
-    assert partial.info["spp"] == 32
+    assert partial.info["spp"] == 64
     assert partial.info["planner"]["stopped"] == "interrupted"
+
+
+# ------------------------------------------------------------------------------------------ other renderers
+
+
+def test_what_another_renderer_would_change_is_measured_within_its_half_width():
+    class Brighter(SpikyRenderer):
+        """As a longer path would: 3 % more light, under the same seeds the same noise."""
+
+        def sampled(self, inputs, seed, spp):
+            return 1.03 * super().sampled(inputs, seed, spp)
+
+    renderer = SpikyRenderer()
+    found = VanillaSceneGradient(renderer, torch.mean).attribute(tolerance=0.1, against=Brighter())
+    against, truth = found.info["planner"]["against"], truth_of(renderer, torch.mean)
+    assert against["relative_half_width"] < 0.02
+    for name in truth:
+        error = abs(against["changes"][name] - 0.03 * truth[name].norm().item())
+        assert error <= against["half_widths"][name]
+    assert " changes ≤ 3" in str(found)
+    same = VanillaSceneGradient(renderer, log_mean).attribute(tolerance=0.1, against=SpikyRenderer())
+    assert same.info["planner"]["against"]["relative_change"] < 1e-5
+
+
+def test_effect_of_depth_and_resolution_is_that_of_renderers_made_so(cornell):
+    deeper, finer = cornell.altered(max_depth=8), cornell.altered(resolution=(40, 40))
+    assert list(deeper.inputs) == list(cornell.inputs)
+    assert (deeper.plan.max_depth, deeper.resolution) == (8, (32, 32))
+    assert (finer.plan.max_depth, finer.resolution) == (4, (40, 40))
+    metric = metrics.MeanLuminance()
+    found = VanillaSceneGradient(cornell, metric).attribute(tolerance=0.5, against=deeper)
+    against = found.info["planner"]["against"]
+    name = "floor.reflectance.value"
+    long, short = (
+        VanillaSceneGradient(one, metric).attribute(seed=7, spp=512)[name].norm().item()
+        for one in (deeper, cornell)
+    )
+    # Longer paths bring light, by several of their errors; separate renders agree on how much.
+    assert against["changes"][name] > 3 * against["half_widths"][name] > 0
+    assert against["changes"][name] == pytest.approx(long - short, abs=2 * against["half_widths"][name])
+    assert "depth 8 at 32×32 changes" in str(found)
 
 
 # ------------------------------------------------------------------------------------------ words, and bad input
@@ -404,6 +445,7 @@ def test_tables_say_in_one_line_what_was_reached(changes, words):
         ({"tolerance": 0.1, "share": 5}, "share must lie between 0 and 1, not 5"),
         ({"tolerance": 0.1, "spp": 0}, "spp must be a whole number"),
         ({"tolerance": 0.1, "replicates": 1}, "replicates"),
+        ({"against": ToyRenderer()}, "against= belongs to a goal"),
     ],
 )
 def test_bad_goals_are_refused(options, message):

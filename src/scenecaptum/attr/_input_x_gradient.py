@@ -10,6 +10,7 @@ from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
+from ._planner import SHARE, Goal, reach
 
 
 class InputXGradientScene(GradientMethod):
@@ -37,7 +38,7 @@ class InputXGradientScene(GradientMethod):
     Differences", 2016.
     """
 
-    def attribute(
+    def attribute(  # noqa: PLR0913 -- as VanillaSceneGradient's
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
@@ -46,8 +47,13 @@ class InputXGradientScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        tolerance: float | None = None,
+        share: float = SHARE,
+        top: int | None = None,
+        time_limit: float | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input; parameters, result and errors as ``VanillaSceneGradient``'s."""
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
-        return run.finish([Point(run.values, factors=run.values)], quantity="input × gradient")
+        goal = Goal(tolerance, share, top, time_limit)
+        return reach(run, Point(run.values, factors=run.values), goal, spp, quantity="input × gradient")

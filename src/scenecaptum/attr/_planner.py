@@ -10,19 +10,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
 from tqdm import tqdm
 
 from ..errors import SceneCaptumError, whole_number
+from ._against import differences
 from ._attribution import SceneAttribution, surfaces_of
 from ._gradients import GradientSum, Point
 from ._method import Own, Result, Run
-from ._passes import channel_totals
+from ._passes import Budget, channel_totals
 from ._rounds import Rounds, RoundSum
 from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
 
 SHARE = 0.05
-FIRST = 4  # samples of each pass of the first round
+FIRST = 8  # samples of each pass of the first round
 TIE = 0.05  # how near two saliencies are that count as tied, where no tolerance is given
 
 _MARGIN = 1.05  # more samples than the prediction says
@@ -30,6 +32,7 @@ _FAR = 8.0  # a prediction of more growth than this is made again on the way
 _LEAST, _MOST = 1.1, 16.0  # growth of all samples by one round
 _ROUNDS = 10
 _CLEAR = 6.0  # standard errors apart: no need to compare
+_COMPARED = 4  # one sample for so many tells what another renderer would change: they share their seeds
 _SPENT = 0.05  # of a time limit, too little to begin another round
 
 
@@ -195,7 +198,9 @@ def _along(quantity: Quantity) -> torch.Tensor:
     return (quantity.total / norm if norm > 0 else quantity.total)[:, None]
 
 
-def reach(run: Run, point: Point, goal: Goal, first: int | None, **info: Any) -> Result:
+def reach(
+    run: Run, point: Point, goal: Goal, first: int | None, *, against: Any = None, **info: Any
+) -> Result:
     """Take gradients in rounds until a goal is reached or time is up; return what ``attribute`` returns.
 
     A first round, of ``first`` samples per pixel, tells how large the errors are and so how many samples the goal
@@ -203,16 +208,26 @@ def reach(run: Run, point: Point, goal: Goal, first: int | None, **info: Any) ->
     short is followed by another. To look at errors and stop where they are small favours errors that are
     underestimated; few looks, each with the degrees of freedom of all passes so far, keep that small.
 
+    Without a goal all samples are taken at once. With one, the effect of rendering ``against`` another renderer is
+    measured afterwards.
+
     References
     ----------
     Stein, "A two-sample test for a linear hypothesis whose power is independent of the variance", Annals of
     Mathematical Statistics 16(3), 1945.
     """
+    if not goal.is_set:
+        if against is not None:
+            raise SceneCaptumError(
+                "against= belongs to a goal: give tolerance=, top= or time_limit= as well."
+            )
+        return run.finish([point], **info)
     if run.settings.replicates < 2:
         raise SceneCaptumError(
             "tolerance=, top= and time_limit= need errors, which take two passes or more: leave out replicates=1."
         )
-    search = _Search(run, point, goal, FIRST * run.settings.replicates if first is None else first)
+    first = FIRST * run.settings.replicates if first is None else first
+    search = _Search(run, point, goal, first, against)
     interrupted = search.run_rounds()
     return run.hand_over(search.results(interrupted, **info), interrupted=interrupted)
 
@@ -220,10 +235,12 @@ def reach(run: Run, point: Point, goal: Goal, first: int | None, **info: Any) ->
 class _Search:
     """One search for a goal."""
 
-    def __init__(self, run: Run, point: Point, goal: Goal, first: int) -> None:
+    def __init__(self, run: Run, point: Point, goal: Goal, first: int, against: Any) -> None:
         self.run = run
         self.point = point
         self.goal = goal
+        self.against = against
+        self.changes: list[dict[str, Any] | None] = [None] * len(run.metrics)
         self.sums = [RoundSum(run.values) for _ in run.metrics]
         self.verdicts: list[Verdict] = []
         self.passes = run.settings.replicates
@@ -249,6 +266,8 @@ class _Search:
                     if self._round(*size):
                         return True
                     size = self._next_size()
+                if self.against is not None:
+                    self._compare()
             except KeyboardInterrupt:
                 if not self.verdicts:
                     raise
@@ -302,13 +321,31 @@ class _Search:
         fewest = self.first if self.goal.time_limit is None else 1
         return passes, max(fewest, samples // passes)
 
+    def _compare(self) -> None:
+        """Measure what the other renderer would change, in a quarter of the samples."""
+        run = self.run
+        samples = max(self.first * self.passes, int(self.sums[0].share) // _COMPARED)
+        seed = int(np.random.SeedSequence([run.settings.seed, 3]).generate_state(1)[0])
+        budget = Budget.split(samples, self.passes, seed)
+        self.bar.total += 2 * budget.passes[0]
+        found = differences(run.renderer, self.against, run.metrics, self.point, budget, self.bar)
+        self.changes = [
+            _change(one, verdict, run.members, getattr(self.against, "info", {}))
+            for one, verdict in zip(found, self.verdicts, strict=True)
+        ]
+
     def results(self, interrupted: bool, **info: Any) -> list[SceneAttribution]:
         """Return the results so far, each with a report."""
         found = []
-        for metric, one, verdict in zip(self.run.metrics, self.sums, self.verdicts, strict=True):
+        for number, (metric, one) in enumerate(zip(self.run.metrics, self.sums, strict=True)):
+            verdict = self.verdicts[number]
             assert one.seen is not None
             own = Own(one.seen, self.rounds.image)
-            report = {**self._report(verdict), "stopped": self._stopped(interrupted)}
+            report = {
+                **self._report(verdict),
+                "stopped": self._stopped(interrupted),
+                "against": self.changes[number],
+            }
             found.append(
                 self.run.result(
                     metric,
@@ -346,3 +383,25 @@ class _Search:
             ],
             "setup_seconds": self.setup,
         }
+
+
+def _change(
+    found: GradientSum,
+    verdict: Verdict,
+    members: Mapping[str, tuple[str, ...]] | None,
+    info: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Say by how much the gradients that have the share would change, and how well that is known."""
+    size = {one.names[0]: one.size for one in verdict.widths}
+    changes = [one for one in _totals(found, members) if one.names[0] in size]
+    quantile = simultaneous_quantile(changes, found.degrees_of_freedom)
+    norms = {one.names[0]: one.total.norm().item() for one in changes}
+    widths = {one.names[0]: quantile * one.error for one in changes}
+    worst = max((n for n in norms if size[n]), key=lambda n: norms[n] / size[n], default=None)
+    return {
+        **{key: info[key] for key in ("scene", "max_depth", "resolution") if key in info},
+        "changes": norms,
+        "half_widths": widths,
+        "relative_change": None if worst is None else norms[worst] / size[worst],
+        "relative_half_width": None if worst is None else widths[worst] / size[worst],
+    }

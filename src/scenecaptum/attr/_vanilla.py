@@ -45,7 +45,7 @@ class VanillaSceneGradient(GradientMethod):
     Simonyan, Vedaldi and Zisserman, "Deep Inside Convolutional Networks", 2013.
     """
 
-    def attribute(  # noqa: PLR0913 -- those of every method, and five of its own
+    def attribute(  # noqa: PLR0913 -- those of every method, and six of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
@@ -59,6 +59,7 @@ class VanillaSceneGradient(GradientMethod):
         share: float = SHARE,
         top: int | None = None,
         time_limit: float | None = None,
+        against: Any = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input, from so many samples or from as many as a goal takes.
@@ -81,7 +82,7 @@ class VanillaSceneGradient(GradientMethod):
             Seed from which those of all passes are drawn.
         spp
             Total samples per pixel, split over the passes; the renderer's by default. The backward passes take
-            as many again, with seeds of their own. Where there is a goal, those of the first round: 32 by default.
+            as many again, with seeds of their own. Where there is a goal, those of the first round: 64 by default.
         replicates
             Least number of independent passes. Their spread gives the standard errors; with 1 there are none,
             and no correction of the bias that a noisy image puts into a non-linear metric.
@@ -96,6 +97,9 @@ class VanillaSceneGradient(GradientMethod):
         time_limit
             In seconds, without what compiling takes: the best that can be had in that time, or a goal if it is
             reached before.
+        against
+            Another renderer of the same parameters, such as ``renderer.altered(max_depth=-1)``: after the goal,
+            what it would change is measured on shared seeds, instead of assumed to be nothing.
         show_progress
             Whether to show a progress bar.
 
@@ -103,7 +107,8 @@ class VanillaSceneGradient(GradientMethod):
         -------
         SceneAttribution
             Signed gradients with standard errors; a list of them for a list of targets. Where there was a goal,
-            ``info["planner"]`` says what was reached: the half-widths, the order with its ties, and each round.
+            ``info["planner"]`` says what was reached: the half-widths, the order with its ties, each round, and
+            what ``against`` would change.
 
         Raises
         ------
@@ -115,9 +120,8 @@ class VanillaSceneGradient(GradientMethod):
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
         factors = _factors(scale, self.renderer, run.values)
         point = Point(run.values, factors=factors)
-        what: dict[str, Any] = {"scale": scale, "quantity": _QUANTITIES[scale]}
         goal = Goal(tolerance, share, top, time_limit)
-        return reach(run, point, goal, spp, **what) if goal.is_set else run.finish([point], **what)
+        return reach(run, point, goal, spp, against=against, scale=scale, quantity=_QUANTITIES[scale])
 
 
 def _factors(scale: Scale, renderer: Any, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

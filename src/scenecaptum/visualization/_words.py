@@ -82,10 +82,21 @@ def sampling_words(attribution: SceneAttribution) -> list[str]:
         words.append(f"interrupted after {counted}" if counted else "interrupted")
     elif counted:
         words = [f"{' '.join([*words, 'in'])} {counted}" if words else counted]
-    words += goal_words(attribution)
+    words += goal_words(attribution) + against_words(attribution)
     if attribution.covariance is None:
         words.append(f"no error bars: {counted}" if passes == 1 else "no error bars")
     return words
+
+
+def against_words(attribution: SceneAttribution) -> list[str]:
+    """Say what another renderer would have changed, where that was measured."""
+    found = (attribution.info.get("planner") or {}).get("against")
+    if not found or found["relative_change"] is None:
+        return []
+    names = [f"depth {found['max_depth']}"] if "max_depth" in found else []
+    names += ["×".join(map(str, found["resolution"]))] if "resolution" in found else []
+    change, width = 100 * found["relative_change"], 100 * found["relative_half_width"]
+    return [f"{' at '.join(names) or 'the other renderer'} changes ≤ {change:.2g} ± {width:.2g} %"]
 
 
 def goal_words(attribution: SceneAttribution) -> list[str]:
