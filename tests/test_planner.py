@@ -10,11 +10,14 @@ import pytest
 import torch
 from results import make
 from toy import ToyRenderer
+from tqdm import tqdm
 
 from scenecaptum import SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
+from scenecaptum.attr._gradients import Point
 from scenecaptum.attr._metric import TargetedMetric
 from scenecaptum.attr._passes import Budget, jackknife
+from scenecaptum.attr._rounds import Rounds, RoundSum
 from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
 from scenecaptum.attr._student import student_t
 from scenecaptum.visualization._words import goal_words
@@ -199,6 +202,34 @@ def test_a_fifth_of_the_tolerance_takes_25_times_the_samples():
     assert 25 / 1.5 < spent[0.02] / spent[0.1] < 25 * 1.5, spent
 
 
+def test_rounds_together_propagate_the_adjoint_of_all_pictures():
+    """Where backward passes have no noise, the sum is that of the corrected adjoint after the last round."""
+    pictures = []
+
+    class NoisyPictures(SpikyRenderer):
+        def __call__(self, inputs, *, seed, spp, seed_grad=None):
+            pictures.append((self.sampled(inputs, seed, spp).detach(), spp))
+            exact = self.exact(inputs)
+            return pictures[-1][0] + exact - exact.detach()
+
+    renderer, metric = NoisyPictures(), TargetedMetric(contrast)
+    with tqdm(disable=True) as bar:
+        rounds, total = (
+            Rounds(renderer, [metric], bar, seed=0, left=lambda: math.inf),
+            RoundSum(renderer.inputs),
+        )
+        for passes, spp in ((8, 8), (12, 40)):
+            (found,), _ = rounds.take(Point(renderer.inputs), passes, spp)
+            total.add(found)
+    samples = torch.tensor([spp for _, spp in pictures])
+    seen = jackknife(metric, [picture for picture, _ in pictures], samples.tolist())
+    corrected = torch.tensordot(samples / samples.sum(), torch.stack(seen.passes), 1)
+    leaves = {n: value.clone().requires_grad_() for n, value in renderer.inputs.items()}
+    expected = torch.autograd.grad(renderer.exact(leaves), list(leaves.values()), corrected)
+    for name, gradient in zip(leaves, expected, strict=True):
+        torch.testing.assert_close(total.mean[name] / total.share, gradient)
+
+
 def test_replicates_of_unequal_rounds_tell_the_error_that_is_shown():
     found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.05, seed=1)
     assert len({one["passes"] for one in found.info["planner"]["rounds"]}) > 1
@@ -286,12 +317,15 @@ class SlowRenderer(SpikyRenderer):
     def __init__(self, clock, each, overhead):
         super().__init__()
         self.clock, self.each, self.overhead, self.compile = clock, each, overhead, 30.0
+        self.calls, self.slow_after = 0, math.inf
 
     def __call__(self, inputs, *, seed, spp, seed_grad=None):
-        self.clock.now += self.compile + self.overhead + self.each * spp
+        self.calls += 1
+        seconds = (self.overhead + self.each * spp) * (2 if self.calls > self.slow_after else 1)
+        self.clock.now += self.compile + seconds
         self.compile = 0.0
         image = super().__call__(inputs, seed=seed, spp=spp, seed_grad=seed_grad)
-        return Slow.apply(image, self.clock, 3 * (self.overhead + self.each * spp))
+        return Slow.apply(image, self.clock, 3 * seconds)
 
 
 class Slow(torch.autograd.Function):
@@ -322,6 +356,16 @@ def test_time_limit_is_kept_within_a_tenth_or_a_pass(monkeypatch, metric, each, 
     )
     assert sum(one["passes"] for one in planner["rounds"]) >= 2
     assert planner["reached"] is None
+
+
+def test_time_limit_is_kept_where_passes_become_slower(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(time, "perf_counter", clock)
+    renderer = SlowRenderer(clock, 0.01, 0.0)
+    renderer.slow_after = 10  # two rehearsals and the first round
+    planner = VanillaSceneGradient(renderer, log_mean).attribute(time_limit=10.0).info["planner"]
+    spent = clock.now - planner["setup_seconds"]
+    assert 8 <= spent <= 11, f"{spent:.2f} s, rounds {planner['rounds']}"
 
 
 def test_time_limit_ends_a_goal_that_is_out_of_reach(monkeypatch):
