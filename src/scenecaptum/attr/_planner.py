@@ -24,10 +24,10 @@ from ._rounds import Rounds, RoundSum
 from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
 
 SHARE = 0.05
-FIRST = 8  # samples of each pass of the first round
 TIE = 0.05  # how near two saliencies are that count as tied, where no tolerance is given
 
-_MARGIN = 1.05  # more samples than the prediction says
+_FREE = 2**14  # samples of a whole picture, for which a pass takes little longer than for none
+_FIRST = 8  # samples of each pass of the first round, where the size of the picture is not known
 _FAR = 8.0  # a prediction of more growth than this is made again on the way
 _LEAST, _MOST = 1.1, 16.0  # growth of all samples by one round
 _ROUNDS = 10
@@ -226,10 +226,16 @@ def reach(
         raise SceneCaptumError(
             "tolerance=, top= and time_limit= need errors, which take two passes or more: leave out replicates=1."
         )
-    first = FIRST * run.settings.replicates if first is None else first
+    first = _first(run.renderer) * run.settings.replicates if first is None else whole_number("spp", first)
     search = _Search(run, point, goal, first, against)
     interrupted = search.run_rounds()
     return run.hand_over(search.results(interrupted, **info), interrupted=interrupted)
+
+
+def _first(renderer: Any) -> int:
+    """Return the samples of each pass of the first round: what is nearly free, and enough to tell the noise by."""
+    width, height = getattr(renderer, "resolution", (0, 0))
+    return min(max(_FREE // (width * height), 4), 64) if width * height else _FIRST
 
 
 class _Search:
@@ -244,7 +250,7 @@ class _Search:
         self.sums = [RoundSum(run.values) for _ in run.metrics]
         self.verdicts: list[Verdict] = []
         self.passes = run.settings.replicates
-        self.first = math.ceil(whole_number("spp", first) / self.passes)  # samples of a pass
+        self.first = math.ceil(first / self.passes)  # samples of a pass
         self.setup = 0.0  # seconds before the clock begins
         self.began = time.perf_counter()
         self.bar = tqdm(
@@ -305,7 +311,9 @@ class _Search:
         """Return the passes of the next round and their samples, or None where there is to be none."""
         if len(self.rounds.seconds) == _ROUNDS or all(one.is_reached for one in self.verdicts):
             return None
-        growth = _MARGIN * max(one.growth(self.passes) for one in self.verdicts)
+        # What is predicted is as uncertain as the errors that it is predicted from.
+        margin = 1 + 1 / math.sqrt(max(1, min(one.degrees for one in self.verdicts)))
+        growth = margin * max(one.growth(self.passes) for one in self.verdicts)
         growth = min(max(growth / 3 if growth > _FAR else growth, _LEAST), _MOST)
         sampled = self.sums[0].share
         samples = math.ceil((growth - 1) * sampled)

@@ -82,7 +82,7 @@ class VanillaSceneGradient(GradientMethod):
             Seed from which those of all passes are drawn.
         spp
             Total samples per pixel, split over the passes; the renderer's by default. The backward passes take
-            as many again, with seeds of their own. Where there is a goal, those of the first round: 64 by default.
+            as many again, with seeds of their own. Where there is a goal, those of the first round.
         replicates
             Least number of independent passes. Their spread gives the standard errors; with 1 there are none,
             and no correction of the bias that a noisy image puts into a non-linear metric.
