@@ -33,6 +33,7 @@ _LEAST, _MOST = 1.1, 16.0  # growth of all samples by one round
 _ROUNDS = 10
 _CLEAR = 6.0  # standard errors apart: no need to compare
 _COMPARED = 4  # one sample for so many tells what another renderer would change: they share their seeds
+_SAFE = 0.95  # of the time that is left, to be filled by a round
 _SPENT = 0.05  # of a time limit, too little to begin another round
 
 
@@ -251,6 +252,7 @@ class _Search:
         self.verdicts: list[Verdict] = []
         self.passes = run.settings.replicates
         self.first = math.ceil(first / self.passes)  # samples of a pass
+        self.seconds: list[float] = []  # of each round
         self.setup = 0.0  # seconds before the clock begins
         self.began = time.perf_counter()
         self.bar = tqdm(
@@ -281,6 +283,7 @@ class _Search:
         return False
 
     def _round(self, passes: int, spp: int) -> bool:
+        began = time.perf_counter()
         self.bar.total += 2 * passes
         found, interrupted = self.rounds.take(self.point, passes, spp)
         if interrupted and not all(one.passes for one in found):
@@ -288,6 +291,7 @@ class _Search:
         for one, into in zip(found, self.sums, strict=True):
             into.add(one)
         self.verdicts = [judge(one, self.goal, self.run.members) for one in self.sums]
+        self.seconds.append(time.perf_counter() - began)
         return interrupted
 
     def _first_size(self) -> tuple[int, int]:
@@ -309,7 +313,7 @@ class _Search:
 
     def _next_size(self) -> tuple[int, int] | None:
         """Return the passes of the next round and their samples, or None where there is to be none."""
-        if len(self.rounds.seconds) == _ROUNDS or all(one.is_reached for one in self.verdicts):
+        if len(self.seconds) == _ROUNDS or all(one.is_reached for one in self.verdicts):
             return None
         # What is predicted is as uncertain as the errors that it is predicted from.
         margin = 1 + 1 / math.sqrt(max(1, min(one.degrees for one in self.verdicts)))
@@ -319,10 +323,10 @@ class _Search:
         samples = math.ceil((growth - 1) * sampled)
         if self.goal.time_limit is not None:
             done, spp = self.rounds.budget.passes[-1], self.rounds.budget.spp[-1] or 1
-            each = self.rounds.seconds[-1] / done
+            each = self.seconds[-1] / done
             if self.left() < max(_SPENT * self.goal.time_limit, 2 * each / spp):
                 return None
-            samples = min(samples, int(spp * self.left() / each))
+            samples = min(samples, int(_SAFE * spp * self.left() / each))
         # A round that counts little tells little of the error: half as many passes do.
         least = self.passes if samples > sampled else math.ceil(self.passes / 2)
         passes = max(2, min(max(samples // (4 * self.first), least), 3 * self.passes))
@@ -373,7 +377,7 @@ class _Search:
             return "interrupted"
         if all(one.is_reached for one in self.verdicts):
             return "goal"
-        return "the number of rounds" if len(self.rounds.seconds) == _ROUNDS else "the time limit"
+        return "the number of rounds" if len(self.seconds) == _ROUNDS else "the time limit"
 
     def _report(self, verdict: Verdict) -> dict[str, Any]:
         budget = self.rounds.budget
@@ -387,7 +391,7 @@ class _Search:
             "order": verdict.tiers(self.goal.top) if self.goal.top and verdict.degrees else None,
             "rounds": [
                 {"passes": passes, "spp_per_pass": spp, "seconds": seconds}
-                for passes, spp, seconds in zip(budget.passes, budget.spp, self.rounds.seconds, strict=True)
+                for passes, spp, seconds in zip(budget.passes, budget.spp, self.seconds, strict=False)
             ],
             "setup_seconds": self.setup,
         }

@@ -14,7 +14,7 @@ from ._gradients import Gradients, GradientSum, Point, PointGradient
 from ._metric import TargetedMetric
 from ._passes import Adjoints, Budget, jackknife
 
-_GROUPS = 8  # into which the pictures of earlier rounds are merged: memory does not grow with the rounds
+_GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
 
 
 class RoundSum(GradientSum):
@@ -62,7 +62,6 @@ class Rounds(Gradients):
         left: Callable[[], float],
     ) -> None:
         super().__init__(renderer, metrics, Budget((), (), ()), bar)
-        self.seconds: list[float] = []  # of each round
         self._seed = seed
         self._left = left
         self._began = 0.0  # the backward passes of this round
@@ -86,7 +85,6 @@ class Rounds(Gradients):
 
     def take(self, point: Point, passes: int, spp: int) -> tuple[list[PointGradient], bool]:
         """Take one more round; return as ``at``, each share being the samples of the passes that were finished."""
-        began = time.perf_counter()
         before, self.budget = self.budget, self.budget.with_round(passes, spp, self._seed)
         try:
             found, interrupted = self.at(len(before.spp), point)
@@ -101,7 +99,6 @@ class Rounds(Gradients):
             self.budget,
             gradient_seeds=(*self.budget.gradient_seeds[:-1], self.budget.gradient_seeds[-1][:done]),
         )
-        self.seconds.append(time.perf_counter() - began)
         return found, interrupted
 
     def _seen(
