@@ -12,7 +12,7 @@ from results import make
 from toy import ToyRenderer
 from tqdm import tqdm
 
-from scenecaptum import SceneCaptumError, VanillaSceneGradient, metrics
+from scenecaptum import SceneCaptumError, VanillaSceneGradient, cli, metrics
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._gradients import Point
 from scenecaptum.attr._metric import TargetedMetric
@@ -501,3 +501,9 @@ def test_result_saves_and_loads_with_its_report(tmp_path):
     found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.2, top=2)
     found.save(tmp_path / "planned.npz")
     assert type(found).load(tmp_path / "planned.npz").info["planner"] == found.info["planner"]
+
+
+def test_command_line_takes_a_tolerance(tmp_path, capsys):
+    small = ["--resolution", "24x24", "--max-depth", "3", "--no-progress", "--inputs", "emitters"]
+    assert cli.main(["attribute", "cornell-box", *small, "--tolerance", "0.5", "--out", str(tmp_path)]) == 0
+    assert "(asked: 50 %)" in capsys.readouterr().out

@@ -34,6 +34,19 @@ def add(commands: Any) -> None:
         metavar="N",
         help="least number of passes that the error bars come from; 1 turns them off (default: 8)",
     )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="add samples until the 95 %% interval of every parameter with 5 %% of all saliency reaches no "
+        "further than X times its own, such as 0.05",
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        metavar="SECONDS",
+        help="the best for each metric in that time, without what compiling takes",
+    )
     _arguments.add_output(parser)
     add_report(parser)
     parser.set_defaults(run=attribute)
@@ -61,6 +74,8 @@ def attribute(options: argparse.Namespace) -> int:
                     target=options.target,
                     seed=options.seed,
                     replicates=options.replicates,
+                    tolerance=options.tolerance,
+                    time_limit=options.time_limit,
                     show_progress=_arguments.shows_progress(options),
                 )
             except AttributionInterrupted as interruption:

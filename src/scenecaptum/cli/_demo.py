@@ -28,4 +28,6 @@ def add(commands: Any) -> None:
         max_depth=6,
         seed=0,
         replicates=8,
+        tolerance=None,
+        time_limit=None,
     )
