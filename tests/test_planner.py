@@ -418,7 +418,7 @@ def test_what_another_renderer_would_change_is_measured_within_its_half_width():
 
 
 def test_effect_of_depth_and_resolution_is_that_of_renderers_made_so(cornell):
-    deeper, finer = cornell.altered(max_depth=8), cornell.altered(resolution=(40, 40))
+    deeper, finer = cornell.replace(max_depth=8), cornell.replace(resolution=(40, 40))
     assert list(deeper.inputs) == list(cornell.inputs)
     assert (deeper.plan.max_depth, deeper.resolution) == (8, (32, 32))
     assert (finer.plan.max_depth, finer.resolution) == (4, (40, 40))

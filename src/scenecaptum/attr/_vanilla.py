@@ -98,7 +98,7 @@ class VanillaSceneGradient(GradientMethod):
             In seconds, without what compiling takes: the best that can be had in that time, or a goal if it is
             reached before.
         against
-            Another renderer of the same parameters, such as ``renderer.altered(max_depth=-1)``: after the goal,
+            Another renderer of the same parameters, such as ``renderer.replace(max_depth=-1)``: after the goal,
             what it would change is measured on shared seeds, instead of assumed to be nothing.
         show_progress
             Whether to show a progress bar.
