@@ -181,13 +181,14 @@ def test_wrong_derivatives_are_noticed():
     class Wrong(Bouncing):
         def __call__(self, inputs, *, seed, spp):
             # The derivative by the wall ignores how much light there is.
-            dimmed = {**inputs, "light": inputs["light"].detach() * 0 + 1}
+            others = {name: value.detach() for name, value in inputs.items() if name != "wall"}
+            dimmed = {**inputs, **others, "light": torch.ones(3)}
             right, wrong = (super(Wrong, self).__call__(one, seed=seed, spp=spp) for one in (inputs, dimmed))
             held = {**inputs, "wall": inputs["wall"].detach()}
             held_right = super().__call__(held, seed=seed, spp=spp)
             return right.detach() + held_right - held_right.detach() + wrong - wrong.detach()
 
-    good, bad = (interactions(renderer, torch.mean, top=3) for renderer in (Bouncing(), Wrong()))
+    good, bad = (interactions(renderer, torch.mean, top=4) for renderer in (Bouncing(), Wrong()))
     assert good.is_symmetric
     assert not bad.is_symmetric
     assert "not symmetric" in bad.verdict
