@@ -4,13 +4,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test test-long lint clean
+.PHONY: help demo test test-long lint docs clean
 
 help:
 	@echo "make demo       render a small scene, attribute a metric to it, write figures to out/"
 	@echo "make test       lint, then every test that takes seconds"
 	@echo "make test-long  the tests that take minutes"
 	@echo "make lint       ruff and mypy"
+	@echo "make docs       the documentation as HTML in docs/_build/; a warning is an error"
 	@echo "make clean      remove outputs and caches (not .venv)"
 	@echo
 	@echo "PYTHON=python3.12 chooses the Python that .venv is made with (3.10 or newer)."
@@ -29,8 +30,12 @@ lint: .venv/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: .venv/.docs
+	rm -rf docs/generated
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build
+
 clean:
-	rm -rf out build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info
+	rm -rf out docs/_build docs/generated build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info
 	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 $(BIN)/python:
@@ -44,6 +49,10 @@ $(BIN)/python:
 
 .venv/.test: .venv/.base
 	$(PIP) -e '.[test]'
+	@touch $@
+
+.venv/.docs: .venv/.base
+	$(PIP) -e '.[docs]'
 	@touch $@
 
 .venv/.llvm: .venv/.base scripts/provide-llvm

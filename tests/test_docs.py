@@ -1,17 +1,32 @@
-"""Every example in the README and in the docstrings runs."""
+"""Every example in the README, the documentation and the docstrings runs, every link leads somewhere, and every
+public name is described.
+"""
 
 from __future__ import annotations
 
+import ast
 import doctest
 import importlib
+import inspect
 import pkgutil
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import scenecaptum
+from scenecaptum.cli._main import _parser
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+TORCHVISION = ("vision.md",)  # what runs it, beside pretrained weights
 
 MODULES = sorted(
     module.name
@@ -19,15 +34,162 @@ MODULES = sorted(
     if "__main__" not in module.name
 )
 
+# Modules that are imported by their names; what a package re-exports is public beside it.
+NAMED = ("scenecaptum.optimize", "scenecaptum.projection")
 
-def test_readme_examples_run(mi):
-    readme = Path(__file__).parents[1] / "README.md"
-    failed, attempted = doctest.testfile(str(readme), module_relative=False, optionflags=FLAGS)
-    assert attempted > 8
-    assert failed == 0
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Return the language and the text of each block of code."""
+    return FENCE.findall(page.read_text())
+
+
+def examples(page: Path) -> str:
+    """Return a page's examples, each on its line, with nothing else."""
+
+    def kept(block: re.Match[str]) -> str:
+        code = block[2] if block[1] == "python" else "\n" * block[2].count("\n")
+        return f"\n{code}\n"
+
+    parts, end, text = [], 0, page.read_text()
+    for block in FENCE.finditer(text):
+        parts += ["\n" * text[end : block.start()].count("\n"), kept(block)]
+        end = block.end()
+    return "".join(parts)
+
+
+@pytest.mark.parametrize(
+    "page", [one for one in PAGES if ">>>" in one.read_text()], ids=lambda page: page.name
+)
+def test_examples_of_pages_run(page, mi, request):
+    if page.name in TORCHVISION:
+        request.getfixturevalue("torchvision")
+    test = doctest.DocTestParser().get_doctest(
+        examples(page), {"__name__": "__main__"}, page.name, str(page), 0
+    )
+    assert test.examples
+    failures: list[str] = []
+    doctest.DocTestRunner(optionflags=FLAGS).run(test, out=failures.append)
+    assert not failures, "".join(failures)
 
 
 @pytest.mark.parametrize("name", MODULES)
 def test_docstring_examples_run(name, mi):
     failed, _ = doctest.testmod(importlib.import_module(name), optionflags=FLAGS)
     assert failed == 0
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_of_code_can_be_checked(page):
+    for language, code in blocks(page):
+        assert language in ("python", "sh", "text", "{toctree}", "{eval-rst}", "{include}"), code
+        if language == "python":
+            assert ">>> " in code, f"{page.name} shows code that nobody runs:\n{code}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_in_pages_exist(page):
+    for language, code in blocks(page):
+        for line in code.splitlines() if language == "sh" else ():
+            check_command(shlex.split(line, comments=True))
+
+
+def check_command(words: list[str]) -> None:
+    match words:
+        case ["scenecaptum", *arguments]:
+            _parser().parse_args(arguments)
+        case ["make", *targets]:
+            assert all(
+                re.search(rf"^{one}:", (ROOT / "Makefile").read_text(), re.MULTILINE) for one in targets
+            )
+        case ["python", path, *_]:
+            assert (ROOT / path).is_file(), path
+        case ["pip", "install", what]:
+            extras = re.findall(r"\[(\w+)\]", what)
+            assert all(f"\n{one} = [" in (ROOT / "pyproject.toml").read_text() for one in extras), what
+        case [] | [".", ".venv/bin/activate"]:
+            pass
+        case _:
+            pytest.fail(f"nothing checks the command {shlex.join(words)}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_relative_links_lead_somewhere(page):
+    prose = FENCE.sub("", page.read_text())
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose):
+        if not re.match(r"https?:", link):
+            path, _, anchor = link.partition("#")
+            target = page.parent / path if path else page
+            assert target.exists(), f"{page.name}: {link}"
+            assert not anchor or anchor in anchors(target), f"{page.name}: {link}"
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and MyST make them."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_scripts_that_pages_name_exist(page):
+    for path in re.findall(r"(?:benchmarks|examples|scripts)/[\w/-]+(?:\.py)?", page.read_text()):
+        assert (ROOT / path).exists(), f"{page.name}: {path}"
+
+
+def public() -> Iterator[tuple[str, Any]]:
+    """Return every public name with what it means: what packages re-export, and the two modules of functions."""
+    packages = {one.name for one in pkgutil.walk_packages(scenecaptum.__path__, "scenecaptum.") if one.ispkg}
+    for name in sorted({"scenecaptum", *packages, *NAMED} - {"scenecaptum.cli"}):
+        module = importlib.import_module(name)
+        names = own_names(module) if name in NAMED else re_exported(module)
+        yield from ((f"{name}.{one}", getattr(module, one)) for one in names)
+
+
+def re_exported(module: Any) -> list[str]:
+    """Return the names that a package imports as themselves, modules aside."""
+    imports = [node for node in ast.parse(inspect.getsource(module)).body if isinstance(node, ast.ImportFrom)]
+    names = [alias.asname for node in imports for alias in node.names if alias.asname == alias.name]
+    return [one for one in names if one and not inspect.ismodule(getattr(module, one))]
+
+
+def own_names(module: Any) -> list[str]:
+    """Return the names of the functions and classes that a module defines."""
+    things = inspect.getmembers(module, inspect.isclass) + inspect.getmembers(module, inspect.isfunction)
+    return [one for one, thing in things if one[0] != "_" and thing.__module__ == module.__name__]
+
+
+def test_every_public_name_is_in_the_reference():
+    listed = set(re.findall(r"scenecaptum(?:\.\w+)+", (ROOT / "docs" / "reference.md").read_text()))
+    known = dict(public())
+    assert not listed - known.keys(), "the reference lists what does not exist"
+    shown = {id(known[name]) for name in listed}
+    missing = [name for name, thing in known.items() if id(thing) not in shown]
+    assert not missing, f"docs/reference.md leaves out {', '.join(missing)}"
+
+
+def test_every_public_name_has_a_docstring():
+    undocumented = [
+        f"{name}{'.' if member else ''}{member}"
+        for name, thing in public()
+        if callable(thing)
+        for member, part in [("", thing), *methods(thing)]
+        if not (part.__doc__ or "").strip()
+    ]
+    assert not undocumented
+
+
+def methods(thing: Any) -> list[tuple[str, Any]]:
+    """Return the public methods and properties that a class has of its own."""
+    own = vars(thing).items() if inspect.isclass(thing) else ()
+    kinds = (property, classmethod, staticmethod)
+    return [(n, p) for n, p in own if n[0] != "_" and (inspect.isfunction(p) or isinstance(p, kinds))]
+
+
+@pytest.mark.long
+def test_the_documentation_builds_without_a_warning(tmp_path):
+    sphinx = pytest.importorskip("sphinx.cmd.build", reason="Sphinx is not installed: pip install '.[docs]'")
+    for package in ("myst_parser", "furo"):
+        pytest.importorskip(package)
+    shutil.rmtree(ROOT / "docs" / "generated", ignore_errors=True)  # what it described may be gone
+    where = [str(ROOT / "docs"), str(tmp_path / "html")]
+    assert sphinx.build_main(["-q", "-W", "--keep-going", "-b", "html", *where]) == 0
+    assert (tmp_path / "html" / "index.html").is_file()
