@@ -27,7 +27,7 @@ python_maximum_signature_line_length = 80
 html_theme = "furo"
 html_title = f"scenecaptum {release}"
 html_static_path = ["_static"]
-html_css_files = ["tables.css"]
+html_css_files = ["pages.css"]
 html_copy_source = False
 html_show_sphinx = False
 
