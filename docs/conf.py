@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from typing import Any
 
 from sphinx.domains.python import PyObject
@@ -21,6 +23,8 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 # Properties say what they are themselves: a class that describes them as attributes would do so twice.
 napoleon_use_ivar = True
+napoleon_attr_annotations = False
+default_role = "py:obj"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 80
 
@@ -32,15 +36,28 @@ html_copy_source = False
 html_show_sphinx = False
 
 
-def _keep_colons(_app: Any, what: str, _name: str, _what: Any, _options: Any, lines: list[str]) -> None:
-    """Keep napoleon from taking a property's words before a colon for its type."""
+def _mend_docstring(_app: Any, what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
+    """Keep napoleon from taking words for types: a property's before a colon, and the first of two attributes."""
     if what == "property":
         lines.insert(0, "")
+    if "Attributes" in lines:
+        for number in range(lines.index("Attributes"), len(lines)):
+            if re.fullmatch(r"\w+(, \w+)+", lines[number]):
+                lines[number] = lines[number].replace(", ", ",\u200b")
+
+
+def _hide_constructor(
+    _app: Any, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Hide how results are made, which is not for users to do: their attributes are described."""
+    is_result = what == "class" and dataclasses.is_dataclass(thing)
+    return ("" if is_result else signature), returns
 
 
 def setup(app: Any) -> None:
     """Register what differs from Sphinx's own ways."""
-    app.connect("autodoc-process-docstring", _keep_colons, priority=100)
+    app.connect("autodoc-process-docstring", _mend_docstring, priority=100)
+    app.connect("autodoc-process-signature", _hide_constructor)
     for field in PyObject.doc_field_types:
         if field.name == "variable":
             field.label = "Attributes"
