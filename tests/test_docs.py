@@ -89,7 +89,7 @@ def test_every_block_of_code_can_be_checked(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_pages_exist(page):
     for language, code in blocks(page):
-        for line in code.splitlines() if language == "sh" else ():
+        for line in code.replace("\\\n", " ").splitlines() if language == "sh" else ():
             check_command(shlex.split(line, comments=True))
 
 
