@@ -24,7 +24,7 @@ from scenecaptum.cli._main import _parser
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 TORCHVISION = ("vision.md",)  # what runs it, beside pretrained weights
 
