@@ -57,9 +57,7 @@ def examples(page: Path) -> str:
     return "".join(parts)
 
 
-@pytest.mark.parametrize(
-    "page", [one for one in PAGES if ">>>" in one.read_text()], ids=lambda page: page.name
-)
+@pytest.mark.parametrize("page", [one for one in PAGES if ">>>" in examples(one)], ids=lambda page: page.name)
 def test_examples_of_pages_run(page, mi, request):
     if page.name in TORCHVISION:
         request.getfixturevalue("torchvision")
