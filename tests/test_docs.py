@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import doctest
+import gc
 import importlib
 import inspect
 import pkgutil
@@ -67,6 +68,7 @@ def test_examples_of_pages_run(page, mi, request):
     assert test.examples
     failures: list[str] = []
     doctest.DocTestRunner(optionflags=FLAGS).run(test, out=failures.append)
+    gc.collect()  # a scene that is still alive slows the next page's down
     assert not failures, "".join(failures)
 
 
