@@ -493,11 +493,13 @@ def test_switches_and_slider_repaint_the_picture(report):
     assert report.page.locator("#opacity-value").inner_text() == "0 %"
 
 
-def test_texels_are_painted_until_they_are_switched_off(browser, tmp_path):
+def test_texels_are_painted_while_they_are_switched_on(browser, tmp_path):
     path = tmp_path / "report.html"
     write_report([with_texels(), make("Other")], path)
     page = Page(browser, path)
     page.page.get_by_text("Signed", exact=True).click()
+    assert page.colour("overlay", 9, 1) == page.colour("overlay", 14, 1)
+    page.page.locator("#texels").check()
     left, right = page.colour("overlay", 9, 1), page.colour("overlay", 14, 1)
     assert left[0] > left[2]  # vermillion: that texel lowers the metric
     assert right[2] > right[0]  # blue: the texel outdoes the roughness
