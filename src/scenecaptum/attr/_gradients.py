@@ -14,8 +14,9 @@ import torch
 from tqdm import tqdm
 
 from ..errors import SceneCaptumError
+from ._jackknife import Adjoints, jackknife, still_linear
 from ._metric import TargetedMetric
-from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife, still_linear
+from ._passes import Budget, Spread, channel_totals
 
 Tensors = Mapping[str, torch.Tensor]
 
