@@ -1,0 +1,82 @@
+"""The rooms and the metrics on which the paper's claims are tried."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from scenecaptum import SceneRenderer, activate, metrics
+from scenecaptum.scene import bundled
+
+SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[3] / "shared" / "scenes"))
+DEPTH = 6  # the paper's
+FOLDING_CHAIR = 559
+TURNED = "office from the window"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is rendered: pictures ``width`` pixels wide, of ``spp`` samples per pixel.
+
+    ``judged`` is the width of pictures that are rendered many times, ``reference`` the samples of a reference.
+    """
+
+    width: int
+    spp: int
+    judged: int
+    reference: int
+    top: int
+    resnet: bool = False
+
+
+FULL = Size(width=192, spp=128, judged=64, reference=1024, top=10)
+QUICK = Size(width=16, spp=8, judged=16, reference=32, top=2)
+
+
+@dataclass
+class Room:
+    """A room, rendered at one size, with the three metrics of the paper."""
+
+    name: str
+    renderer: SceneRenderer
+    metrics: dict[str, Any]
+
+
+def names() -> list[str]:
+    """Return the office, and the rooms that are there; say which are not."""
+    found = ["office"]
+    for name in ("living-room", "dining-room"):
+        if (SCENES / name / "scene.xml").is_file():
+            found.append(name)
+        else:
+            print(f"{name}: skipped, there is no {SCENES / name / 'scene.xml'}")
+    return found
+
+
+def load(name: str, inputs: Any, width: int, spp: int, *, resnet: bool = False) -> Room:
+    """Load a room, its pictures 16:9."""
+    scene = turned() if name == TURNED else name if name == "office" else SCENES / name / "scene.xml"
+    renderer = SceneRenderer(scene, inputs, resolution=(width, 9 * width // 16), spp=spp, max_depth=DEPTH)
+    glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
+    with torch.no_grad():
+        mean = metrics.MeanLuminance()(renderer(seed=1, spp=max(1, spp // 4))).item()
+    exposure = 0.4 / mean  # a picture of middling brightness
+    network = (
+        metrics.ClassLogit.pretrained("resnet50", "IMAGENET1K_V2", FOLDING_CHAIR, exposure=exposure)
+        if resnet
+        else metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "sphere", exposure=exposure)
+    )
+    return Room(name, renderer, {"mean luminance": metrics.MeanLuminance(), "UGR": glare, "logit": network})
+
+
+def turned() -> dict[str, Any]:
+    """Return the office seen from its window, which is not in the picture then."""
+    mi = activate()
+    scene = bundled.office()
+    pose = mi.ScalarTransform4f().look_at(origin=(0.3, 4.2, 1.5), target=(-0.4, -0.9, 1.2), up=(0, 0, 1))
+    scene["sensor"] |= {"to_world": pose}
+    return scene
