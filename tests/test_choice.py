@@ -76,6 +76,19 @@ def test_chosen_pixels_give_the_derivative_of_the_picture(mi: Any, rfilter: str)
     assert (own.var(0) / chosen.var(0)).log().mean().exp() > 1.1
 
 
+def test_pixels_are_chosen_alike_whatever_was_rendered_before() -> None:
+    """The pilots that tell where the noise is see the scene's own values, and not those of the first gradient."""
+
+    def gradients(*factors: float) -> torch.Tensor:
+        renderer = SceneRenderer("cornell-box", "reflectance", resolution=(8, 8), spp=4, max_depth=3)
+        for factor in factors:
+            x = {name: (factor * value).requires_grad_() for name, value in renderer.inputs.items()}
+            renderer(x, seed=1, seed_grad=2).mean().backward()
+        return torch.cat([leaf.grad.flatten() for leaf in x.values()])
+
+    torch.testing.assert_close(gradients(1.0, 0.2), gradients(0.2), rtol=1e-5, atol=1e-8)
+
+
 def test_passes_share_out_all_samples() -> None:
     for resolution, spp in (((64, 64), 16), ((1280, 720), 64), ((3840, 2160), 7), ((1280, 720), 5)):
         split = list(passes(3, spp, resolution))
