@@ -18,7 +18,7 @@ from scenecaptum.attr._gradients import Point
 from scenecaptum.attr._jackknife import jackknife
 from scenecaptum.attr._metric import TargetedMetric
 from scenecaptum.attr._passes import Budget
-from scenecaptum.attr._rounds import Rounds, RoundSum
+from scenecaptum.attr._rounds import Rounds, RoundSum, TimeLimit
 from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
 from scenecaptum.attr._student import student_t
 from scenecaptum.visualization._words import goal_words
@@ -216,7 +216,7 @@ def test_rounds_together_propagate_the_adjoint_of_all_pictures():
     renderer, metric = NoisyPictures(), TargetedMetric(contrast)
     with tqdm(disable=True) as bar:
         rounds, total = (
-            Rounds(renderer, [metric], bar, seed=0, left=lambda: math.inf),
+            Rounds(renderer, [metric], bar, seed=0, time=TimeLimit()),
             RoundSum(renderer.inputs),
         )
         for passes, spp in ((4, 16), (12, 40)):  # as many as are kept apart

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
@@ -56,6 +57,7 @@ class FeatureAblationScene(Perturbation):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each feature.
@@ -82,6 +84,9 @@ class FeatureAblationScene(Perturbation):
         replicates
             Number of independent seeds. Their spread gives the standard errors; with 1 there are none, and no
             correction of the bias that a noisy image puts into a non-linear metric.
+        checkpoint
+            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
+            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
         show_progress
             Whether to show a progress bar.
 
@@ -110,7 +115,9 @@ class FeatureAblationScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(one.what, partial(_without, one, values, absent)) for one in features]
-        measured = self._measure(arms, target, Settings(seed, spp, replicates, show_progress))
+        measured = self._measure(
+            arms, target, Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint)
+        )
         likes = dict(values) if members is None else {group: torch.zeros(()) for group in members}
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, None]:

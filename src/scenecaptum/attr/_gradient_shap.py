@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import completed, difference, hand_over
@@ -57,6 +58,7 @@ class GradientShapScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric's difference from the baselines to each input.
@@ -77,7 +79,7 @@ class GradientShapScene(GradientMethod):
             Noise on the inputs, as in ``SmoothGradScene``.
         return_convergence_delta
             Return ``(attribution, delta)``.
-        groups, seed, spp, replicates, show_progress
+        groups, seed, spp, replicates, checkpoint, show_progress
             As in ``SmoothGradScene``.
 
         Returns
@@ -94,7 +96,7 @@ class GradientShapScene(GradientMethod):
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
         count = whole_number("n_samples", n_samples)
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")

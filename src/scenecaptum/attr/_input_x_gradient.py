@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import torch
 
+from ..checkpoint import Folder
 from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
@@ -51,9 +52,10 @@ class InputXGradientScene(GradientMethod):
         share: float = SHARE,
         top: int | None = None,
         time_limit: float | None = None,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input; parameters, result and errors as ``VanillaSceneGradient``'s."""
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
         goal = Goal(tolerance, share, top, time_limit)
         return reach(run, Point(run.values, factors=run.values), goal, spp, quantity="input × gradient")

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import completed, difference, hand_over
@@ -56,6 +57,7 @@ class IntegratedGradientsScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric's difference from the baseline to each input.
@@ -88,6 +90,9 @@ class IntegratedGradientsScene(GradientMethod):
             an eighth more goes to either end (``info["budget"]``).
         replicates
             At how many of the steps, spread over the way, the noise is told by two passes; 1 for no error bars.
+        checkpoint
+            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
+            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
         show_progress
             Whether to show a progress bar.
 
@@ -104,7 +109,7 @@ class IntegratedGradientsScene(GradientMethod):
             On Ctrl-C after the first step: the steps so far stand for all.
         """
         places, weights = quadrature(method, n_steps)
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (between(start, run.values, *one) for one in zip(places, weights, strict=True))
         # In their order the first are spread over the whole way.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -13,6 +12,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
 from ._attribution import SceneAttribution, make_attribution
 from ._gradients import LEAST_SEEN, Gradients, GradientSum, Point, input_values, sum_gradients
@@ -40,6 +40,7 @@ class Settings:
     replicates: int
     show_progress: bool
     groups: Groups = None
+    checkpoint: Folder = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,10 @@ class Run:
     several: bool
     members: dict[str, tuple[str, ...]] | None
     settings: Settings
-    began: float = field(default_factory=time.perf_counter)
+    watch: Stopwatch = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watch = Stopwatch(self.renderer)
 
     def finish(
         self,
@@ -175,7 +179,7 @@ class Run:
                 "spp": budget.total,
                 "budget": _budget_info(budget, gradients),
                 "interrupted": interrupted,
-                "seconds": time.perf_counter() - self.began,
+                **self.watch.record,
                 **info,
             },
         )
@@ -220,7 +224,7 @@ class GradientMethod:
         values, groups = input_values(self.renderer, inputs), settings.groups
         return Run(
             method=type(self).__name__,
-            renderer=self.renderer,
+            renderer=with_checkpoint(self.renderer, settings.checkpoint),
             values=values,
             members=None if groups is None else resolve_groups(self.renderer, values, groups),
             metrics=[TargetedMetric(self.metric, one) for one in listed(target)],

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
@@ -57,7 +58,7 @@ class OcclusionScene(Perturbation):
     Zeiler and Fergus, "Visualizing and Understanding Convolutional Networks", ECCV 2014.
     """
 
-    def attribute(
+    def attribute(  # noqa: PLR0913 -- those of every method, and some of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
@@ -68,6 +69,7 @@ class OcclusionScene(Perturbation):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to patches of textures.
@@ -95,6 +97,9 @@ class OcclusionScene(Perturbation):
         replicates
             Number of independent seeds. Their spread gives the standard errors; with 1 there are none, and no
             correction of the bias that a noisy image puts into a non-linear metric.
+        checkpoint
+            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
+            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
         show_progress
             Whether to show a progress bar.
 
@@ -129,7 +134,9 @@ class OcclusionScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(one.what, partial(_hide, one, values, hidden)) for one in patches]
-        measured = self._measure(arms, target, Settings(seed, spp, replicates, show_progress))
+        measured = self._measure(
+            arms, target, Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint)
+        )
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, None]:
             return _effects(pseudo, patches, windows, textures), None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -12,6 +11,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._interruption import AttributionInterrupted
@@ -140,31 +140,28 @@ class Perturbation:
 
         Only the images of one arm are in memory at any time.
         """
-        start = time.perf_counter()
+        renderer = with_checkpoint(self.renderer, settings.checkpoint)
+        watch = Stopwatch(renderer)
         metrics = tuple(TargetedMetric(self.metric, one) for one in listed(target))
         spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
         budget = ArmBudget.split(spp, len(arms), settings.replicates, settings.seed)
         bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
         pseudo, interrupted = [], False
         with bar, torch.no_grad():
-            images = self._images(arms[0], budget)
+            images = _images(renderer, arms[0], budget)
             values, first = _pseudo_values(metrics, images, arms[0].what)
             image = torch.stack(images).mean(0)
             pseudo.append(first)
             bar.update()
             try:
                 for arm in arms[1:]:
-                    pseudo.append(_pseudo_values(metrics, self._images(arm, budget), arm.what)[1])
+                    pseudo.append(_pseudo_values(metrics, _images(renderer, arm, budget), arm.what)[1])
                     bar.update()
             except KeyboardInterrupt:
                 interrupted = True
-        info = {"method": type(self).__name__, "seed": settings.seed, "seconds": time.perf_counter() - start}
+        info = {"method": type(self).__name__, "seed": settings.seed, **watch.record}
         inputs = summarise(arms[0].values())
         return Measured(torch.stack(pseudo), values, image, inputs, metrics, budget, interrupted, info)
-
-    def _images(self, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
-        values = dict(arm.values())
-        return [self.renderer(values, seed=seed, spp=budget.spp).detach() for seed in budget.seeds]
 
     def _results(
         self,
@@ -223,6 +220,11 @@ class Perturbation:
             surfaces=surfaces_of(self.renderer, effects),
             info=about,
         )
+
+
+def _images(renderer: Any, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
+    values = dict(arm.values())
+    return [renderer(values, seed=seed, spp=budget.spp).detach() for seed in budget.seeds]
 
 
 def _all(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:

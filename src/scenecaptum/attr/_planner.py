@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -14,13 +13,14 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ._against import differences
 from ._attribution import SceneAttribution, surfaces_of
 from ._gradients import GradientSum, Point
 from ._method import Own, Result, Run
 from ._passes import Budget, channel_totals
-from ._rounds import Rounds, RoundSum
+from ._rounds import Rounds, RoundSum, TimeLimit
 from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
 
 SHARE = 0.05
@@ -228,6 +228,8 @@ def reach(
             "tolerance=, top= and time_limit= need errors, which take two passes or more: leave out replicates=1."
         )
     first = _first(run.renderer) * run.settings.replicates if first is None else whole_number("spp", first)
+    if against is not None:
+        against = with_checkpoint(against, getattr(run.renderer, "checkpoint", None))
     search = _Search(run, point, goal, first, against)
     interrupted = search.run_rounds()
     return run.hand_over(search.results(interrupted, **info), interrupted=interrupted)
@@ -254,16 +256,13 @@ class _Search:
         self.first = math.ceil(first / self.passes)  # samples of a pass
         self.seconds: list[float] = []  # of each round
         self.setup = 0.0  # seconds before the clock begins
-        self.began = time.perf_counter()
+        asked = dataclasses.asdict(goal), run.settings.seed, self.passes, self.first, run.values
+        about = getattr(run.renderer, "info", {})
+        self.time = TimeLimit(goal.time_limit, run.renderer, (asked, about))
         self.bar = tqdm(
             total=0, disable=not run.settings.show_progress, desc=run.metrics[0].name, unit="pass"
         )
-        self.rounds = Rounds(run.renderer, run.metrics, self.bar, seed=run.settings.seed, left=self.left)
-
-    def left(self) -> float:
-        """Return how many seconds are left."""
-        limit = self.goal.time_limit
-        return math.inf if limit is None else limit - (time.perf_counter() - self.began)
+        self.rounds = Rounds(run.renderer, run.metrics, self.bar, seed=run.settings.seed, time=self.time)
 
     def run_rounds(self) -> bool:
         """Take rounds until one reaches the goal; say whether Ctrl-C ended it early."""
@@ -273,7 +272,7 @@ class _Search:
                 while size is not None:
                     if self._round(*size):
                         return True
-                    size = self._next_size()
+                    size = self._decide("next", self._next_size)
                 if self.against is not None:
                     self._compare()
             except KeyboardInterrupt:
@@ -283,7 +282,7 @@ class _Search:
         return False
 
     def _round(self, passes: int, spp: int) -> bool:
-        began = time.perf_counter()
+        began = self.time.now()
         self.bar.total += 2 * passes
         found, interrupted = self.rounds.take(self.point, passes, spp)
         if interrupted and not all(one.passes for one in found):
@@ -291,25 +290,33 @@ class _Search:
         for one, into in zip(found, self.sums, strict=True):
             into.add(one)
         self.verdicts = [judge(one, self.goal, self.run.members) for one in self.sums]
-        self.seconds.append(time.perf_counter() - began)
+        self.seconds.append(self.time.now() - began)
         return interrupted
 
-    def _first_size(self) -> tuple[int, int]:
+    def _first_size(self) -> tuple[int, int] | None:
         """Return the passes of the first round and their samples; a time limit may leave only few.
 
         What happens only once, compiling above all, is done before the clock begins; then a pass of one sample is
         timed.
         """
-        if self.goal.time_limit is None:
+        limit, now = self.goal.time_limit, self.time.now
+        if limit is None:
             return self.passes, self.first
         surfaces_of(self.run.renderer, self.run.values)
         self.rounds.rehearse(self.point)
-        began = time.perf_counter()
+        began = now()
         self.rounds.rehearse(self.point)
-        each = time.perf_counter() - began
-        self.setup, self.began = time.perf_counter() - self.began, time.perf_counter()
-        passes = min(self.passes, max(2, int(self.goal.time_limit / (2 * each))))
-        return passes, min(self.first, max(1, int(self.goal.time_limit / (4 * each * passes))))
+        each = now() - began
+        self.setup = self.time.restart()
+        passes = min(self.passes, max(2, int(limit / (2 * each))))
+        spp = min(self.first, max(1, int(limit / (4 * each * passes))))
+        return self._decide("first", lambda: (passes, spp))
+
+    def _decide(self, what: str, choose: Callable[[], tuple[int, int] | None]) -> tuple[int, int] | None:
+        """Choose the size of a round; where the clock has a say, once and for all."""
+        known = [(one.order, one.half_widths) for one in self.verdicts]
+        size = self.time.decide((what, known), choose)
+        return None if size is None else (size[0], size[1])
 
     def _next_size(self) -> tuple[int, int] | None:
         """Return the passes of the next round and their samples, or None where there is to be none."""
@@ -324,9 +331,9 @@ class _Search:
         if self.goal.time_limit is not None:
             done, spp = self.rounds.budget.passes[-1], self.rounds.budget.spp[-1] or 1
             each = self.seconds[-1] / done
-            if self.left() < max(_SPENT * self.goal.time_limit, 2 * each / spp):
+            if self.time.left() < max(_SPENT * self.goal.time_limit, 2 * each / spp):
                 return None
-            samples = min(samples, int(_SAFE * spp * self.left() / each))
+            samples = min(samples, int(_SAFE * spp * self.time.left() / each))
         # A round that counts little tells little of the error: half as many passes do.
         least = self.passes if samples > sampled else math.ceil(self.passes / 2)
         passes = max(2, min(max(samples // (4 * self.first), least), 3 * self.passes))

@@ -3,19 +3,65 @@
 from __future__ import annotations
 
 import dataclasses
-import time
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from tqdm import tqdm
 
+from ..checkpoint import Stopwatch, without_checkpoint
 from ._gradients import Gradients, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, jackknife
 from ._metric import TargetedMetric
 from ._passes import Budget
 
 _GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
+
+
+class TimeLimit:
+    """Tells how much time a limit leaves, and keeps what was chosen by it.
+
+    It goes on as if the passes that a checkpoint gives back had been rendered; and since nobody would choose the
+    same twice by the clock, a job that is resumed keeps to what was chosen.
+
+    Parameters
+    ----------
+    limit
+        In seconds, or None.
+    renderer
+        Whose checkpoint is meant.
+    asked
+        What tells this job from others.
+    """
+
+    def __init__(self, limit: float | None = None, renderer: Any = None, asked: Any = ()) -> None:
+        self.limit = limit
+        self._asked = asked
+        self._checkpoint = getattr(renderer, "checkpoint", None)
+        self._watch = Stopwatch(renderer)
+        self._began = self.now()
+
+    def now(self) -> float:
+        """Return the time in seconds."""
+        return self._watch.now()
+
+    def restart(self) -> float:
+        """Begin to count; return what was counted so far."""
+        began, self._began = self._began, self.now()
+        return self._began - began
+
+    def left(self) -> float:
+        """Return how many seconds are left."""
+        return math.inf if self.limit is None else self.limit - (self.now() - self._began)
+
+    def decide(self, what: Any, choose: Callable[[], Sequence[int] | None]) -> tuple[int, ...] | None:
+        """Choose numbers by the clock, or return those that were chosen before."""
+        if self._checkpoint is None or self.limit is None:
+            chosen = choose()
+            return None if chosen is None else tuple(chosen)
+        found: tuple[int, ...] | None = self._checkpoint.decide((self.limit, self._asked, what), choose)
+        return found
 
 
 class RoundSum(GradientSum):
@@ -49,8 +95,8 @@ class Rounds(Gradients):
         As for ``Gradients``.
     seed
         From which the seeds of all rounds are drawn.
-    left
-        Says how many seconds are left; a round ends before its last pass where there is no time for it.
+    time
+        A round ends before its last pass where it leaves no time for that.
     """
 
     def __init__(
@@ -60,11 +106,11 @@ class Rounds(Gradients):
         bar: tqdm[Any],
         *,
         seed: int,
-        left: Callable[[], float],
+        time: TimeLimit,
     ) -> None:
         super().__init__(renderer, metrics, Budget((), (), ()), bar)
         self._seed = seed
-        self._left = left
+        self._time = time
         self._began = 0.0  # the backward passes of this round
         self._more = 0  # backward passes that a bias takes
         self._pictures: list[tuple[torch.Tensor, int]] = []  # means, and the samples of each
@@ -79,7 +125,8 @@ class Rounds(Gradients):
         """Render and differentiate one sample per pixel, and keep nothing."""
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
         seeds = {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._replays else {"seed": self._seed}
-        graph = self.renderer(leaves, spp=1, **seeds)
+        # What a checkpoint has compiles nothing.
+        graph = without_checkpoint(self.renderer)(leaves, spp=1, **seeds)
         for metric in self.metrics:
             _, adjoint = metric.value_and_adjoint(graph)
             torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
@@ -123,7 +170,7 @@ class Rounds(Gradients):
         self._propagated = propagated
         self._more = 0 if all(one.is_linear for one in seen) else 1
         self._keep(images, spp)
-        self._began = time.perf_counter()
+        self._began = self._time.now()
         return found
 
     def _keep(self, images: Sequence[torch.Tensor], spp: int) -> None:
@@ -139,5 +186,10 @@ class Rounds(Gradients):
     def _is_late(self, done: int) -> bool:
         if done < 2:  # which an error takes
             return False
-        each = (time.perf_counter() - self._began) / done
-        return self._left() < (1 + self._more) * each
+        each = (self._time.now() - self._began) / done
+
+        def choose() -> tuple[int]:
+            return (int(self._time.left() < (1 + self._more) * each),)
+
+        asked = "late", self._seed, self.budget.spp, self.budget.passes, done
+        return self._time.decide(asked, choose) == (1,)

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
@@ -59,7 +60,7 @@ class ShapleyValueScene(Perturbation):
     Lundberg and Lee, "A Unified Approach to Interpreting Model Predictions", NeurIPS 2017.
     """
 
-    def attribute(
+    def attribute(  # noqa: PLR0913 -- those of every method, and some of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
@@ -70,6 +71,7 @@ class ShapleyValueScene(Perturbation):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each player.
@@ -101,6 +103,9 @@ class ShapleyValueScene(Perturbation):
             Number of independent seeds. Their spread is the part of the standard errors that is due to rendering;
             with 1 there are no errors, and no correction of the bias that a noisy image puts into a non-linear
             metric.
+        checkpoint
+            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
+            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
         show_progress
             Whether to show a progress bar.
 
@@ -128,7 +133,9 @@ class ShapleyValueScene(Perturbation):
             Arm(_described(joined, players), partial(_scene, joined, members, values, absent))
             for joined in game.coalitions
         ]
-        measured = self._measure(arms, target, Settings(seed, spp, replicates, show_progress))
+        measured = self._measure(
+            arms, target, Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint)
+        )
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, float | None]:
             return _effects(game, pseudo, members)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._gradients import GradientSum, Point, PointGradient
 from ._groups import Groups
@@ -60,6 +61,7 @@ class SmoothGradScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input.
@@ -93,6 +95,9 @@ class SmoothGradScene(GradientMethod):
             an eighth more shows it the inputs themselves (``info["budget"]``).
         replicates
             Least number of independent passes in all.
+        checkpoint
+            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
+            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
         show_progress
             Whether to show a progress bar.
 
@@ -116,7 +121,7 @@ class SmoothGradScene(GradientMethod):
             raise SceneCaptumError(
                 f"nt_type={nt_type!r} takes replicates of 2 or more, to tell the noise of rendering."
             )
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
         noisy = count - 1 if noise_free_last else count
         noise = Noise(self.renderer, run.values, stdevs if noisy else 0.0)
         return run.finish(

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import torch
 
+from ..checkpoint import Folder
 from ..errors import SceneCaptumError
 from ._gradients import Point
 from ._groups import Groups
@@ -60,6 +61,7 @@ class VanillaSceneGradient(GradientMethod):
         top: int | None = None,
         time_limit: float | None = None,
         against: Any = None,
+        checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input, from so many samples or from as many as a goal takes.
@@ -100,6 +102,9 @@ class VanillaSceneGradient(GradientMethod):
         against
             Another renderer of the same parameters, such as ``renderer.replace(max_depth=-1)``: after the goal,
             what it would change is measured on shared seeds, instead of assumed to be nothing.
+        checkpoint
+            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
+            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
         show_progress
             Whether to show a progress bar.
 
@@ -117,7 +122,7 @@ class VanillaSceneGradient(GradientMethod):
         AttributionInterrupted
             On Ctrl-C after at least one backward pass, with the result so far.
         """
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups))
+        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
         factors = _factors(scale, self.renderer, run.values)
         point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)

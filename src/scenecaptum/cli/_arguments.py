@@ -54,6 +54,12 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         help="longest path in segments, -1 for no limit (default: 6)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="(default: 0)")
+    parser.add_argument(
+        "--checkpoint",
+        type=Path,
+        metavar="DIR",
+        help="folder that keeps every finished pass: the same command resumes a job that was killed",
+    )
 
 
 def add_metric(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
@@ -116,7 +122,13 @@ def make_renderer(options: argparse.Namespace) -> SceneRenderer:
         spp=options.spp,
         max_depth=options.max_depth,
         sensor=int(options.sensor) if options.sensor.isdigit() else options.sensor,
-    )
+    ).with_checkpoint(options.checkpoint)
+
+
+def say_resumed(renderer: SceneRenderer) -> None:
+    """Print how many passes came from the checkpoint, where there is one."""
+    if (kept := renderer.checkpoint) is not None:
+        print(f"resumed: {kept.reused} of {kept.reused + kept.rendered} passes from {kept.folder}")
 
 
 def find_metrics(

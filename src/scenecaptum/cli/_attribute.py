@@ -86,6 +86,8 @@ def attribute(options: argparse.Namespace) -> int:
             finished.append(attribution)
             # After every metric, so that Ctrl-C during the next leaves what is finished.
             _write_page(finished, options)
+        if not options.json:
+            _arguments.say_resumed(renderer)
     return 0
 
 

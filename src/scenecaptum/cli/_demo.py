@@ -27,6 +27,7 @@ def add(commands: Any) -> None:
         spp=64,
         max_depth=6,
         seed=0,
+        checkpoint=None,
         replicates=8,
         tolerance=None,
         time_limit=None,

@@ -85,6 +85,7 @@ def tradeoff(options: argparse.Namespace) -> int:
         print()
         for name, content in CONTENTS.items():
             print(f"{options.out / name}  {content}")
+        _arguments.say_resumed(renderer)
     return 0
 
 

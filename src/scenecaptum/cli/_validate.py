@@ -55,6 +55,7 @@ def validate(options: argparse.Namespace) -> int:
         print()
         for name, content in CONTENTS.items():
             print(f"{options.out / name}  {content}")
+        _arguments.say_resumed(renderer)
     return 0 if test.is_confirmed else NOT_CONFIRMED
 
 

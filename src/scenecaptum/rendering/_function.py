@@ -12,6 +12,7 @@ from torch.autograd import forward_ad
 from ..errors import SceneCaptumError
 
 if TYPE_CHECKING:
+    from ._checkpointed import CheckpointedEngine
     from ._engine import Engine
 
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 class RenderCall:
     """One call of the renderer: everything that its forward and backward passes need beside the values."""
 
-    engine: Engine
+    engine: Engine | CheckpointedEngine
     names: tuple[str, ...]
     seed: int
     seed_grad: int

@@ -5,20 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NoReturn, cast
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 
 import numpy as np
 import torch
 
 from ..backend import activate, device
 from ..camera import Camera
+from ..checkpoint import Checkpoint, Folder, digest
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
 from ..scene._graph import SceneGraph
-from ..scene._loading import SceneLike, describe
+from ..scene._loading import SceneLike, describe, source_of
 from ..scene._selection import Selection
 from ._function import RenderCall, render
 from ._plan import STOCK, RenderPlan, make_plan, stock_plan
+
+if TYPE_CHECKING:
+    from ._checkpointed import CheckpointedEngine
+    from ._engine import Engine
 
 
 class SceneRenderer(torch.nn.Module):
@@ -91,6 +96,7 @@ class SceneRenderer(torch.nn.Module):
 
         self.name = describe(scene)
         loaded = load_scene(scene)
+        self._source = digest(source_of(scene))
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
@@ -101,6 +107,7 @@ class SceneRenderer(torch.nn.Module):
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
         self._borrowed = isinstance(scene, mi.Scene)
+        self.checkpoint: Checkpoint | None = None
         self._prepare(size, self._plan_for(max_depth))
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
@@ -117,7 +124,7 @@ class SceneRenderer(torch.nn.Module):
         self.resolution = resolution
         self.plan = plan
         self._surface_maps: dict[Any, SurfaceMap] = {}
-        self._engines = [
+        self._engines: Sequence[Engine | CheckpointedEngine] = [
             (StockEngine if plan.integrator in STOCK else Engine)(
                 self._graph,
                 one,
@@ -130,6 +137,64 @@ class SceneRenderer(torch.nn.Module):
             )
             for index, one in enumerate(self._sensors)
         ]
+        self._record()
+
+    def _record(self) -> None:
+        """Let the engines keep their passes in the checkpoint, if there is one, and in no other."""
+        from ._checkpointed import CheckpointedEngine
+
+        bare = [one.engine if isinstance(one, CheckpointedEngine) else one for one in self._engines]
+        self._engines = bare
+        if self.checkpoint is not None:
+            self._engines = [
+                CheckpointedEngine(one, self.checkpoint, fingerprint)
+                for one, fingerprint in zip(bare, self._fingerprints(), strict=True)
+            ]
+
+    def with_checkpoint(self, checkpoint: Folder) -> SceneRenderer:
+        """Return this renderer with every picture and backward pass kept in a folder; None for no folder.
+
+        What is in the folder is not rendered again, in this process or another: a job that was killed goes on
+        where it was. ``checkpoint=`` of the attribution methods does this for one call.
+
+        Example
+        -------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     renderer = SceneRenderer("cornell-box", resolution=(8, 8), spp=1).with_checkpoint(folder)
+        ...     _ = renderer(seed=1), renderer(seed=1), renderer(seed=2)
+        >>> renderer.checkpoint.rendered, renderer.checkpoint.reused
+        (2, 1)
+
+        Raises
+        ------
+        SceneCaptumError
+            Where the folder cannot be written.
+        """
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        torch.nn.Module.__init__(other)  # hooks of its own
+        if checkpoint is not None and not isinstance(checkpoint, Checkpoint):
+            checkpoint = Checkpoint(checkpoint)
+        other.checkpoint = checkpoint
+        other._record()
+        return other
+
+    def _fingerprints(self) -> list[str]:
+        """Return for each sensor a hash of all that its pictures follow from beside values, seed and samples."""
+        from ._checkpointed import fingerprint, scene_contents
+
+        plan = self.plan
+        settings = {
+            "source": self._source,
+            "integrator": plan.integrator,
+            "depths": (plan.max_depth, plan.rr_depth),
+            "hide_emitters": plan.hide_emitters,
+            "resolution": self.resolution,
+        }
+        with self._engines[0].holding({}):
+            scene = scene_contents(self._graph.scene)
+            return [fingerprint(scene, one, settings) for one in self._sensors]
 
     def replace(
         self,

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from ..backend import activate
 from ..errors import SceneCaptumError, near_misses
 from .bundled import BUNDLED
@@ -55,6 +57,24 @@ def describe(scene: SceneLike) -> str:
     if isinstance(scene, (str, os.PathLike)):
         return os.fspath(scene)
     return "the scene dict" if isinstance(scene, Mapping) else "the mi.Scene"
+
+
+def source_of(scene: SceneLike) -> Any:
+    """Return what a scene was described by, in strings and arrays, of which Mitsuba prints only a part later.
+
+    None for an ``mi.Scene``; what XML files include is not part of it.
+    """
+    if isinstance(scene, (str, os.PathLike)):
+        return Path(scene).read_bytes().hex() if Path(scene).is_file() else os.fspath(scene)
+    return _plain(scene) if isinstance(scene, Mapping) else None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    return value if isinstance(value, np.ndarray) else str(value)
 
 
 def _load_named(scene: str | os.PathLike[str]) -> Any:

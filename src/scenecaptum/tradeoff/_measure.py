@@ -16,6 +16,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._gradients import input_values
 from ..attr._metric import Metric, Target
 from ..attr._passes import channel_totals
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
@@ -35,7 +36,7 @@ RUNS = 8
 REFERENCE, REFERENCE_PASSES = 32, 16
 
 
-def measure(
+def measure(  # noqa: PLR0913 -- those of every long job, and its own
     renderer: Any,
     metric: Metric,
     target: Target = None,
@@ -45,6 +46,7 @@ def measure(
     reference_spp: int | None = None,
     runs: int = RUNS,
     seed: int = 0,
+    checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Tradeoff:
     """Measure what accuracy costs: plain gradients at several settings, each several times, against a reference.
@@ -81,6 +83,9 @@ def measure(
         How often each setting is run, with seeds of its own; 2 or more.
     seed
         Seed from which all others are drawn.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
     show_progress
         Whether to show progress bars.
 
@@ -106,7 +111,7 @@ def measure(
     )
     best = reference_setting([setting for _, setting in chosen], spp, REFERENCE_PASSES)
 
-    bench = Bench(renderer, metric_for or (lambda _: metric), target)
+    bench = Bench(with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target)
     bench.try_all([best, *(setting for _, setting in chosen)])
     seeds = np.random.SeedSequence([seed, 5]).generate_state(1 + runs * len(chosen)).tolist()
     judge = Judge.of(bench.run(best, seeds.pop(), show_progress=show_progress))
@@ -187,6 +192,7 @@ class Bench:
                     resolution=setting.resolution if setting.resolution != own.resolution else None,
                     integrator=setting.integrator if setting.integrator != own.integrator else None,
                 )
+                renderer = with_checkpoint(renderer, getattr(self._renderer, "checkpoint", None))
             self._made[key] = renderer, self._metric_for(renderer)
         return self._made[key]
 
@@ -202,6 +208,7 @@ class SplitSamples:
         self._renderer = renderer
         self._setting = setting
         self.info = getattr(renderer, "info", {})
+        self.checkpoint = getattr(renderer, "checkpoint", None)
 
     def __call__(
         self, inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int, seed_grad: int | None = None

@@ -14,6 +14,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_PASSES, channel_totals
 from ..attr._student import student_t
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, unit_gradient
 
@@ -135,7 +136,7 @@ class AblationTest:
     __repr__ = __str__
 
 
-def ablation_test(
+def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -145,6 +146,7 @@ def ablation_test(
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> AblationTest:
     """Move each of the most salient parameters along its own gradient, and compare the change with the prediction.
@@ -177,6 +179,9 @@ def ablation_test(
         Samples per pixel of every render, in all its replicates; the renderer's by default.
     replicates
         In how many independent passes each scene is rendered: their spread tells the errors.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
     show_progress
         Whether to show a progress bar.
 
@@ -190,6 +195,7 @@ def ablation_test(
     Beresna and Fiume, "Scene Parameter Saliency via Differentiable Light Transport": the ablation with a step of
     one hundredth of each gradient, which is measured here too.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     if attribution is None:
         attribution = VanillaSceneGradient(renderer, metric).attribute(
             target=target, seed=seed, spp=spp, show_progress=show_progress

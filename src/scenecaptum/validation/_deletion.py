@@ -14,6 +14,7 @@ from ..attr import SceneAttribution
 from ..attr._baselines import Baselines
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_PASSES
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._faithfulness import contributions, measure_without
 from ._scenes import Scenes, mean_and_error
@@ -122,6 +123,7 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
 ) -> DeletionInsertion:
     """Move parameters to their baselines in the order of their ranking, and back, and watch the metric.
 
@@ -156,6 +158,9 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
         Samples per pixel of every scene, in all its replicates; the renderer's by default.
     replicates
         In how many independent passes each scene is rendered: their spread tells the errors.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
 
     Raises
     ------
@@ -167,6 +172,7 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
     ----------
     Petsiuk, Das and Saenko, "RISE: Randomized Input Sampling for Explanation of Black-box Models", BMVC 2018.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     scenes = Scenes.split(renderer, metric, target, **options, hold=False)
     attribution, absent = contributions(scenes, metric, attribution, target, baselines, **options)

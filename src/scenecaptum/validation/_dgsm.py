@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from ..attr._jackknife import Adjoints
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import Budget
+from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
 from ._scalars import Intervals, Scalar, Values, find_scalars, hold, point_at
 
@@ -81,7 +81,7 @@ class DGSM:
     __repr__ = __str__
 
 
-def dgsm(
+def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
     renderer: Any,
     metric: Metric,
     target: Targets = None,
@@ -91,6 +91,7 @@ def dgsm(
     points: int = 32,
     seed: int = 0,
     spp: int | None = None,
+    checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Result:
     """Average squared derivatives over the scenes that might have been, from our gradients.
@@ -125,6 +126,9 @@ def dgsm(
     spp
         Samples per pixel at each point, split over two passes whose difference tells the noise, so that it does
         not count as sensitivity; the renderer's by default.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
     show_progress
         Whether to show a progress bar.
 
@@ -146,6 +150,7 @@ def dgsm(
     "A new derivative based importance criterion for groups of variables and its link with the global sensitivity
     indices", Computer Physics Communications 181, 2010.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     values = input_values(renderer, None)
     scalars = find_scalars(renderer, values, parameters, bounds)
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
@@ -197,7 +202,7 @@ def sample_derivatives(
     """Take the derivatives of each metric at random points."""
     count = whole_number("points", points, 3)  # what is left when the jackknife leaves one out has a variance
     places = scatter(count, len(scalars), seed)
-    began = time.perf_counter()
+    watch = Stopwatch(renderer)
     total = None if spp is None else spp * count
     budget = Budget.split(total, _PASSES * count, seed, count)
     found: list[list[tuple[torch.Tensor, Adjoints]]] = []
@@ -206,8 +211,7 @@ def sample_derivatives(
         for index, place in enumerate(places):
             found.append(slopes(gradients, index, point_at(scalars, values, place), scalars))
     extra = gradients.extra / total if total else 0.0
-    seconds = time.perf_counter() - began
-    return [_derivatives(of_metric, extra, seconds) for of_metric in zip(*found, strict=True)]
+    return [_derivatives(of_metric, extra, watch.seconds) for of_metric in zip(*found, strict=True)]
 
 
 def slopes(

@@ -16,6 +16,7 @@ from ..attr._baselines import Baselines, resolve_baselines
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_PASSES
 from ..attr._ranges import Noise
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ._scenes import Scenes
 
@@ -91,7 +92,7 @@ class Infidelity:
     __repr__ = __str__
 
 
-def infidelity(
+def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -102,6 +103,7 @@ def infidelity(
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
 ) -> Infidelity:
     """Perturb all parameters at random, and compare the change of the metric with what gradients predict.
 
@@ -132,6 +134,9 @@ def infidelity(
         Samples per pixel of every scene, in all its replicates; the renderer's by default.
     replicates
         In how many independent passes each scene is rendered, 3 at least.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
 
     Raises
     ------
@@ -142,6 +147,7 @@ def infidelity(
     ----------
     Yeh et al., "On the (In)fidelity and Sensitivity of Explanations", NeurIPS 2019.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {
         "seed": seed,
         "spp": spp,
@@ -246,6 +252,7 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
 ) -> SensitivityN:
     """Take random sets of n parameters away, and correlate the change with the sum of their attributions.
 
@@ -276,6 +283,9 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
         Samples per pixel of every scene, in all its replicates; the renderer's by default.
     replicates
         In how many independent passes each scene is rendered, 3 at least.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
 
     Raises
     ------
@@ -288,6 +298,7 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
     Ancona et al., "Towards better understanding of gradient-based attribution methods for Deep Neural Networks",
     ICLR 2018.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {
         "seed": seed,
         "spp": spp,

@@ -15,6 +15,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target, TargetedMetric
 from ..attr._passes import DEFAULT_PASSES
 from ..attr._ranges import ranges
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, near_misses
 from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, room
 
@@ -65,6 +66,7 @@ def hessian_vector_product(
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
 ) -> SceneAttribution:
     """Return ``H v``: how every parameter's gradient changes per unit of a step along a direction.
 
@@ -98,6 +100,9 @@ def hessian_vector_product(
         Samples per pixel of each of the four scenes, in all their passes; the renderer's by default.
     replicates
         Least number of independent passes; their spread gives the standard errors.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
 
     Returns
     -------
@@ -115,6 +120,7 @@ def hessian_vector_product(
     Where paths are chosen by the parameter (a roughness, or Russian roulette) less of the noise cancels, and the
     errors are larger.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
     options = {"seed": seed, "spp": spp, "replicates": replicates}
     return product_of(scenes, direction, scenes.values, **options)

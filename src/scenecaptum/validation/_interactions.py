@@ -14,6 +14,7 @@ from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_PASSES, channel_totals
 from ..attr._ranges import ranges
 from ..attr._student import student_t
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ._hessian import product_of, reaches
 from ._scenes import Scenes, unit_gradient
@@ -122,7 +123,7 @@ class Interactions:
     __repr__ = __str__
 
 
-def interactions(
+def interactions(  # noqa: PLR0913 -- those of every long job, and its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -133,6 +134,7 @@ def interactions(
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
 ) -> Interactions:
     """Return the second derivatives between the most salient parameters, from differences of gradients.
 
@@ -167,12 +169,16 @@ def interactions(
         Samples per pixel of each scene, in all its passes; the renderer's by default.
     replicates
         Least number of independent passes; their spread gives the standard errors.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
 
     Raises
     ------
     SceneCaptumError
         Where the attribution is not one of plain gradients, or no parameter has one that is not 0.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     if scale not in ("unit", "range"):
         raise SceneCaptumError(f'scale must be "unit" or "range", not {scale!r}.')
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}

@@ -13,6 +13,7 @@ import torch
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_PASSES, channel_totals
+from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ class RandomisationCheck:
     __repr__ = __str__
 
 
-def randomisation_check(
+def randomisation_check(  # noqa: PLR0913 -- those of every long job, and its own
     renderer: Any,
     metric: Metric,
     target: Target = None,
@@ -106,6 +107,7 @@ def randomisation_check(
     seed: int = 0,
     spp: int | None = None,
     replicates: int = DEFAULT_PASSES,
+    checkpoint: Folder = None,
 ) -> RandomisationCheck:
     """Make the layers of a metric's network random, from the output on, and see whether the attribution changes.
 
@@ -141,6 +143,9 @@ def randomisation_check(
         Total samples per pixel of each attribution; the renderer's by default.
     replicates
         Least number of independent passes of each attribution.
+    checkpoint
+        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
+        with the same arguments.
 
     Raises
     ------
@@ -151,6 +156,7 @@ def randomisation_check(
     ----------
     Adebayo et al., "Sanity Checks for Saliency Maps", NeurIPS 2018.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     layers = _layers(metric)
     steps = min(whole_number("stages", stages), len(layers))
     ends = [round(len(layers) * stage / steps) for stage in range(steps + 1)]

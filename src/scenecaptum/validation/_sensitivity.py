@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from ..attr._gradients import Gradients, Point, input_values
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import DEFAULT_PASSES, Budget
+from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._dgsm import Derivatives, cost, jackknife_points, sample_derivatives, slopes
 from ._scalars import Intervals, Scalar, Values, factors_of, find_scalars, hold
@@ -139,6 +139,7 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     base_samples: int = 64,
     seed: int = 0,
     spp: int | None = None,
+    checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Result:
     """Set our gradients beside Morris's elementary effects and Sobol's indices, with what each of them took.
@@ -159,7 +160,7 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
 
     Parameters
     ----------
-    renderer, metric, target, parameters, bounds, points, seed, show_progress
+    renderer, metric, target, parameters, bounds, points, seed, checkpoint, show_progress
         As for ``dgsm``.
     top
         The size of the set that is to be stable; less where there are no more parameters.
@@ -188,6 +189,7 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications 181,
     2010 (total index). Herman and Usher, "SALib", Journal of Open Source Software, 2017.
     """
+    renderer = with_checkpoint(renderer, checkpoint)
     _salib()
     values = input_values(renderer, None)
     scalars = find_scalars(renderer, values, parameters, bounds)
@@ -257,7 +259,7 @@ class _Scenes:
 
 
 def _local(scenes: _Scenes, top: int) -> list[SensitivityIndex]:
-    began = time.perf_counter()
+    watch = Stopwatch(scenes.renderer)
     budget = Budget.split(scenes.spp, DEFAULT_PASSES, scenes.seed)
     with tqdm(
         total=2 * budget.passes[0], disable=not scenes.show_progress, desc="gradient", unit="pass"
@@ -265,7 +267,7 @@ def _local(scenes: _Scenes, top: int) -> list[SensitivityIndex]:
         gradients = Gradients(scenes.renderer, scenes.metrics, budget, bar)
         point = Point(scenes.values, factors=factors_of(scenes.scalars))
         found = slopes(gradients, 0, point, scenes.scalars)
-    seconds = time.perf_counter() - began
+    seconds = watch.seconds
     indices = []
     for passes, adjoints in found:
         count = len(passes)
@@ -304,11 +306,11 @@ def _morris(scenes: _Scenes, trajectories: int, top: int) -> list[SensitivityInd
     from SALib.analyze import morris as analysis
     from SALib.sample import morris
 
-    began = time.perf_counter()
+    watch = Stopwatch(scenes.renderer)
     places = morris.sample(scenes.problem, trajectories, num_levels=_LEVELS, seed=scenes.state(1))
     each = len(scenes.scalars) + 1
     measured = scenes.measure(places, "Morris")
-    seconds = time.perf_counter() - began
+    seconds = watch.seconds
 
     def analyse(of_metric: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
         found = analysis.analyze(
@@ -333,11 +335,11 @@ def _sobol(scenes: _Scenes, base_samples: int, top: int) -> tuple[list[Sensitivi
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol
 
-    began = time.perf_counter()
+    watch = Stopwatch(scenes.renderer)
     places = sobol.sample(scenes.problem, base_samples, calc_second_order=False, seed=scenes.state(3))
     each = len(scenes.scalars) + 2
     measured = scenes.measure(places, "Sobol")
-    seconds = time.perf_counter() - began
+    seconds = watch.seconds
 
     def analyse(of_metric: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
         found = analysis.analyze(
