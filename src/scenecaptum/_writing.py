@@ -10,12 +10,15 @@ from pathlib import Path
 
 from .errors import SceneCaptumError
 
+_open: set[Path] = set()  # what is being written
+
 
 @contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path to write to, whose file takes the place of ``path`` once it is complete and on the disk.
 
-    Where that fails (disk full, folder read-only) nothing is left behind, and what was there stays as it was.
+    Where that fails (disk full, folder read-only) nothing is left behind, and what was there stays as it was. A
+    path that it has yielded is taken as it is: what writes a file may be part of what writes several.
 
     Example
     -------
@@ -31,8 +34,14 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     SceneCaptumError
         Where the file cannot be written.
     """
-    # A link stays a link to what is written.
-    path = Path(os.path.realpath(path))
+    if Path(path) in _open:
+        yield Path(path)
+        return
+    try:
+        # A link stays a link to what is written.
+        path = Path(os.path.realpath(path))
+    except ValueError as error:  # a name that no file can have
+        raise cannot_write(Path(path), error) from error
     try:
         if path.exists() and not path.is_file():
             # A pipe or a device such as /dev/null is written to: root could replace it.
@@ -40,11 +49,13 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             return
         # Its ending stays, by which writers choose the format.
         partial = path.with_name(f".{os.getpid()}-{threading.get_ident()}-{path.name}")
+        _open.add(partial)
         try:
             yield partial
             _flush(partial)
             os.replace(partial, path)
         finally:
+            _open.discard(partial)
             partial.unlink(missing_ok=True)
     except OSError as error:
         raise cannot_write(path, error) from error

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ._writing import whole_file
 from .errors import SceneCaptumError, near_misses
 
 if TYPE_CHECKING:
@@ -179,20 +181,20 @@ def export(
     else:
         values = _picture(what)
     path = Path(path)
-    try:
+    if path.suffix not in (".npy", ".png", ".exr"):
+        raise SceneCaptumError(f"{path} must end in .png, .exr or .npy.")
+    with whole_file(path) as partial:
         if path.suffix == ".npy":
-            np.save(path, values)
+            # numpy does not say why a file of its own cannot be written.
+            content = io.BytesIO()
+            np.save(content, values)
+            partial.write_bytes(content.getbuffer())
         elif path.suffix == ".png":
             signed = options.get("signed", values.min() < 0)
-            _write_png(values, path, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
-        elif path.suffix == ".exr":
-            attribution = what if isinstance(what, SceneAttribution) else None
-            _write_exr(values, path, attribution, options.get("surfaces"))
+            _write_png(values, partial, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
         else:
-            raise SceneCaptumError(f"{path} must end in .png, .exr or .npy.")
-    # Mitsuba's writers raise RuntimeError.
-    except (OSError, RuntimeError) as error:
-        raise SceneCaptumError(f"{path} cannot be written: {error}.") from error
+            attribution = what if isinstance(what, SceneAttribution) else None
+            partial.write_bytes(_exr(values, attribution, options.get("surfaces")))
 
 
 def _picture(values: torch.Tensor) -> NDArray[np.float32]:
@@ -228,29 +230,29 @@ def _write_png(
     Image.fromarray(np.round(shown * 255).astype(np.uint8)).save(path)
 
 
-def _write_exr(
-    values: NDArray[np.float32],
-    path: Path,
-    attribution: SceneAttribution | None,
-    surfaces: SurfaceMap | None,
-) -> None:
+def _exr(
+    values: NDArray[np.float32], attribution: SceneAttribution | None, surfaces: SurfaceMap | None
+) -> bytes:
     from ._cryptomatte import layers
     from .backend import activate
 
     mi = activate()
     if attribution is None:
-        mi.Bitmap(np.ascontiguousarray(values)).write(str(path))
-        return
-    channels, metadata = layers(_surfaces_of(attribution, surfaces))
-    channels = {"saliency": values, **channels}
-    if attribution.image is not None:
-        picture = attribution.image.numpy(force=True)
-        channels = {**dict(zip("RGB", np.moveaxis(picture, -1, 0), strict=True)), **channels}
-    stack = np.stack([one.astype(np.float32) for one in channels.values()], axis=-1)
-    bitmap = mi.Bitmap(stack, channel_names=list(channels))
-    for key, value in metadata.items():
-        bitmap.metadata()[key] = value
-    bitmap.write(str(path))
+        bitmap = mi.Bitmap(np.ascontiguousarray(values))
+    else:
+        channels, metadata = layers(_surfaces_of(attribution, surfaces))
+        channels = {"saliency": values, **channels}
+        if attribution.image is not None:
+            picture = attribution.image.numpy(force=True)
+            channels = {**dict(zip("RGB", np.moveaxis(picture, -1, 0), strict=True)), **channels}
+        stack = np.stack([one.astype(np.float32) for one in channels.values()], axis=-1)
+        bitmap = mi.Bitmap(stack, channel_names=list(channels))
+        for key, value in metadata.items():
+            bitmap.metadata()[key] = value
+    # Into memory: Mitsuba does not say everything that goes wrong with a file.
+    stream = mi.MemoryStream()
+    bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    return bytes(stream.raw_buffer())
 
 
 def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> SurfaceMap:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from .._writing import whole_file
 from ..errors import SceneCaptumError
 from ..scene import SurfaceMap, TexelMap
 from ._attribution import SceneAttribution
@@ -57,7 +56,8 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
         for index, shown in enumerate(surfaces.texels.values()):
             for field in _TEXEL_FIELDS:
                 arrays[f"texels/{index}/{field}"] = getattr(shown, field)
-    _write(Path(path), header, arrays)
+    with whole_file(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, header=json.dumps(header), **arrays)
 
 
 def load(path: str | os.PathLike[str]) -> SceneAttribution:
@@ -100,16 +100,3 @@ def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
         )
     scalars = {field: header[field] for field in _SCALAR_FIELDS}
     return SceneAttribution(**fields, **scalars, labels=header["labels"], info=header["info"])
-
-
-def _write(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        try:
-            with partial.open("wb") as file:
-                np.savez_compressed(file, header=json.dumps(header), **arrays)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise SceneCaptumError(f"{path} cannot be written: {error.strerror or error}.") from error

@@ -6,6 +6,7 @@ import argparse
 import csv
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ def _folder_name(metric: str) -> str:
 
 def _report(attribution: SceneAttribution, folder: Path, *, as_json: bool) -> None:
     """Write a result and print it."""
-    write_each(folder, CONTENTS, lambda path: _write_file(attribution, path))
+    write_each(folder, CONTENTS, partial(_write_file, attribution))
     if as_json:
         print(_json(attribution))
         return
@@ -130,10 +131,10 @@ CONTENTS = {
 }
 
 
-def _write_file(attribution: SceneAttribution, path: Path) -> None:
+def _write_file(attribution: SceneAttribution, name: str, path: Path) -> None:
     from ..visualization import save_render
 
-    match path.name:
+    match name:
         case "attribution.json":
             path.write_text(_json(attribution) + "\n", encoding="utf-8")
         case "attribution.csv":

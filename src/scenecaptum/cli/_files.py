@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from .._writing import cannot_write, whole_file
 from ..errors import SceneCaptumError
 
 
@@ -31,10 +31,12 @@ def writable(folder: Path) -> Iterator[None]:
             folder.rmdir()
 
 
-def write_each(folder: Path, names: Iterable[str], write: Callable[[Path], None]) -> None:
-    """Write each file elsewhere first, so that none is ever half-written."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".scenecaptum-", dir=folder) as scratch:
-        for name in names:
-            write(Path(scratch, name))
-            os.replace(Path(scratch, name), folder / name)
+def write_each(folder: Path, names: Iterable[str], write: Callable[[str, Path], None]) -> None:
+    """Let each file be written by its name to a path beside it, so that none is ever half-written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    for name in names:
+        with whole_file(folder / name) as partial:
+            write(name, partial)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def tradeoff(options: argparse.Namespace) -> int:
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
-        write_each(options.out, CONTENTS, lambda path: _write_file(found, path))
+        write_each(options.out, CONTENTS, partial(_write_file, found))
         if options.json:
             print(_json(found, options.tolerance))
             return 0
@@ -112,7 +113,7 @@ def _value(key: str, text: str) -> Any:
         return text
 
 
-def _write_file(found: Tradeoff, path: Path) -> None:
+def _write_file(found: Tradeoff, _: str, path: Path) -> None:
     if path.suffix == ".csv":
         found.to_csv(path)
     else:

@@ -6,6 +6,7 @@ import argparse
 import csv
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def validate(options: argparse.Namespace) -> int:
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
-        write_each(options.out, CONTENTS, lambda path: _write_file(test, path))
+        write_each(options.out, CONTENTS, partial(_write_file, test))
     if options.json:
         print(_json(test))
     else:
@@ -66,7 +67,7 @@ CONTENTS = {
 }
 
 
-def _write_file(test: AblationTest, path: Path) -> None:
+def _write_file(test: AblationTest, _: str, path: Path) -> None:
     match path.suffix:
         case ".json":
             path.write_text(_json(test) + "\n", encoding="utf-8")

@@ -6,9 +6,9 @@ import csv
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .._writing import whole_file
 from ..errors import SceneCaptumError
 from ._settings import Setting
 from ._statistics import Bias, Estimate
@@ -140,9 +140,9 @@ class Tradeoff:
         return plot_tradeoff(self, ax=ax)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write a line for each setting."""
+        """Write a line for each setting, to a file that appears whole or not at all."""
         rows = list(self.records())
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
+        with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)

@@ -6,6 +6,7 @@ import os
 
 import torch
 
+from .._writing import whole_file
 from ..errors import SceneCaptumError
 from ..metrics._picture import channels_first, channels_last, check_image
 
@@ -80,10 +81,8 @@ def save_render(image: torch.Tensor, path: str | os.PathLike[str], exposure: flo
     from PIL import Image
 
     pixels = (display_image(image, exposure) * 255).round().to(torch.uint8)
-    try:
-        Image.fromarray(pixels.numpy(force=True)).save(path, format="PNG")
-    except OSError as error:
-        raise SceneCaptumError(f"{path} cannot be written: {error.strerror or error}.") from error
+    with whole_file(path) as partial:
+        Image.fromarray(pixels.numpy(force=True)).save(partial, format="PNG")
 
 
 def automatic_exposure(radiance: torch.Tensor) -> float:

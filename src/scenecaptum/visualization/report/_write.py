@@ -10,10 +10,9 @@ import os
 import re
 from collections.abc import Sequence
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...errors import SceneCaptumError
+from ..._writing import whole_file
 from ._data import check, default_titles, report_data
 
 if TYPE_CHECKING:
@@ -53,7 +52,9 @@ def write_report(
     attributions = list(attributions)
     check(attributions, titles)
     names = default_titles(attributions) if titles is None else [str(title) for title in titles]
-    _write(Path(path), _page(report_data(attributions, names)))
+    page = _page(report_data(attributions, names))
+    with whole_file(path) as partial:
+        partial.write_bytes(page.encode("utf-8", "replace"))
 
 
 def _page(data: dict[str, Any]) -> str:
@@ -82,16 +83,3 @@ def _embedded(data: Any) -> str:
 
 def _hash(text: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
-
-
-def _write(path: Path, page: str) -> None:
-    partial = path.parent / f".{path.name}.{os.getpid()}"
-    try:
-        try:
-            partial.write_bytes(page.encode("utf-8", "replace"))
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise SceneCaptumError(f"{path} cannot be written: {reason}.") from error

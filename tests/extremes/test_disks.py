@@ -1,0 +1,145 @@
+"""Full disks and folders that cannot be written: one clear error, nothing lost and nothing left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import subprocess
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import results
+import torch
+from toy import ToyRenderer
+
+from scenecaptum import SceneCaptumError, projection, tradeoff
+from scenecaptum._writing import whole_file
+from scenecaptum.checkpoint import Checkpoint
+from scenecaptum.cli import _attribute, _files
+from scenecaptum.visualization import save_render, write_report
+
+PICTURE = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0))
+
+
+def _tradeoff(path: Path) -> None:
+    tradeoff.measure(ToyRenderer(), torch.mean, vary={"spp": [4]}, runs=2).to_csv(path)
+
+
+def _command(path: Path) -> None:
+    """Write one of the files of ``scenecaptum attribute``."""
+    _files.write_each(
+        path.parent, [path.name], partial(_attribute._write_file, results.make(metric_bias=0.0))
+    )
+
+
+WRITERS: dict[str, Callable[[Path], None]] = {
+    "result.npz": lambda path: results.make().save(path),
+    "report.html": lambda path: write_report([results.make()], path),
+    "picture.png": partial(save_render, PICTURE),
+    "map.npy": partial(projection.export, PICTURE),
+    "map.png": partial(projection.export, PICTURE),
+    "map.exr": partial(projection.export, PICTURE),
+    "heatmap.exr": partial(projection.export, results.make()),
+    "tradeoff.csv": _tradeoff,
+    **dict.fromkeys(_attribute.CONTENTS, _command),
+}
+
+
+@contextlib.contextmanager
+def _file_size_limit(size: int) -> Iterator[None]:
+    """Let no file grow beyond a size: a write fails there, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_full_disk(name: str, tmp_path: Path, mi: Any) -> None:
+    path = tmp_path / name
+    WRITERS[name](path)
+    size = path.stat().st_size
+    path.write_text("what was there before")
+    for room in (0, size // 2):
+        with _file_size_limit(room), pytest.raises(SceneCaptumError, match="cannot be written") as caught:
+            WRITERS[name](path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert path.read_text() == "what was there before"
+        assert os.listdir(tmp_path) == [name]
+    WRITERS[name](path)
+    assert path.stat().st_size == pytest.approx(size, rel=0.01)  # the seconds in it differ
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_folders_that_cannot_be_written(name: str, tmp_path: Path, mi: Any) -> None:
+    (tmp_path / "file").write_text("mine")
+    for folder in (tmp_path / "file", Path("/proc")):  # not even root
+        with pytest.raises(SceneCaptumError, match="cannot be written"):
+            WRITERS[name](folder / name)
+    assert (tmp_path / "file").read_text() == "mine"
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_full_disk_under_a_checkpoint(tmp_path: Path) -> None:
+    """What was kept before stays good."""
+    kept = Checkpoint(tmp_path)
+    kept.take("first", lambda: (PICTURE,))
+    with _file_size_limit(1000), pytest.raises(SceneCaptumError, match="cannot be written"):
+        kept.take("second", lambda: (PICTURE,))
+    assert len(os.listdir(tmp_path)) == 1
+    again = Checkpoint(tmp_path)
+    (found,) = again.take("first", lambda: ())
+    assert torch.equal(found, PICTURE)
+    assert (again.reused, again.rendered) == (1, 0)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 64 kB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)]
+    try:
+        subprocess.run(mount, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no right to mount a small file system here")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_disk_of_64_kilobytes(small_disk: Path) -> None:
+    path = small_disk / "map.npy"
+    projection.export(PICTURE, path)
+    before = path.read_bytes()
+    (small_disk / "rest").write_bytes(bytes(45_000))
+    with pytest.raises(SceneCaptumError, match="No space left on device"):
+        projection.export(PICTURE.repeat(4, 4, 1), path)
+    assert path.read_bytes() == before
+    assert sorted(os.listdir(small_disk)) == ["map.npy", "rest"]
+
+
+def test_devices_and_links_stay_what_they_are(tmp_path: Path) -> None:
+    (tmp_path / "target").write_text("before")
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    with whole_file(tmp_path / "link") as partial_file:
+        partial_file.write_text("after")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "target").read_text() == "after"
+    with whole_file("/dev/null") as device:
+        device.write_text("gone")
+    assert not Path("/dev/null").is_file()
+    with pytest.raises(SceneCaptumError, match="No space left on device"), whole_file("/dev/full") as device:
+        device.write_text("too much")
+
+
+def test_what_fails_while_a_file_is_written_leaves_none(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), whole_file(tmp_path / "a.txt") as partial_file:
+        partial_file.write_text("half" * (1 // partial_file.write_text("")))
+    assert os.listdir(tmp_path) == []
