@@ -4,22 +4,30 @@ Renders at 1280×720 with as many samples as fill four passes of the planned siz
 luminance with respect to every material, and prints the largest resident memory of each pass.
 
     python benchmarks/memory.py [SCENE] [--passes 4]
+
+With ``--predict``: attributes at several sizes, each in a process of its own, and compares the largest resident
+memory (beyond that of the loaded scene) with what the library predicted.
+
+    python benchmarks/memory.py --predict
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from scenecaptum import SceneRenderer, metrics
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.rendering import _passes
 
 RESOLUTION = (1280, 720)
 PAGE = 4096
 MEBIBYTE = 2**20
+
+spawn = multiprocessing.get_context("spawn")
 
 
 def resident() -> int:
@@ -50,13 +58,55 @@ class Peaks:
         self._stop.set()
 
 
+CASES = (
+    # What grows: samples of a pass, pixels, pictures, texels.
+    "cornell-box 64x64 64 8",
+    "cornell-box 256x256 512 8",
+    "cornell-box 1280x720 8 8",
+    "cornell-box 1280x720 32 32",
+    "cornell-box 2560x1440 2 2",
+    "office 320x180 64 8",
+    "office 1280x720 8 8",
+)
+
+
+def attribute(case: str) -> None:
+    """Attribute once, and print what was predicted and what was taken."""
+    scene, size, spp, replicates = case.split()
+    width, _, height = size.partition("x")
+    renderer = SceneRenderer(scene, "all", resolution=(int(width), int(height)))
+    predicted = renderer.memory(spp=int(spp) // int(replicates), pictures=int(replicates))
+    # The peak is counted from here.
+    Path("/proc/self/clear_refs").write_text("5")
+    before = resident()
+    VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(
+        spp=int(spp), replicates=int(replicates)
+    )
+    status = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
+    taken = 1024 * int(status["VmHWM"].split()[0]) - before
+    print(
+        f"{case:32s} predicted {predicted / MEBIBYTE:6.0f} MiB  taken {taken / MEBIBYTE:6.0f} MiB  "
+        f"{predicted / taken:5.2f}",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scene", nargs="?", default="cornell-box")
     parser.add_argument("--passes", type=int, default=4)
+    parser.add_argument(
+        "--predict", nargs="*", metavar="CASE", help="scene, size, spp and replicates in quotes"
+    )
     arguments = parser.parse_args()
+    if arguments.predict is not None:
+        for case in arguments.predict or CASES:
+            process = spawn.Process(target=attribute, args=(case,))
+            process.start()
+            process.join()
+        return
     renderer = SceneRenderer(arguments.scene, "materials", resolution=RESOLUTION)
     spp = arguments.passes * (_passes.SAMPLES // (RESOLUTION[0] * RESOLUTION[1]))
     peaks = Peaks()

@@ -361,6 +361,18 @@ def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tenso
     return {name: value.detach() for name, value in values.items()}
 
 
+def require_memory(renderer: Any, spp: Iterable[int | None], pictures: int) -> None:
+    """Refuse what will not fit into memory, where the renderer can tell: so many pictures at the same time.
+
+    Raises
+    ------
+    SceneCaptumError
+        With settings that would fit.
+    """
+    if hasattr(renderer, "require_memory"):
+        renderer.require_memory(spp=max(one or 1 for one in spp), pictures=pictures)
+
+
 def _pull_back(
     graph: torch.Tensor, leaves: dict[str, torch.Tensor], adjoint: torch.Tensor, point: Point
 ) -> dict[str, torch.Tensor]:

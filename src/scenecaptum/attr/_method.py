@@ -15,7 +15,15 @@ from tqdm import tqdm
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
 from ._attribution import SceneAttribution, make_attribution
-from ._gradients import LEAST_SEEN, Gradients, GradientSum, Point, input_values, sum_gradients
+from ._gradients import (
+    LEAST_SEEN,
+    Gradients,
+    GradientSum,
+    Point,
+    input_values,
+    require_memory,
+    sum_gradients,
+)
 from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
 from ._jackknife import Adjoints, jackknife
@@ -115,7 +123,9 @@ class Run:
     def budget(self, points: int, *, pairs: int | None = None) -> Budget:
         """Split the samples over so many points, the first ``pairs`` of which are seen twice or more."""
         settings = self.settings
-        return Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
+        budget = Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
+        require_memory(self.renderer, budget.spp, max(budget.passes))
+        return budget
 
     def sums(
         self, points: Iterable[Point], budget: Budget, *, at_random: bool = False, keep: bool = False

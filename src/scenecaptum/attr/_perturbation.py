@@ -14,6 +14,7 @@ from tqdm import tqdm
 from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
+from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
@@ -145,6 +146,7 @@ class Perturbation:
         metrics = tuple(TargetedMetric(self.metric, one) for one in listed(target))
         spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
         budget = ArmBudget.split(spp, len(arms), settings.replicates, settings.seed)
+        require_memory(renderer, [budget.spp], len(budget.seeds))
         bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
         pseudo, interrupted = [], False
         with bar, torch.no_grad():

@@ -17,7 +17,7 @@ from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ._against import differences
 from ._attribution import SceneAttribution, surfaces_of
-from ._gradients import GradientSum, Point
+from ._gradients import GradientSum, Point, require_memory
 from ._method import Own, Result, Run
 from ._passes import Budget, channel_totals
 from ._rounds import Rounds, RoundSum, TimeLimit
@@ -282,6 +282,7 @@ class _Search:
         return False
 
     def _round(self, passes: int, spp: int) -> bool:
+        require_memory(self.run.renderer, [spp], passes)
         began = self.time.now()
         self.bar.total += 2 * passes
         found, interrupted = self.rounds.take(self.point, passes, spp)

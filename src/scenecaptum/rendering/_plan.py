@@ -13,6 +13,7 @@ import torch
 from ..backend import activate
 from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
+from ._memory import size
 from ._routes import reason_against_replay, shiny_ones
 
 # Up to this depth every path is traced to its end: the cost of the last bounces is small, and without
@@ -45,6 +46,8 @@ class RenderPlan:
         replay does not serve; at the scene's own values, since at others it may.
     cautions
         ``(parameter, what is known to be wrong with its derivative)`` pairs.
+    memory
+        Bytes that a picture and its backward pass take at most, of the renderer's own samples.
     """
 
     integrator: str
@@ -54,6 +57,7 @@ class RenderPlan:
     reasons: tuple[tuple[str, str], ...]
     differences: tuple[tuple[str, str], ...]
     cautions: tuple[tuple[str, str], ...]
+    memory: int = 0
 
     def __str__(self) -> str:
         """Write one decision a line."""
@@ -75,6 +79,16 @@ class RenderPlan:
                 "rr_depth": self.rr_depth,
                 "hide_emitters": self.hide_emitters if hide_emitters is None else hide_emitters,
             }
+        )
+
+    @property
+    def decisions(self) -> tuple[tuple[str, str], ...]:
+        """The decisions with their reasons, and what they take."""
+        if not self.memory:
+            return self.reasons
+        return (
+            *self.reasons,
+            (f"at most {size(self.memory)} of memory", "to render and differentiate one picture"),
         )
 
 

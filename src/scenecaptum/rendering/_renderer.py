@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -19,6 +20,7 @@ from ..scene._graph import SceneGraph
 from ..scene._loading import SceneLike, describe, source_of
 from ..scene._selection import Selection
 from ._function import RenderCall, render
+from ._memory import available, predict, require
 from ._plan import STOCK, RenderPlan, make_plan, stock_plan
 
 if TYPE_CHECKING:
@@ -108,6 +110,7 @@ class SceneRenderer(torch.nn.Module):
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
         self._borrowed = isinstance(scene, mi.Scene)
         self.checkpoint: Checkpoint | None = None
+        self._granted = 0  # bytes that were found to be available
         self._prepare(size, self._plan_for(max_depth))
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
@@ -122,7 +125,7 @@ class SceneRenderer(torch.nn.Module):
         from ._stock import StockEngine
 
         self.resolution = resolution
-        self.plan = plan
+        self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
         self._surface_maps: dict[Any, SurfaceMap] = {}
         self._engines: Sequence[Engine | CheckpointedEngine] = [
             (StockEngine if plan.integrator in STOCK else Engine)(
@@ -179,6 +182,43 @@ class SceneRenderer(torch.nn.Module):
         other.checkpoint = checkpoint
         other._record()
         return other
+
+    def memory(self, *, spp: int | None = None, pictures: int = 1) -> int:
+        """Return how many bytes rendering and differentiating will take at most, beyond what the process holds.
+
+        Example
+        -------
+        >>> renderer = SceneRenderer("cornell-box", resolution=(1920, 1080), spp=64)
+        >>> renderer.memory(pictures=8) < 2 * 2**30
+        True
+
+        Parameters
+        ----------
+        spp
+            Samples per pixel of each picture; the renderer's by default.
+        pictures
+            How many are held at the same time: the ``replicates`` of an attribution.
+        """
+        return predict(*self._sizes(spp, pictures))
+
+    def require_memory(self, *, spp: int | None = None, pictures: int = 1) -> None:
+        """Raise where that is more than is available, with settings that would fit.
+
+        Raises
+        ------
+        SceneCaptumError
+            Naming both numbers.
+        """
+        sizes = self._sizes(spp, pictures)
+        if (needed := predict(*sizes)) > self._granted:
+            require(*sizes, available())
+            # What was taken once is not available, but still there.
+            self._granted = needed
+
+    def _sizes(self, spp: int | None, pictures: int) -> tuple[tuple[int, int], int, int, int]:
+        width, height = self.resolution
+        texels = sum(self._state.original[name].numel() for name in self._names)
+        return (width * len(self._sensors), height), self.spp if spp is None else spp, pictures, texels
 
     def _fingerprints(self) -> list[str]:
         """Return for each sensor a hash of all that its pictures follow from beside values, seed and samples."""
@@ -394,6 +434,7 @@ class SceneRenderer(torch.nn.Module):
         seed_grad = seed if seed_grad is None else check_seed("seed_grad", seed_grad)
         spp = whole_number("spp", self.spp if spp is None else spp)
         spp_grad = spp if spp_grad is None else whole_number("spp_grad", spp_grad)
+        self.require_memory(spp=max(spp, spp_grad))
         tensors = [value.to(device(), torch.float32) for value in given.values()]
         images = [
             render(

@@ -59,8 +59,8 @@ def parameters_html(parameters: SceneParameters) -> str:
 
 def plan_text(plan: RenderPlan) -> str:
     """Write one decision a line, in a terminal no wider than it is."""
-    width, column = _terminal_width(), max(len(decision) for decision, _ in plan.reasons)
-    lines = [(f"{decision.ljust(column)}  {reason}", column + 2) for decision, reason in plan.reasons]
+    width, column = _terminal_width(), max(len(decision) for decision, _ in plan.decisions)
+    lines = [(f"{decision.ljust(column)}  {reason}", column + 2) for decision, reason in plan.decisions]
     for text, names in _groups(plan.differences).items():
         lines.append((f"finite difference for {', '.join(names)}: {text}", 4))
     for text, names in _groups(plan.cautions).items():
@@ -70,7 +70,7 @@ def plan_text(plan: RenderPlan) -> str:
 
 def plan_html(plan: RenderPlan) -> str:
     """Lay out the decisions and their reasons as a table, and below it what each exception is for."""
-    rows = "\n".join(f"<tr>{_cells(pair, 'td')}</tr>" for pair in plan.reasons)
+    rows = "\n".join(f"<tr>{_cells(pair, 'td')}</tr>" for pair in plan.decisions)
     notes = [
         f"<div><b>{html.escape(what)}</b> {html.escape(', '.join(names))}: {html.escape(text)}</div>"
         for what, pairs in (("Finite difference for", plan.differences), ("Caution:", plan.cautions))

@@ -1,0 +1,122 @@
+"""How much memory a job takes is told before it begins, and what does not fit is refused with what would."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenecaptum import (
+    FeatureAblationScene,
+    SceneCaptumError,
+    SceneRenderer,
+    SmoothGradScene,
+    VanillaSceneGradient,
+    metrics,
+)
+from scenecaptum.rendering import _memory, _renderer
+from scenecaptum.rendering._memory import MARGIN, available, predict, require
+
+GIGABYTE = 2**30
+
+
+def test_what_is_available_is_known_here() -> None:
+    if not Path("/proc/meminfo").exists():
+        pytest.skip("no /proc/meminfo: memory is told on Linux only")
+    total = int(re.search(r"MemTotal: *(\d+)", Path("/proc/meminfo").read_text())[1]) * 1024  # type: ignore[index]
+    found = available()
+    assert found is not None
+    assert 0 < found <= total
+
+
+def test_limits_of_containers_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The smallest limit of all groups that hold the process."""
+    (tmp_path / "job" / "step").mkdir(parents=True)
+    for place, limit, used in (("job", "5000", "1000"), ("job/step", "max", "900"), ("", "9000", "1000")):
+        (tmp_path / place / "memory.max").write_text(f"{limit}\n")
+        (tmp_path / place / "memory.current").write_text(f"{used}\n")
+    (tmp_path / "own").write_text("0::/job/step\n")
+    monkeypatch.setattr(_memory, "GROUPS", (tmp_path / "own", tmp_path))
+    assert available() == 4000
+
+
+@pytest.mark.parametrize(("pictures", "spp"), [(8, 64), (64, 1), (1, 4096)])
+def test_what_is_said_to_fit_fits(pictures: int, spp: int) -> None:
+    """And the next larger does not."""
+    size = (3840, 2160)
+    for free in (GIGABYTE, 3 * GIGABYTE, 5 * GIGABYTE):
+        needed = predict(size, spp, pictures, 100)
+        if needed <= MARGIN * free:
+            require(size, spp, pictures, 100, free)
+            continue
+        with pytest.raises(
+            SceneCaptumError, match=r"would take about .* of memory .* are available"
+        ) as caught:
+            require(size, spp, pictures, 100, free)
+        told = str(caught.value)
+        if found := re.search(r"replicates=(\d+)", told):
+            count = int(found[1])
+            fitting, not_fitting = (
+                predict(size, -(-spp * pictures // n), n, 100) for n in (count, count + 1)
+            )
+            assert fitting <= MARGIN * free < not_fitting
+        if found := re.search(r"(\d+) samples per pixel in a pass", told):
+            samples = int(found[1])
+            assert predict(size, samples, pictures, 100) <= MARGIN * free
+        width, height = map(int, re.search(r"resolution=\((\d+), (\d+)\)", told).groups())  # type: ignore[union-attr]
+        assert predict((width, height), spp, pictures, 100) <= MARGIN * free
+
+
+def test_nothing_is_refused_where_nothing_is_known() -> None:
+    require((10**5, 10**5), 10**5, 10**3, 0, None)
+
+
+def test_jobs_are_refused_before_they_begin(monkeypatch: pytest.MonkeyPatch, mi: Any) -> None:
+    renderer = SceneRenderer("cornell-box", "reflectance", resolution=(4096, 4096), spp=64)
+    picture = renderer.memory()
+    assert f"at most {_memory.size(picture)} of memory" in str(renderer.plan)
+
+    def rendered(*_: Any) -> None:
+        raise AssertionError("it was rendered")
+
+    monkeypatch.setattr(renderer._engines[0], "primal", rendered)
+    monkeypatch.setattr(_renderer, "available", lambda: int(picture / MARGIN) - GIGABYTE)
+    with pytest.raises(SceneCaptumError, match="1 picture of 4096×4096 pixels at 64 spp"):
+        renderer(seed=0)
+    # A picture would fit, and those of all passes do not.
+    monkeypatch.setattr(_renderer, "available", lambda: int(picture / MARGIN) + 4 * GIGABYTE)
+    for method in (VanillaSceneGradient, FeatureAblationScene):
+        with pytest.raises(
+            SceneCaptumError, match=r"8 pictures of 4096×4096 pixels .* fits is replicates=\d"
+        ):
+            method(renderer, metrics.MeanLuminance()).attribute()
+    with pytest.raises(AssertionError, match="it was rendered"):
+        SmoothGradScene(renderer, metrics.MeanLuminance()).attribute(replicates=1)
+
+
+def test_what_a_renderer_was_granted_it_may_take_again(monkeypatch: pytest.MonkeyPatch, mi: Any) -> None:
+    """What it holds by then is no longer available."""
+    renderer = SceneRenderer("cornell-box", "reflectance", resolution=(64, 64), spp=1)
+    renderer.require_memory(pictures=4)
+    monkeypatch.setattr(_renderer, "available", lambda: 0)
+    renderer.require_memory(pictures=4)
+    with pytest.raises(SceneCaptumError, match="Nothing smaller fits"):
+        renderer.require_memory(pictures=5)
+
+
+@pytest.mark.long
+def test_predictions_are_not_far_below_what_is_taken() -> None:
+    """A quarter below at most: a job that was let through must not be killed for its memory."""
+    script = Path(__file__).parents[1] / "benchmarks" / "memory.py"
+    cases = ["cornell-box 64x64 64 8", "cornell-box 1280x720 8 8", "office 320x180 16 8"]
+    done = subprocess.run(
+        [sys.executable, str(script), "--predict", *cases], capture_output=True, text=True, check=True
+    )
+    print(f"\n{done.stdout}")
+    ratios = [float(line.split()[-1]) for line in done.stdout.splitlines()]
+    assert len(ratios) == len(cases)
+    assert min(ratios) > 0.8
