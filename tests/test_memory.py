@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from toy import ToyRenderer
 
 from scenecaptum import (
     FeatureAblationScene,
@@ -17,6 +18,7 @@ from scenecaptum import (
     SmoothGradScene,
     VanillaSceneGradient,
     metrics,
+    tradeoff,
 )
 from scenecaptum.rendering import _memory, _renderer
 from scenecaptum.rendering._memory import MARGIN, available, predict, require
@@ -96,6 +98,27 @@ def test_jobs_are_refused_before_they_begin(monkeypatch: pytest.MonkeyPatch, mi:
             method(renderer, metrics.MeanLuminance()).attribute()
     with pytest.raises(AssertionError, match="it was rendered"):
         SmoothGradScene(renderer, metrics.MeanLuminance()).attribute(replicates=1)
+
+
+class SmallToy(ToyRenderer):
+    """Has room for a hundred pictures, and counts what it renders."""
+
+    samples = 0
+
+    def require_memory(self, *, spp: int, pictures: int) -> None:
+        require((4, 4), spp, pictures, 3, predict((4, 4), 1, 100, 3) * 2 if pictures < 100 else 0)
+
+    def __call__(self, inputs: Any, *, seed: int, spp: int) -> Any:
+        self.samples += spp
+        return super().__call__(inputs, seed=seed, spp=spp)
+
+
+def test_a_tradeoff_is_refused_before_its_first_run() -> None:
+    """For the last of its settings, too: until then only a sample of each is rendered."""
+    toy = SmallToy()
+    with pytest.raises(SceneCaptumError, match="5000 pictures of 4×4 pixels"):
+        tradeoff.measure(toy, metrics.MeanLuminance(), vary={"replicates": [4, 5000]})
+    assert toy.samples <= 4
 
 
 def test_what_a_renderer_was_granted_it_may_take_again(monkeypatch: pytest.MonkeyPatch, mi: Any) -> None:

@@ -13,7 +13,7 @@ import torch
 from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._gradients import input_values
+from ..attr._gradients import input_values, require_memory
 from ..attr._metric import Metric, Target
 from ..attr._passes import channel_totals
 from ..checkpoint import Folder, with_checkpoint
@@ -112,7 +112,9 @@ def measure(  # noqa: PLR0913 -- those of every long job, and its own
     best = reference_setting([setting for _, setting in chosen], spp, REFERENCE_PASSES)
 
     bench = Bench(with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target)
-    bench.try_all([best, *(setting for _, setting in chosen)])
+    every = [best, *(setting for _, setting in chosen)]
+    bench.try_all(every)
+    bench.require_memory(every)
     seeds = np.random.SeedSequence([seed, 5]).generate_state(1 + runs * len(chosen)).tolist()
     judge = Judge.of(bench.run(best, seeds.pop(), show_progress=show_progress))
     rows = []
@@ -181,6 +183,13 @@ class Bench:
                 raise SceneCaptumError(
                     f"{error} For pictures of another resolution metric_for= makes the metric from the renderer."
                 ) from error
+
+    def require_memory(self, settings: Sequence[Setting]) -> None:
+        """Refuse settings that will not fit into memory, before the first is run."""
+        for setting in settings:
+            samples = max(setting.primal_spp, setting.gradient_spp)
+            spp = math.ceil(samples / setting.replicates)
+            require_memory(self._at(setting)[0], [spp], setting.replicates)
 
     def _at(self, setting: Setting) -> tuple[Any, Metric]:
         key = _picture(setting)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..attr._gradients import input_values
+from ..attr._gradients import input_values, require_memory
 from ..attr._metric import Metric, Target, TargetedMetric
 from ..attr._passes import channel_totals
 from ..errors import check_seed, whole_number
@@ -58,6 +58,7 @@ class Scenes:
         self.values = values
         self.seeds = seeds
         self.spp = spp
+        require_memory(renderer, [spp], len(seeds))
         held_at = getattr(metric, "held_at", None) if hold else None
         self.metric = TargetedMetric(held_at(self._images({}).mean(0)) if held_at else metric, target)
         self.still = self.measure({})
