@@ -307,10 +307,10 @@ def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:
 
 def _error(gradients: GradientSum, name: str) -> torch.Tensor:
     """Return a standard error, elementwise: the spread, and the bias that was taken out."""
-    variance = gradients.variance(name)
+    error = gradients.error(name)
     if gradients.bias is not None:
-        variance = torch.addcmul(variance, gradients.bias[name], gradients.bias[name])
-    return variance.sqrt_() / gradients.share
+        error = error.hypot(gradients.bias[name])
+    return error / gradients.share
 
 
 def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Tensor]:

@@ -98,7 +98,7 @@ class GradientSum:
         self.kept: list[PointGradient] | None = [] if keep else None
         self._passes: list[int] = []
         self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
-        self._variance = {name: torch.zeros_like(value) for name, value in values.items()}
+        self._error = {name: torch.zeros_like(value) for name, value in values.items()}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
         self._noise: dict[str, list[float]] = {name: [] for name in values}  # of each point
         # How much of the variance is told by several passes, and how much there is, in units of that of a sample.
@@ -119,7 +119,7 @@ class GradientSum:
             else:
                 self._points[name].add(spread.mean)
             if point.passes > 1 and self._by_passes:
-                self._variance[name].add_(spread.variance(), alpha=point.share**2)
+                self._error[name].hypot_(point.share * spread.error())
                 totals = torch.stack(spread.totals)
                 scale = point.share / math.sqrt(point.passes * (point.passes - 1))
                 deviations = scale * (totals - totals.mean(0))
@@ -157,17 +157,17 @@ class GradientSum:
         if not self._by_passes:
             return len(self._passes) - 1
         free = torch.tensor([n - 1.0 for n in self._passes if n > 1])
-        noise = [torch.tensor(one) for one in self._noise.values() if sum(one) > 0]
+        noise = [torch.tensor(one, dtype=torch.float64) for one in self._noise.values() if sum(one) > 0]
         if not noise:
             return int(free.sum())
         part = torch.stack([one / one.sum() for one in noise]).mean(0)
         return max(1, round(1 / (part.square() / free).sum().item()))
 
-    def variance(self, name: str) -> torch.Tensor:
-        """Return the variance of ``mean``, elementwise."""
+    def error(self, name: str) -> torch.Tensor:
+        """Return the standard error of ``mean``, elementwise."""
         if self._by_passes or self._points is None:
-            return self._whole / self._told * self._variance[name]
-        return self.share**2 * self._points[name].variance()
+            return math.sqrt(self._whole / self._told) * self._error[name]
+        return self.share * self._points[name].error()
 
     def rows(self, name: str) -> torch.Tensor:
         """Return ``(replicates, C)`` channel totals whose mean, and whose mean's covariance, are those of the sum.

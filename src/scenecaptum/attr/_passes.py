@@ -195,21 +195,21 @@ def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tenso
 
 
 def _is_rounding(difference: torch.Tensor, of: torch.Tensor) -> bool:
-    return bool(difference.norm() <= 1e-5 * of.norm())
+    return bool(difference.double().norm() <= 1e-5 * of.double().norm())
 
 
 class Spread:
     """Running mean and variance of one parameter's gradient over the passes (Welford's algorithm).
 
     The channel totals of every pass are kept as well: the error of a norm or of a difference of two results
-    needs their covariance.
+    needs their covariance. The squares of what float32 holds would overflow it, or vanish, so none is formed.
     """
 
     mean: torch.Tensor
 
     def __init__(self) -> None:
         self.totals: list[torch.Tensor] = []
-        self._squares: torch.Tensor | None = None
+        self._norm: torch.Tensor | None = None  # of the deviations from the mean
 
     def add(self, gradient: torch.Tensor) -> None:
         """Take in the gradient of one more pass. A texture's is large, so that few operations touch all of it."""
@@ -221,16 +221,14 @@ class Spread:
         step = gradient - self.mean
         # The first gradient is the caller's.
         self.mean = self.mean.add_(step, alpha=1 / count) if count > 2 else self.mean.add(step, alpha=1 / 2)
-        squares = self._squares
-        self._squares = (
-            step.square_().div_(2) if squares is None else squares.addcmul_(step, step, value=1 - 1 / count)
-        )
+        step.mul_(math.sqrt(1 - 1 / count))
+        self._norm = step.abs_() if self._norm is None else self._norm.hypot_(step)
 
-    def variance(self) -> torch.Tensor:
-        """Return the variance of the mean, elementwise; it takes two passes."""
-        assert self._squares is not None
+    def error(self) -> torch.Tensor:
+        """Return the standard error of the mean, elementwise; it takes two passes."""
+        assert self._norm is not None
         count = len(self.totals)
-        return self._squares / (count * (count - 1))
+        return self._norm / math.sqrt(count * (count - 1))
 
 
 def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
@@ -238,9 +236,11 @@ def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
 
     A scalar or vector is itself. What has values at many places, a texture ``(H, W, C)``, a grid or the colours of
     a mesh's vertices ``(N, C)``, is summed over these: the effect of raising all of them alike, so that a texture
-    of one colour counts like that colour.
+    of one colour counts like that colour. In float64, whose squares reach further than those of float32.
     """
-    return tensor.reshape(-1) if tensor.ndim < 2 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
+    if tensor.ndim < 2:
+        return tensor.reshape(-1).double()
+    return tensor.reshape(-1, tensor.shape[-1]).sum(0, dtype=torch.float64)
 
 
 def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:

@@ -210,8 +210,8 @@ class Perturbation:
         }
         labels = getattr(self.renderer, "labels", {})
         return SceneAttribution(
-            attributions={name: effect.value for name, effect in effects.items()},
-            standard_error=_all({name: effect.error for name, effect in effects.items()}),
+            attributions={name: effect.value.float() for name, effect in effects.items()},
+            standard_error=_all({n: None if e.error is None else e.error.float() for n, e in effects.items()}),
             metric_value=value,
             metric_standard_error=(unbiased.std() / math.sqrt(count)).item() if count > 1 else None,
             convergence_delta=delta,
@@ -226,8 +226,8 @@ class Perturbation:
 
 
 def _all(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:
-    """Return the tensors as they are saved and printed, or None where one is missing."""
-    present = {name: tensor.float() for name, tensor in tensors.items() if tensor is not None}
+    """Return the tensors, or None where one is missing."""
+    present = {name: tensor for name, tensor in tensors.items() if tensor is not None}
     return present if len(present) == len(tensors) else None
 
 

@@ -303,7 +303,7 @@ class Engine:
         def luminance(seed: int) -> torch.Tensor:
             fixed = dr.opaque(mi.UInt32, seed), PILOT_SPP, self._state.scalars
             image = _call(lambda: _done(render(self._scene, *fixed)))
-            brightness: torch.Tensor = image.sum(-1)
+            brightness: torch.Tensor = image.double().sum(-1)  # whose squares may overflow float32
             return brightness
 
         with self.at_hand():
