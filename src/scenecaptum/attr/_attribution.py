@@ -113,7 +113,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         A texture is first summed over its texels: its saliency is that of raising all of them alike, so that a
         texture of one colour ranks like that colour.
         """
-        return {name: channel_totals(value).norm().item() for name, value in self.items()}
+        return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
 
     def saliency_error(self) -> dict[str, float] | None:
         """Return the standard error of each saliency, from the covariance of the channels over the passes."""
@@ -321,6 +321,7 @@ def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Te
 
 def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:
     """Return the standard error of a norm, to first order: the spread along the vector's direction."""
+    total, covariance = total.double(), covariance.double()
     norm = total.norm()
     if norm == 0:
         return float(covariance.diagonal().sum().sqrt())

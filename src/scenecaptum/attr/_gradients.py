@@ -174,7 +174,7 @@ class GradientSum:
 
         For a single point these are the totals of its passes.
         """
-        mean = channel_totals(self.mean[name])
+        mean = channel_totals(self.mean[name]).double()
         if not self.degrees_of_freedom:
             return mean[None]
         deviations = self.deviations(name)

@@ -202,7 +202,7 @@ class Spread:
     """Running mean and variance of one parameter's gradient over the passes (Welford's algorithm).
 
     The channel totals of every pass are kept as well: the error of a norm or of a difference of two results
-    needs their covariance. The squares of what float32 holds would overflow it, or vanish, so none is formed.
+    needs their covariance. Squares of what float32 holds would overflow it, or vanish: none is formed in float32.
     """
 
     mean: torch.Tensor
@@ -213,7 +213,7 @@ class Spread:
 
     def add(self, gradient: torch.Tensor) -> None:
         """Take in the gradient of one more pass. A texture's is large, so that few operations touch all of it."""
-        self.totals.append(channel_totals(gradient))
+        self.totals.append(channel_totals(gradient).double())
         count = len(self.totals)
         if count == 1:
             self.mean = gradient
@@ -236,11 +236,9 @@ def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
 
     A scalar or vector is itself. What has values at many places, a texture ``(H, W, C)``, a grid or the colours of
     a mesh's vertices ``(N, C)``, is summed over these: the effect of raising all of them alike, so that a texture
-    of one colour counts like that colour. In float64, whose squares reach further than those of float32.
+    of one colour counts like that colour.
     """
-    if tensor.ndim < 2:
-        return tensor.reshape(-1).double()
-    return tensor.reshape(-1, tensor.shape[-1]).sum(0, dtype=torch.float64)
+    return tensor.reshape(-1) if tensor.ndim < 2 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
 
 
 def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:
@@ -250,6 +248,7 @@ def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = Non
     and where the metric bends within the noise of a pixel (a glare threshold), its own noise is that large.
     """
     # Equal replicates deviate by nothing at all: their mean may be rounded.
+    replicates = replicates.double()
     deviations = replicates - replicates[0]
     deviations = deviations - deviations.mean(0)
     count = len(replicates)
