@@ -13,9 +13,10 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from .._finite import check_gradient, check_image, located
 from ..errors import SceneCaptumError
 from ._metric import TargetedMetric
-from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife, still_linear
+from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife, pictures, still_linear
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -252,7 +253,8 @@ class Gradients:
             for number, graph in enumerate(graphs):
                 if self._is_late(number):
                     break
-                pulled = [_pull_back(graph, leaves, one.adjoints.passes[number], point) for one in found]
+                with located(f"In backward pass {number + 1} of {len(graphs)}"):
+                    pulled = [_pull_back(graph, leaves, one.adjoints.passes[number], point) for one in found]
                 for one, gradients in zip(found, pulled, strict=True):
                     for name, gradient in gradients.items():
                         one.spreads[name].add(gradient)
@@ -274,13 +276,16 @@ class Gradients:
         spp = self.budget.spp[index]
         images, graphs = [], []
         # A point may have more seeds for pictures than it has passes.
-        for seed_grad, seed in zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False):
-            if self._replays:
-                graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
-                images.append(graph.detach())
-            else:
-                graph = self.renderer(leaves, seed=seed_grad, spp=spp)
-                images.append(self.renderer(leaves, seed=seed, spp=spp).detach())
+        seeds = list(zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False))
+        for number, (seed_grad, seed) in enumerate(seeds, 1):
+            with located(f"In pass {number} of {len(seeds)}"):
+                if self._replays:
+                    graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
+                    images.append(graph.detach())
+                else:
+                    graph = self.renderer(leaves, seed=seed_grad, spp=spp)
+                    images.append(self.renderer(leaves, seed=seed, spp=spp).detach())
+                check_image(images[-1], f"The render with seed {seed}")
             graphs.append(graph)
             self.bar.update()
         return images, graphs
@@ -310,8 +315,7 @@ class Gradients:
         if spp is not None:
             spp = math.ceil(max(LEAST_SEEN, spp * len(images)) / len(seeds))
             self.extra += spp * len(seeds)
-        with torch.no_grad():
-            return [self.renderer(values, seed=seed, spp=spp) for seed in seeds]
+        return pictures(self.renderer, values, seeds, spp)
 
 
 def _for_passes(adjoints: Adjoints, passes: int) -> Adjoints:
@@ -370,6 +374,8 @@ def _pull_back(
         name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
     }
+    for name, gradient in found.items():
+        check_gradient(name, gradient, "its adjoint image is finite")
     return {**found, **{name: found[name] * factor for name, factor in point.factors.items()}}
 
 

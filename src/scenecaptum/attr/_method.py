@@ -19,7 +19,7 @@ from ._gradients import LEAST_SEEN, Gradients, GradientSum, Point, input_values,
 from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
 from ._metric import Metric, Target, TargetedMetric
-from ._passes import Adjoints, Budget, jackknife
+from ._passes import Adjoints, Budget, jackknife, pictures
 
 Targets: TypeAlias = "Target | list[Target]"
 
@@ -143,11 +143,7 @@ class Run:
             spp = max(math.ceil(spp / OWN), 1 if linear else LEAST_SEEN)
         seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
         budget = Budget.split(spp, settings.replicates, seed)
-        with torch.no_grad():
-            return [
-                [self.renderer(values, seed=one, spp=budget.spp[0]) for one in budget.seeds[0]]
-                for values in scenes
-            ]
+        return [pictures(self.renderer, values, budget.seeds[0], budget.spp[0]) for values in scenes]
 
     def result(
         self,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
+from .._finite import check_image, located
 from ..errors import check_seed, whole_number
 from ._metric import TargetedMetric
 
@@ -85,6 +87,18 @@ class Budget:
         """Samples per pixel in all, or None where the renderer decides."""
         known = [one * count for one, count in zip(self.spp, self.passes, strict=True) if one is not None]
         return sum(known) if known else None
+
+
+def pictures(
+    renderer: Any, values: Mapping[str, torch.Tensor], seeds: Sequence[int], spp: int | None
+) -> list[torch.Tensor]:
+    """Render a picture for each seed, without a graph; one that is not finite is refused."""
+    images = []
+    for number, seed in enumerate(seeds, 1):
+        with torch.no_grad(), located(f"In pass {number} of {len(seeds)}"):
+            images.append(renderer(values, seed=seed, spp=spp).detach())
+            check_image(images[-1], f"The render with seed {seed}")
+    return images
 
 
 def _passes_of_one_point(spp: int | None, passes: int) -> int:

@@ -12,12 +12,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from .._finite import located
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._interruption import AttributionInterrupted
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
-from ._passes import covariance_of_mean
+from ._passes import covariance_of_mean, pictures
 from ._values import summarise
 
 
@@ -163,8 +164,8 @@ class Perturbation:
         return Measured(torch.stack(pseudo), values, image, inputs, metrics, budget, interrupted, info)
 
     def _images(self, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
-        values = dict(arm.values())
-        return [self.renderer(values, seed=seed, spp=budget.spp).detach() for seed in budget.seeds]
+        with located(f"On {arm.what}"):
+            return pictures(self.renderer, dict(arm.values()), budget.seeds, budget.spp)
 
     def _results(
         self,
@@ -211,7 +212,9 @@ class Perturbation:
         labels = getattr(self.renderer, "labels", {})
         return SceneAttribution(
             attributions={name: effect.value.float() for name, effect in effects.items()},
-            standard_error=_all({n: None if e.error is None else e.error.float() for n, e in effects.items()}),
+            standard_error=_all(
+                {n: None if e.error is None else e.error.float() for n, e in effects.items()}
+            ),
             metric_value=value,
             metric_standard_error=(unbiased.std() / math.sqrt(count)).item() if count > 1 else None,
             convergence_delta=delta,
@@ -247,7 +250,7 @@ def _pseudo_values(
 def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
     """Evaluate the metric once, for all targets."""
     try:
-        output = metrics[0].metric(image)
+        output = metrics[0].output(image)
         return torch.tensor([metric.value_of(output) for metric in metrics], dtype=torch.float64)
     except SceneCaptumError as error:
         raise SceneCaptumError(f"On {what}: {error}") from error
