@@ -14,6 +14,7 @@ from ..backend import activate, device
 from ..camera import Camera
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
+from ..scene._extremes import check_scale, check_values
 from ..scene._graph import SceneGraph
 from ..scene._loading import SceneLike, describe
 from ..scene._selection import Selection
@@ -91,6 +92,7 @@ class SceneRenderer(torch.nn.Module):
 
         self.name = describe(scene)
         loaded = load_scene(scene)
+        check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
@@ -100,6 +102,7 @@ class SceneRenderer(torch.nn.Module):
         size = _common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
+        check_values(self.name, self._state.original, self._table)
         self._borrowed = isinstance(scene, mi.Scene)
         self._prepare(size, self._plan_for(max_depth))
 
