@@ -163,6 +163,34 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
             for name, value in self.items()
         }
 
+    def untrusted_errors(self) -> dict[str, str]:
+        """Return the parameters whose standard error cannot be trusted, each with the reason; ``?`` in tables.
+
+        There are too few passes, or one of them dominates the spread, as where a rare path is very bright: more
+        samples help, or ``median_of_means``.
+        """
+        from ._heavy_tails import untrusted_errors
+
+        return untrusted_errors(self)
+
+    def median_of_means(self) -> SceneAttribution:
+        """Return the same result with the median over the passes in place of their mean.
+
+        Each pass is a mean over its samples, and a rare bright path moves only the passes that hold it. The price
+        is a bias where passes are skewed: light that arrives by rare paths is left out, and the more so the fewer
+        samples a pass has (see the page on extremes). The errors hold the spread of the passes, outliers clipped,
+        and what the median leaves out of the mean. Of a texture only the channel totals are medians; its texels
+        keep their pattern.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where there are no error bars, or the result is of several scenes or rounds.
+        """
+        from ._heavy_tails import median_of_means
+
+        return median_of_means(self)
+
     def __sub__(self, other: SceneAttribution) -> SceneAttribution:
         """Compare two metrics or two designs: this attribution minus ``other``, parameter by parameter.
 
