@@ -98,8 +98,7 @@ def attribute(scene: Any, inputs: Any = "all", metric: Any = mean, **options: An
 
 def total(attribution: SceneAttribution, name: str) -> tuple[float, float]:
     """Return the sum over the channels of an attribution and its standard error."""
-    rows = attribution.replicates[name].double().sum(1)
-    return rows.mean().item(), (rows.std() / len(rows) ** 0.5).item()
+    return attribution[name].double().sum().item(), attribution.covariance[name].sum().sqrt().item()
 
 
 def slope(
@@ -115,3 +114,22 @@ def z(measured: tuple[float, float], expected: float, rounding: float = 2e-5) ->
     """Return by how many standard errors a measurement is off, single precision allowed for."""
     value, error = measured
     return (value - expected) / (error + rounding * abs(expected) + 1e-30)
+
+
+def in_the_sky(mi: Any, bsdf: dict[str, Any], *, depth: int = 4, **more: Any) -> dict[str, Any]:
+    """A ball under a white sky and nothing else: where it takes no light away, the picture is 1 everywhere."""
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": depth},
+        "camera": camera(mi, [0, -4, 1], [0, 0, 0]),
+        "ball": {"type": "sphere", "bsdf": bsdf},
+        "sky": {"type": "constant", "radiance": rgb(1.0)},
+        **more,
+    }
+
+
+def coverage(renderer: SceneRenderer, of: str = "ball") -> float:
+    """Return the part of the picture that an object covers."""
+    shown = renderer.surfaces
+    covered = shown.fraction[shown.object_index == shown.objects.index(of)].sum()
+    return float(covered) / (shown.shape[0] * shown.shape[1])
