@@ -85,6 +85,7 @@ def test_faces_without_area(mi, tmp_path):
     assert found[0].saliency()[BALL] > 0.01
 
 
+@pytest.mark.long
 def test_light_without_area(mi):
     """A lamp shrunk to a point gives no light, and nothing that is not a number."""
     scene = room(mi)
@@ -107,7 +108,7 @@ def test_an_object_one_pixel_wide(mi):
     assert value > 10 * error
 
 
-@settings(max_examples=5, deadline=None, derandomize=True)
+@settings(max_examples=3, deadline=None, derandomize=True)
 @given(exponent=st.integers(-1, 6))
 def test_scale_does_not_matter(mi, reference, exponent):
     found = attribute(room(mi, scale=10.0**exponent))

@@ -12,7 +12,7 @@ from toy import ToyRenderer
 from scenecaptum import IntegratedGradientsScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient
 from scenecaptum.attr._heavy_tails import FALSE_ALARMS, _limit
 
-RUNS = 200
+RUNS = 100
 
 
 class Fireflies(ToyRenderer):
@@ -112,7 +112,7 @@ def test_median_of_means_is_the_median():
 
 
 def test_median_moves_less_than_the_mean_and_owns_up_to_it():
-    """A pass with a firefly moves the mean by its eighth; the median hardly, and its error holds the difference."""
+    """A firefly moves the mean by an eighth of its pass; the median hardly, and its error holds the difference."""
     renderer = Fireflies(brighter=1000.0)
     clean = torch.stack([attribute(Fireflies(), seed)["x"] for seed in range(60)])
     means = [attribute(renderer, seed) for seed in range(60)]

@@ -8,7 +8,7 @@ import torch
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient
 
-from .scenes import GREY, attribute, coverage, furnace, in_the_sky, mean, room, total, z
+from .scenes import GREY, furnace, mean, room, total, z
 
 WALLS, GLOW = "walls.bsdf.reflectance.value", "walls.emitter.radiance.value"
 BALL = "ball.bsdf.reflectance.value"
@@ -32,11 +32,11 @@ def test_one_pixel(oven):
 
 
 def test_one_sample_is_unbiased_and_says_that_it_knows_no_error(oven):
-    found = [VanillaSceneGradient(oven, mean).attribute(seed=seed, spp=1) for seed in range(32)]
+    found = [VanillaSceneGradient(oven, mean).attribute(seed=seed, spp=1) for seed in range(16)]
     assert all(one.standard_error is None and one.metric_standard_error is None for one in found)
     assert "no error bars" in str(found[0])
     slopes = torch.stack([one[WALLS].sum() for one in found]).double()
-    assert abs(slopes.mean() - 2.75) < 4 * slopes.std() / 32**0.5
+    assert abs(slopes.mean() - 2.75) < 4 * slopes.std() / 16**0.5
 
 
 def test_depth_of_one_sees_light_alone(oven):
@@ -81,7 +81,7 @@ def test_a_quarter_of_a_million_samples_of_one_pixel_add_up(oven):
     assert abs(many - 1.875) < 4 * few.std().item() / 8 + 1e-5
 
 
-@pytest.mark.parametrize("seed", [0, 2**32 - 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 2**32 - 1])
 def test_first_and_last_seed(renderer, seed):
     found = VanillaSceneGradient(renderer, mean).attribute(seed=seed, spp=16)
     assert torch.isfinite(found[BALL]).all()
@@ -112,11 +112,3 @@ def test_two_samples_are_two_passes_and_said_to_be_few(renderer):
     found = VanillaSceneGradient(renderer, mean).attribute(seed=0, spp=2)
     assert "told by 2 passes is itself unsure by 71 %" in str(found)
     assert set(found.untrusted_errors()) == set(found)
-
-
-def test_film_of_one_column(mi):
-    scene = in_the_sky(mi, GREY)
-    found = attribute(scene, resolution=(1, 64), spp=64)
-    assert found.image.shape == (64, 1, 3)
-    covered = coverage(SceneRenderer(scene, inputs="reflectance", resolution=(1, 64)))
-    assert abs(z(total(found, BALL), covered, 0.02)) < 4

@@ -116,11 +116,11 @@ def _check(attribution: SceneAttribution) -> None:
     rounds = (info.get("planner") or {}).get("rounds", ())
     several = (info.get("budget") or {}).get("points", 1) > 1 or len(rounds) > 1
     if attribution.covariance is None or not attribution.replicates or several:
-        passes = info.get("passes", 1)
-        why = "several scenes or rounds, which differ by more than noise" if several else f"{passes} pass(es)"
+        one = "1 pass" if info.get("passes", 1) == 1 else "passes that were not kept"
+        why = "several scenes or rounds" if several else one
         raise SceneCaptumError(
-            f"The median is taken over independent passes at one scene, and this result is of {why}. Attribute with "
-            "VanillaSceneGradient or InputXGradientScene in 8 passes or more, without tolerance= or top=."
+            f"The median is taken over independent passes at one scene, and this result is of {why}. Attribute "
+            "with VanillaSceneGradient or InputXGradientScene in 8 passes or more, without tolerance= or top=."
         )
 
 
