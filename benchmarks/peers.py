@@ -75,7 +75,7 @@ class Size:
     points: int
 
 
-FULL = Size((64, 36), 128, 3, 4, 32, 3, (64, 36), 16, 12, 32, 32)
+FULL = Size((64, 36), 128, 3, 8, 32, 3, (64, 36), 16, 12, 32, 32)
 QUICK = Size((32, 18), 16, 2, 2, 8, 2, (24, 14), 8, 4, 8, 8)
 
 
@@ -829,6 +829,14 @@ def draw(results: Results) -> Any:
             found = [results.costs[metric, count, peer] for count in results.case.counts]
             costs = [one.to_target if one.told else math.nan for one in found]
             ax.loglog(results.case.counts, costs, styles[peer], color=colours[peer], markersize=4, label=peer)
+        if not any(results.costs[metric, count, OURS].told for count in results.case.counts):
+            ax.text(
+                0.5,
+                0.5,
+                "the reference is too noisy\nto tell errors from",
+                transform=ax.transAxes,
+                ha="center",
+            )
         ax.set_title(metric, fontsize=TEXT)
     kinds = {"gradient": "local", "DGSM": "dgsm", "Morris": "morris", "Sobol": "sobol"}
     looks = dict(

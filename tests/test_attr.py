@@ -9,8 +9,9 @@ from toy import ReplayingToyRenderer, ToyRenderer
 
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
+from scenecaptum.attr._jackknife import jackknife
 from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import Budget, channel_totals, jackknife
+from scenecaptum.attr._passes import Budget, channel_totals
 from scenecaptum.attr._student import student_t
 
 

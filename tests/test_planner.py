@@ -15,8 +15,9 @@ from tqdm import tqdm
 from scenecaptum import SceneCaptumError, VanillaSceneGradient, cli, metrics
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._gradients import Point
+from scenecaptum.attr._jackknife import jackknife
 from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import Budget, jackknife
+from scenecaptum.attr._passes import Budget
 from scenecaptum.attr._rounds import Rounds, RoundSum
 from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
 from scenecaptum.attr._student import student_t

@@ -12,8 +12,9 @@ from tqdm import tqdm
 
 from .attr import VanillaSceneGradient
 from .attr._gradients import input_values
+from .attr._jackknife import jackknife
 from .attr._metric import Metric, TargetedMetric
-from .attr._passes import DEFAULT_PASSES, Budget, channel_totals, jackknife
+from .attr._passes import DEFAULT_PASSES, Budget, channel_totals
 from .attr._ranges import ranges
 from .attr._values import summarise
 from .errors import SceneCaptumError, check_seed, whole_number

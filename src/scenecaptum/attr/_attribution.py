@@ -13,7 +13,8 @@ import torch
 
 from ..errors import SceneCaptumError, UnknownNameError, near_misses
 from ..scene import SurfaceMap
-from ._passes import Adjoints, channel_totals, covariance_of_mean
+from ._jackknife import Adjoints
+from ._passes import channel_totals, covariance_of_mean
 from ._student import student_t
 from ._values import summarise
 

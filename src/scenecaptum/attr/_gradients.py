@@ -15,8 +15,9 @@ from tqdm import tqdm
 
 from .._finite import check_gradient, check_image, located
 from ..errors import SceneCaptumError
+from ._jackknife import Adjoints, jackknife, still_linear
 from ._metric import TargetedMetric
-from ._passes import Adjoints, Budget, Spread, channel_totals, jackknife, pictures, still_linear
+from ._passes import Budget, Spread, channel_totals, pictures
 
 Tensors = Mapping[str, torch.Tensor]
 

@@ -18,8 +18,9 @@ from ._attribution import SceneAttribution, make_attribution
 from ._gradients import LEAST_SEEN, Gradients, GradientSum, Point, input_values, sum_gradients
 from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
+from ._jackknife import Adjoints, jackknife
 from ._metric import Metric, Target, TargetedMetric
-from ._passes import Adjoints, Budget, jackknife, pictures
+from ._passes import Budget, pictures
 
 Targets: TypeAlias = "Target | list[Target]"
 

@@ -12,7 +12,6 @@ import torch
 
 from .._finite import check_image, located
 from ..errors import check_seed, whole_number
-from ._metric import TargetedMetric
 
 DEFAULT_PASSES = 8
 
@@ -116,100 +115,6 @@ def _shares(spp: int, passes: Sequence[int]) -> list[int | None]:
         shares.append(each)
         used += each * count
     return shares
-
-
-@dataclass(frozen=True)
-class Adjoints:
-    """What the metric makes of the primal passes.
-
-    Attributes
-    ----------
-    value, standard_error, bias
-        The metric at the mean image, and the jackknife's estimates of its standard error and of the bias that
-        the image's noise puts into it (None for a single pass).
-    passes
-        The adjoint image to be propagated by each backward pass.
-    bias_adjoint
-        What the noise of the image puts into the adjoint on average, or None where the metric is linear.
-    """
-
-    value: float
-    standard_error: float | None
-    bias: float | None
-    passes: tuple[torch.Tensor, ...]
-    bias_adjoint: torch.Tensor | None
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether the metric is linear, as far as can be seen here."""
-        return self.bias is not None and self.bias_adjoint is None
-
-
-def jackknife(
-    metric: TargetedMetric, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
-) -> Adjoints:
-    """Evaluate a metric on the mean image, and on the mean of all images but one, for each one.
-
-    Backward pass ``r`` gets the pseudo-value ``h·a(mean) − (h − 1)·a(mean without r)`` of the adjoint image
-    ``a = ∂M/∂I``, where ``1/h`` is the image's share of all ``samples`` (by default all have as many). To first
-    order it is ``a + H (image r − mean)`` with ``H`` the metric's Hessian, so the spread of the propagated
-    gradients contains the noise of the image at its full size (propagating ``a(mean without r)`` itself would show
-    only a fraction of it), and their mean is free of the bias of first order that a noisy image puts into the
-    adjoint of a non-linear metric.
-
-    References
-    ----------
-    Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
-    Busing, Meijer and van der Leeden, "Delete-m jackknife for unequal m", Statistics and Computing 9, 1999.
-    """
-    count = len(images)
-    weights = [1.0] * count if samples is None else samples
-    shares = [weight / sum(weights) for weight in weights]
-    mean = torch.stack([share * image for share, image in zip(shares, images, strict=True)]).sum(0)
-    value, adjoint = metric.value_and_adjoint(mean)
-    if count == 1:
-        return Adjoints(value, None, None, (adjoint,), None)
-
-    without = [
-        metric.value_and_adjoint((mean - share * image) / (1 - share))
-        for share, image in zip(shares, images, strict=True)
-    ]
-    # By how much each image that is left out moves the metric: to first order these sum to 0.
-    moves = [(1 - share) * (one - value) for share, (one, _) in zip(shares, without, strict=True)]
-    bias = sum(moves)
-    bias_adjoint = torch.zeros_like(adjoint)
-    for share, (_, one) in zip(shares, without, strict=True):
-        bias_adjoint.add_(one - adjoint, alpha=1 - share)
-    spread = sum(
-        (move / share - bias) ** 2 * share / (1 - share) for share, move in zip(shares, moves, strict=True)
-    )
-    # A linear metric leaves rounding errors here, which are not worth a pass.
-    linear = _is_rounding(bias_adjoint, adjoint)
-    return Adjoints(
-        value=value,
-        standard_error=math.sqrt(spread / count),
-        bias=bias,
-        passes=tuple(
-            adjoint - (1 / share - 1) * (one - adjoint)
-            for share, (_, one) in zip(shares, without, strict=True)
-        ),
-        bias_adjoint=None if linear else bias_adjoint,
-    )
-
-
-def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tensor) -> Adjoints | None:
-    """Let a metric that was linear elsewhere see one image; return None where it is linear no more.
-
-    A linear metric has the same adjoint everywhere.
-    """
-    value, adjoint = metric.value_and_adjoint(image)
-    if not (elsewhere.is_linear and _is_rounding(adjoint - elsewhere.passes[0], adjoint)):
-        return None
-    return Adjoints(value, None, 0.0, (adjoint,), None)
-
-
-def _is_rounding(difference: torch.Tensor, of: torch.Tensor) -> bool:
-    return bool(difference.double().norm() <= 1e-5 * of.double().norm())
 
 
 class Spread:

@@ -154,7 +154,8 @@ def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -
             whole * found.deviations(name)
             if found.degrees_of_freedom
             else torch.zeros_like(channel_totals(mean).double())[None],
-            whole * channel_totals(torch.zeros_like(mean) if found.bias is None else found.bias[name]).double(),
+            whole
+            * channel_totals(torch.zeros_like(mean) if found.bias is None else found.bias[name]).double(),
         )
         for name, mean in found.mean.items()
     }

@@ -11,8 +11,9 @@ import torch
 from tqdm import tqdm
 
 from ._gradients import Gradients, GradientSum, Point, PointGradient
+from ._jackknife import Adjoints, jackknife
 from ._metric import TargetedMetric
-from ._passes import Adjoints, Budget, jackknife
+from ._passes import Budget
 
 _GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
 

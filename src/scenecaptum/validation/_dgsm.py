@@ -13,9 +13,10 @@ import torch
 from tqdm import tqdm
 
 from ..attr._gradients import Gradients, Point, input_values
+from ..attr._jackknife import Adjoints
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
-from ..attr._passes import Adjoints, Budget
+from ..attr._passes import Budget
 from ..errors import check_seed, whole_number
 from ._scalars import Intervals, Scalar, Values, find_scalars, hold, point_at
 

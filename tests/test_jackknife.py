@@ -1,0 +1,90 @@
+"""What several noisy pictures say of a metric's noise and bias: judged by closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from scenecaptum.attr._jackknife import _directions, _trust, jackknife
+from scenecaptum.attr._metric import TargetedMetric
+
+SHARES = [[1.0] * 2, [1.0] * 8, [1.0] * 13, [8.0, 8.0, 4.0, 2.0, 1.0], [16.0] * 4 + [3.0] * 12]
+
+
+def noisy(count: int, *shape: int, noise: float, seed: int) -> list[torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    return [1 + noise * torch.randn(*shape, 3, generator=generator) for _ in range(count)]
+
+
+def kinked(image: torch.Tensor) -> torch.Tensor:
+    """A layer of ReLUs, whose derivative is constant but for jumps."""
+    generator = torch.Generator().manual_seed(0)
+    weights = torch.randn(2000, image.numel(), generator=generator) / math.sqrt(image.numel())
+    signs = torch.randn(2000, generator=generator)
+    return (signs * (weights @ (image.flatten() - 1)).relu()).sum()
+
+
+@pytest.mark.parametrize("samples", SHARES, ids=lambda one: f"{len(one)} of {sum(one):g}")
+def test_means_have_the_covariance_of_the_mean_and_no_weight_below_zero(samples):
+    shares = torch.tensor(samples, dtype=torch.float64) / sum(samples)
+    roots = shares.sqrt()
+    directions, step = _directions(tuple(roots.tolist()))
+    projection = torch.eye(len(roots), dtype=torch.float64) - roots[:, None] * roots
+    torch.testing.assert_close(directions.T @ directions, projection)
+    torch.testing.assert_close(directions.sum(0), torch.zeros_like(roots))
+    assert (shares + step * roots * directions > -1e-12).all()
+    leaving_one_out = (roots / (1 - shares)).min().item()
+    assert step > leaving_one_out - 1e-9  # of two pictures either is a half
+
+
+@pytest.mark.parametrize("samples", SHARES, ids=lambda one: f"{len(one)} of {sum(one):g}")
+def test_of_a_quadratic_metric_each_pass_gets_the_adjoint_of_its_own_picture(samples):
+    images = noisy(len(samples), 2, 2, noise=0.3, seed=1)
+    seen = jackknife(TargetedMetric(lambda image: image.square().sum()), images, samples)
+    for image, adjoint in zip(images, seen.passes, strict=True):
+        torch.testing.assert_close(adjoint, 2 * image, rtol=1e-4, atol=1e-4)
+    assert not seen.is_linear
+
+
+def test_a_linear_metric_has_one_adjoint_without_rounding():
+    seen = jackknife(TargetedMetric(torch.mean), noisy(8, 2, 2, noise=0.3, seed=1))
+    assert seen.is_linear
+    assert all(torch.equal(one, seen.passes[0]) for one in seen.passes)
+
+
+def test_bias_is_trusted_where_the_metric_bends_and_not_where_it_jumps():
+    images = noisy(8, 4, 4, noise=0.05, seed=2)
+
+    def trust(metric) -> float:
+        stack, roots = torch.stack(images), torch.full((8,), 8**-0.5, dtype=torch.float64)
+        directions, step = _directions(tuple(roots.tolist()))
+        _, centre = TargetedMetric(metric).value_and_adjoint(stack.mean(0))
+
+        def bias(step: float) -> torch.Tensor:
+            means = torch.einsum(
+                "rn,n...->r...", (roots**2 + step * roots * directions).clamp_min(0).float(), stack
+            )
+            moved = torch.stack([TargetedMetric(metric).value_and_adjoint(one)[1] for one in means])
+            return (moved.mean(0) - centre) / step**2
+
+        return _trust(bias(step), bias(step / 2))
+
+    assert trust(lambda image: image.mean().log()) > 0.9
+    assert trust(lambda image: image.log().mean()) > 0.9
+    assert trust(kinked) < 0.3
+
+
+def test_a_metric_with_kinks_is_not_made_noisier_by_the_correction():
+    """The true adjoint of every repeat is that of the picture without noise; the plain one is that of the mean."""
+    metric = TargetedMetric(kinked)
+    _, truth = metric.value_and_adjoint(torch.ones(4, 4, 3))
+    plain, corrected = 0.0, 0.0
+    for seed in range(20):
+        images = noisy(8, 4, 4, noise=0.05, seed=100 + seed)
+        _, adjoint = metric.value_and_adjoint(torch.stack(images).mean(0))
+        mean = torch.stack(jackknife(metric, images).passes).mean(0)
+        plain += (adjoint - truth).square().sum().item()
+        corrected += (mean - truth).square().sum().item()
+    assert corrected < 1.2 * plain, f"{corrected / plain:.2f} times the error of the plain adjoint, squared"
