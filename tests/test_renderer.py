@@ -854,11 +854,26 @@ def test_differences_are_part_of_the_plan(mi: Any) -> None:
     assert "finite difference for floor.eta: Mitsuba's SmoothDielectric" in str(plan)
 
 
-def test_a_black_texture_carries_a_caution(mi: Any) -> None:
+def test_a_textured_mask_over_glass_carries_a_caution(mi: Any) -> None:
+    holes = {"type": "bitmap", "bitmap": mi.Bitmap(np.full((2, 2, 1), 0.5, np.float32)), "raw": True}
+    mask = {"type": "mask", "opacity": holes, "glass": {"type": "dielectric"}}
+    plan = SceneRenderer(small_cornell(floor=mask), "floor.opacity.*").plan
+    assert [name for name, _ in plan.cautions] == ["floor.opacity.data"]
+    assert "caution: floor.opacity.data: it weighs a perfectly specular lobe" in str(plan)
+
+
+def test_a_black_texture_has_the_slope_of_a_black_colour(mi: Any) -> None:
     black = {"type": "bitmap", "bitmap": mi.Bitmap(np.zeros((2, 2, 3), np.float32)), "raw": True}
-    plan = SceneRenderer(small_cornell(floor={"type": "diffuse", "reflectance": black}), "floor.*").plan
-    assert [name for name, _ in plan.cautions] == ["floor.reflectance.data"]
-    assert "caution: floor.reflectance.data: texels" in str(plan)
+    colour = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
+    totals = []
+    for reflectance in (black, colour):
+        scene = small_cornell(floor={"type": "diffuse", "reflectance": reflectance})
+        renderer = SceneRenderer(scene, "floor.*")
+        assert renderer.plan.cautions == ()
+        x = renderer.leaves()
+        renderer(x, seed=1, spp=64).mean().backward()
+        totals.append(next(iter(x.values())).grad.reshape(-1, 3).sum(0))
+    torch.testing.assert_close(*totals, rtol=1e-3, atol=0.0)
 
 
 @pytest.mark.parametrize("own", ["path", "prb", "volpath"])

@@ -114,7 +114,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         A texture is first summed over its texels: its saliency is that of raising all of them alike, so that a
         texture of one colour ranks like that colour.
         """
-        return {name: channel_totals(value).norm().item() for name, value in self.items()}
+        return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
 
     def saliency_error(self) -> dict[str, float] | None:
         """Return the standard error of each saliency, from the covariance of the channels over the passes."""
@@ -163,6 +163,34 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
             name: (value - width * self.standard_error[name], value + width * self.standard_error[name])
             for name, value in self.items()
         }
+
+    def untrusted_errors(self) -> dict[str, str]:
+        """Return the parameters whose standard error cannot be trusted, each with the reason; ``?`` in tables.
+
+        There are too few passes, or one of them dominates the spread, as where a rare path is very bright: more
+        samples help, or ``median_of_means``.
+        """
+        from ._heavy_tails import untrusted_errors
+
+        return untrusted_errors(self)
+
+    def median_of_means(self) -> SceneAttribution:
+        """Return the same result with the median over the passes in place of their mean.
+
+        Each pass is a mean over its samples, and a rare bright path moves only the passes that hold it. The price
+        is a bias where passes are skewed: light that arrives by rare paths is left out, and the more so the fewer
+        samples a pass has (see the page on extremes). The errors hold the spread of the passes, outliers clipped,
+        and what the median leaves out of the mean. Of a texture only the channel totals are medians; its texels
+        keep their pattern.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where there are no error bars, or the result is of several scenes or rounds.
+        """
+        from ._heavy_tails import median_of_means
+
+        return median_of_means(self)
 
     def __sub__(self, other: SceneAttribution) -> SceneAttribution:
         """Compare two metrics or two designs: this attribution minus ``other``, parameter by parameter.
@@ -308,10 +336,10 @@ def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:
 
 def _error(gradients: GradientSum, name: str) -> torch.Tensor:
     """Return a standard error, elementwise: the spread, and the bias that was taken out."""
-    variance = gradients.variance(name)
+    error = gradients.error(name)
     if gradients.bias is not None:
-        variance = torch.addcmul(variance, gradients.bias[name], gradients.bias[name])
-    return variance.sqrt_() / gradients.share
+        error = error.hypot(gradients.bias[name])
+    return error / gradients.share
 
 
 def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Tensor]:
@@ -322,6 +350,7 @@ def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Te
 
 def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:
     """Return the standard error of a norm, to first order: the spread along the vector's direction."""
+    total, covariance = total.double(), covariance.double()
     norm = total.norm()
     if norm == 0:
         return float(covariance.diagonal().sum().sqrt())

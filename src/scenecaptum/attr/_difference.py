@@ -59,7 +59,7 @@ def _errors(
     errors = {name: torch.hypot(a.standard_error[name], b.standard_error[name]) for name in a}
     for name, covariance in (shared or {}).items():
         if a[name].ndim < 2:  # its channel totals are its elements
-            errors[name] = covariance.diagonal().sqrt().reshape(a[name].shape)
+            errors[name] = covariance.diagonal().sqrt().reshape(a[name].shape).to(a[name])
     return errors
 
 

@@ -13,10 +13,11 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from .._finite import check_gradient, check_image, located
 from ..errors import SceneCaptumError
 from ._jackknife import Adjoints, jackknife, still_linear
 from ._metric import TargetedMetric
-from ._passes import Budget, Spread, channel_totals
+from ._passes import Budget, Spread, channel_totals, pictures
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -99,7 +100,7 @@ class GradientSum:
         self.kept: list[PointGradient] | None = [] if keep else None
         self._passes: list[int] = []
         self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
-        self._variance = {name: torch.zeros_like(value) for name, value in values.items()}
+        self._error = {name: torch.zeros_like(value) for name, value in values.items()}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
         self._noise: dict[str, list[float]] = {name: [] for name in values}  # of each point
         # How much of the variance is told by several passes, and how much there is, in units of that of a sample.
@@ -120,7 +121,7 @@ class GradientSum:
             else:
                 self._points[name].add(spread.mean)
             if point.passes > 1 and self._by_passes:
-                self._variance[name].add_(spread.variance(), alpha=point.share**2)
+                self._error[name].hypot_(point.share * spread.error())
                 totals = torch.stack(spread.totals)
                 scale = point.share / math.sqrt(point.passes * (point.passes - 1))
                 deviations = scale * (totals - totals.mean(0))
@@ -158,24 +159,24 @@ class GradientSum:
         if not self._by_passes:
             return len(self._passes) - 1
         free = torch.tensor([n - 1.0 for n in self._passes if n > 1])
-        noise = [torch.tensor(one) for one in self._noise.values() if sum(one) > 0]
+        noise = [torch.tensor(one, dtype=torch.float64) for one in self._noise.values() if sum(one) > 0]
         if not noise:
             return int(free.sum())
         part = torch.stack([one / one.sum() for one in noise]).mean(0)
         return max(1, round(1 / (part.square() / free).sum().item()))
 
-    def variance(self, name: str) -> torch.Tensor:
-        """Return the variance of ``mean``, elementwise."""
+    def error(self, name: str) -> torch.Tensor:
+        """Return the standard error of ``mean``, elementwise."""
         if self._by_passes or self._points is None:
-            return self._whole / self._told * self._variance[name]
-        return self.share**2 * self._points[name].variance()
+            return math.sqrt(self._whole / self._told) * self._error[name]
+        return self.share * self._points[name].error()
 
     def rows(self, name: str) -> torch.Tensor:
         """Return ``(replicates, C)`` channel totals whose mean, and whose mean's covariance, are those of the sum.
 
         For a single point these are the totals of its passes.
         """
-        mean = channel_totals(self.mean[name])
+        mean = channel_totals(self.mean[name]).double()
         if not self.degrees_of_freedom:
             return mean[None]
         deviations = self.deviations(name)
@@ -253,7 +254,8 @@ class Gradients:
             for number, graph in enumerate(graphs):
                 if self._is_late(number):
                     break
-                pulled = [_pull_back(graph, leaves, one.adjoints.passes[number], point) for one in found]
+                with located(f"In backward pass {number + 1} of {len(graphs)}"):
+                    pulled = [_pull_back(graph, leaves, one.adjoints.passes[number], point) for one in found]
                 for one, gradients in zip(found, pulled, strict=True):
                     for name, gradient in gradients.items():
                         one.spreads[name].add(gradient)
@@ -275,13 +277,16 @@ class Gradients:
         spp = self.budget.spp[index]
         images, graphs = [], []
         # A point may have more seeds for pictures than it has passes.
-        for seed_grad, seed in zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False):
-            if self._replays:
-                graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
-                images.append(graph.detach())
-            else:
-                graph = self.renderer(leaves, seed=seed_grad, spp=spp)
-                images.append(self.renderer(leaves, seed=seed, spp=spp).detach())
+        seeds = list(zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False))
+        for number, (seed_grad, seed) in enumerate(seeds, 1):
+            with located(f"In pass {number} of {len(seeds)}"):
+                if self._replays:
+                    graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
+                    images.append(graph.detach())
+                else:
+                    graph = self.renderer(leaves, seed=seed_grad, spp=spp)
+                    images.append(self.renderer(leaves, seed=seed, spp=spp).detach())
+                check_image(images[-1], f"The render with seed {seed}")
             graphs.append(graph)
             self.bar.update()
         return images, graphs
@@ -311,8 +316,7 @@ class Gradients:
         if spp is not None:
             spp = math.ceil(max(LEAST_SEEN, spp * len(images)) / len(seeds))
             self.extra += spp * len(seeds)
-        with torch.no_grad():
-            return [self.renderer(values, seed=seed, spp=spp) for seed in seeds]
+        return pictures(self.renderer, values, seeds, spp)
 
 
 def _for_passes(adjoints: Adjoints, passes: int) -> Adjoints:
@@ -383,6 +387,8 @@ def _pull_back(
         name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
     }
+    for name, gradient in found.items():
+        check_gradient(name, gradient, "its adjoint image is finite")
     return {**found, **{name: found[name] * factor for name, factor in point.factors.items()}}
 
 

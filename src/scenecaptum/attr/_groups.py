@@ -156,7 +156,9 @@ def add_up(attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]
     return dataclasses.replace(
         attribution,
         attributions={group: total(attribution, names) for group, names in members.items()},
-        standard_error=None if covariance is None else {g: c[0, 0].sqrt() for g, c in covariance.items()},
+        standard_error=None
+        if covariance is None
+        else {g: c[0, 0].sqrt().float() for g, c in covariance.items()},
         bias=bias,
         replicates=rows,
         covariance=covariance,

@@ -115,7 +115,7 @@ def _trust(far: torch.Tensor, near: torch.Tensor) -> float:
     proportional to the step ``t``, their signs are random, and the sum is divided by ``t²``, so that the square of
     the noise goes as ``t⁻³``: eight times as much at half the step.
     """
-    square, nearer = far.square().sum().item(), near.square().sum().item()
+    square, nearer = (one.double().square().sum().item() for one in (far, near))
     noise = (nearer - square) / (8 - 1)
     return min(1.0, max(0.0, 1 - noise / square)) if square else 0.0
 
@@ -162,4 +162,4 @@ def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tenso
 
 
 def _is_rounding(difference: torch.Tensor, of: torch.Tensor) -> bool:
-    return bool(difference.norm() <= 1e-5 * of.norm())
+    return bool(difference.double().norm() <= 1e-5 * of.double().norm())

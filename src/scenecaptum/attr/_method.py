@@ -28,7 +28,7 @@ from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
 from ._jackknife import Adjoints, jackknife
 from ._metric import Metric, Target, TargetedMetric
-from ._passes import Budget
+from ._passes import Budget, pictures
 
 Targets: TypeAlias = "Target | list[Target]"
 
@@ -158,11 +158,7 @@ class Run:
             spp = max(math.ceil(spp / OWN), 1 if linear else LEAST_SEEN)
         seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
         budget = Budget.split(spp, settings.replicates, seed)
-        with torch.no_grad():
-            return [
-                [self.renderer(values, seed=one, spp=budget.spp[0]) for one in budget.seeds[0]]
-                for values in scenes
-            ]
+        return [pictures(self.renderer, values, budget.seeds[0], budget.spp[0]) for values in scenes]
 
     def result(
         self,

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import torch
 
+from .._finite import NotFiniteError, place
 from ..errors import SceneCaptumError
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -38,27 +39,43 @@ class TargetedMetric:
         """
         leaf = image.detach().requires_grad_()
         with torch.enable_grad():
-            value = self._scalar(self.metric(leaf))
+            value = self._scalar(self.output(leaf))
         if not value.requires_grad:
             raise SceneCaptumError(self._does_not_depend())
         (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
         if adjoint is None:
             raise SceneCaptumError(self._does_not_depend())
+        bad = ~torch.isfinite(adjoint)
         if not torch.isfinite(value):
-            raise SceneCaptumError(f"The metric {self.name} is {value.item()} on the rendered image.")
-        if not torch.isfinite(adjoint).all():
-            bad = int((~torch.isfinite(adjoint)).any(-1).sum())
-            raise SceneCaptumError(
-                f"The metric {self.name} has a derivative that is not finite on {bad} of "
-                f"{adjoint[..., 0].numel()} pixels. A square root or logarithm of 0 is the usual cause: "
-                "add a small constant inside it."
+            where = f", with a derivative that is not finite at {place(bad, 'camera')}" if bad.any() else ""
+            raise NotFiniteError(
+                f"The metric {self.name} is {value.item()} on the rendered image, which is finite{where}."
+            )
+        if bad.any():
+            raise NotFiniteError(
+                f"The metric {self.name} has a derivative that is not finite on {int(bad.any(-1).sum())} of "
+                f"{adjoint[..., 0].numel()} pixels: {place(bad, 'camera')}. A square root or logarithm of 0 is "
+                "the usual cause: add a small constant inside it."
             )
         return value.item(), adjoint
+
+    def output(self, image: torch.Tensor) -> Any:
+        """Call the metric on an image, which it must leave as it is: other passes see it too."""
+        version = image._version
+        try:
+            output = self.metric(image)
+        except RuntimeError as error:
+            if "leaf Variable" not in str(error):
+                raise
+            raise SceneCaptumError(self._changes_the_image()) from error
+        if image._version != version:
+            raise SceneCaptumError(self._changes_the_image())
+        return output
 
     def value(self, image: torch.Tensor) -> float:
         """Return the metric's value at an image, finite or not: a logarithm of a black image is -inf."""
         with torch.no_grad():
-            return self._scalar(self.metric(image.detach())).item()
+            return self._scalar(self.output(image.detach())).item()
 
     def value_of(self, output: Any) -> float:
         """Return the value that is attributed, from an output of the metric.
@@ -84,6 +101,11 @@ class TargetedMetric:
             )
         if self.target is not None:
             output = self._at_target(output)
+        if output.is_meta or output.is_complex():
+            came = "on the meta device, which holds no numbers" if output.is_meta else "complex"
+            raise SceneCaptumError(
+                f"The metric {self.name} must return a real number; it returned one {came}."
+            )
         if output.numel() != 1:
             raise SceneCaptumError(
                 f"The metric {self.name} must return a scalar; it returned shape {tuple(output.shape)}. "
@@ -100,6 +122,12 @@ class TargetedMetric:
                 f"target={self.target!r} does not index the metric's output of shape {tuple(output.shape)}."
             ) from error
         return chosen
+
+    def _changes_the_image(self) -> str:
+        return (
+            f"The metric {self.name} changes the image that it is given. Write image = image * 2 instead of "
+            "image *= 2 or image.mul_(2), or begin with image = image.clone()."
+        )
 
     def _does_not_depend(self) -> str:
         return (

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
+from .._finite import check_image, located
 from ..errors import check_seed, whole_number
 
 DEFAULT_PASSES = 8
@@ -86,6 +88,18 @@ class Budget:
         return sum(known) if known else None
 
 
+def pictures(
+    renderer: Any, values: Mapping[str, torch.Tensor], seeds: Sequence[int], spp: int | None
+) -> list[torch.Tensor]:
+    """Render a picture for each seed, without a graph; one that is not finite is refused."""
+    images = []
+    for number, seed in enumerate(seeds, 1):
+        with torch.no_grad(), located(f"In pass {number} of {len(seeds)}"):
+            images.append(renderer(values, seed=seed, spp=spp).detach())
+            check_image(images[-1], f"The render with seed {seed}")
+    return images
+
+
 def _passes_of_one_point(spp: int | None, passes: int) -> int:
     if spp is None or passes == 1:
         return passes
@@ -107,18 +121,18 @@ class Spread:
     """Running mean and variance of one parameter's gradient over the passes (Welford's algorithm).
 
     The channel totals of every pass are kept as well: the error of a norm or of a difference of two results
-    needs their covariance.
+    needs their covariance. Squares of what float32 holds would overflow it, or vanish: none is formed in float32.
     """
 
     mean: torch.Tensor
 
     def __init__(self) -> None:
         self.totals: list[torch.Tensor] = []
-        self._squares: torch.Tensor | None = None
+        self._norm: torch.Tensor | None = None  # of the deviations from the mean
 
     def add(self, gradient: torch.Tensor) -> None:
         """Take in the gradient of one more pass. A texture's is large, so that few operations touch all of it."""
-        self.totals.append(channel_totals(gradient))
+        self.totals.append(channel_totals(gradient).double())
         count = len(self.totals)
         if count == 1:
             self.mean = gradient
@@ -126,16 +140,14 @@ class Spread:
         step = gradient - self.mean
         # The first gradient is the caller's.
         self.mean = self.mean.add_(step, alpha=1 / count) if count > 2 else self.mean.add(step, alpha=1 / 2)
-        squares = self._squares
-        self._squares = (
-            step.square_().div_(2) if squares is None else squares.addcmul_(step, step, value=1 - 1 / count)
-        )
+        step.mul_(math.sqrt(1 - 1 / count))
+        self._norm = step.abs_() if self._norm is None else self._norm.hypot_(step)
 
-    def variance(self) -> torch.Tensor:
-        """Return the variance of the mean, elementwise; it takes two passes."""
-        assert self._squares is not None
+    def error(self) -> torch.Tensor:
+        """Return the standard error of the mean, elementwise; it takes two passes."""
+        assert self._norm is not None
         count = len(self.totals)
-        return self._squares / (count * (count - 1))
+        return self._norm / math.sqrt(count * (count - 1))
 
 
 def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
@@ -155,6 +167,7 @@ def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = Non
     and where the metric bends within the noise of a pixel (a glare threshold), its own noise is that large.
     """
     # Equal replicates deviate by nothing at all: their mean may be rounded.
+    replicates = replicates.double()
     deviations = replicates - replicates[0]
     deviations = deviations - deviations.mean(0)
     count = len(replicates)

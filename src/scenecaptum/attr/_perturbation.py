@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from .._finite import located
 from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
@@ -18,7 +19,7 @@ from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
-from ._passes import covariance_of_mean
+from ._passes import covariance_of_mean, pictures
 from ._values import summarise
 
 
@@ -209,8 +210,10 @@ class Perturbation:
         }
         labels = getattr(self.renderer, "labels", {})
         return SceneAttribution(
-            attributions={name: effect.value for name, effect in effects.items()},
-            standard_error=_all({name: effect.error for name, effect in effects.items()}),
+            attributions={name: effect.value.float() for name, effect in effects.items()},
+            standard_error=_all(
+                {n: None if e.error is None else e.error.float() for n, e in effects.items()}
+            ),
             metric_value=value,
             metric_standard_error=(unbiased.std() / math.sqrt(count)).item() if count > 1 else None,
             convergence_delta=delta,
@@ -225,13 +228,13 @@ class Perturbation:
 
 
 def _images(renderer: Any, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
-    values = dict(arm.values())
-    return [renderer(values, seed=seed, spp=budget.spp).detach() for seed in budget.seeds]
+    with located(f"On {arm.what}"):
+        return pictures(renderer, dict(arm.values()), budget.seeds, budget.spp)
 
 
 def _all(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:
-    """Return the tensors as they are saved and printed, or None where one is missing."""
-    present = {name: tensor.float() for name, tensor in tensors.items() if tensor is not None}
+    """Return the tensors, or None where one is missing."""
+    present = {name: tensor for name, tensor in tensors.items() if tensor is not None}
     return present if len(present) == len(tensors) else None
 
 
@@ -251,7 +254,7 @@ def _pseudo_values(
 def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
     """Evaluate the metric once, for all targets."""
     try:
-        output = metrics[0].metric(image)
+        output = metrics[0].output(image)
         return torch.tensor([metric.value_of(output) for metric in metrics], dtype=torch.float64)
     except SceneCaptumError as error:
         raise SceneCaptumError(f"On {what}: {error}") from error

@@ -150,11 +150,12 @@ def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -
     whole = 1 / found.share
     vectors = {
         name: (
-            whole * channel_totals(mean),
+            whole * channel_totals(mean).double(),
             whole * found.deviations(name)
             if found.degrees_of_freedom
-            else torch.zeros_like(channel_totals(mean))[None],
-            whole * channel_totals(torch.zeros_like(mean) if found.bias is None else found.bias[name]),
+            else torch.zeros_like(channel_totals(mean).double())[None],
+            whole
+            * channel_totals(torch.zeros_like(mean) if found.bias is None else found.bias[name]).double(),
         )
         for name, mean in found.mean.items()
     }

@@ -159,7 +159,9 @@ def _second_moment(found: GradientSum, centre: dict[str, torch.Tensor], noise: f
         for name, spread in point.spreads.items():
             square = (spread.mean - centre[name]).square_()
             spreads[name] = Spread()
-            spreads[name].add(square.sub_(spread.variance(), alpha=noise) if point.passes > 1 else square)
+            spreads[name].add(
+                square.sub_(spread.error().square_(), alpha=noise) if point.passes > 1 else square
+            )
         squares.add(PointGradient(spreads, point.adjoints, point.share))
     return squares
 

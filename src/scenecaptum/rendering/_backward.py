@@ -114,8 +114,8 @@ class FilmFilter:
 
     def strength(self, adjoint: torch.Tensor) -> torch.Tensor:
         """Return the root mean square of the adjoint of samples inside each pixel, ``(H, W)``."""
-        # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work.
-        image = (adjoint / self.caught.to(adjoint)).cpu().numpy()
+        # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work. In float64, for the squares.
+        image = (adjoint / self.caught.to(adjoint)).cpu().double().numpy()
         quarters = (-0.25, 0.25)
         columns = [self._spread(image, 0, y) for y in quarters]
         squares = sum(np.square(self._spread(one, 1, x)).sum(-1) for one in columns for x in quarters)

@@ -124,6 +124,12 @@ class Engine:
             with _LOCK:
                 self._state.look()
 
+    def shows(self, pixels: torch.Tensor) -> str:
+        """Say in a sentence what a mask of pixels ``(H, W)`` shows."""
+        names = self._look_at().objects_on(pixels.numpy(force=True))
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return f" They show {', '.join(names[:3])}{more}: look for a value at an extreme there, or in the lights."
+
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
         """Render: ``(H, W, 3)`` linear radiance."""
         with self.at_hand():
@@ -303,7 +309,7 @@ class Engine:
         def luminance(seed: int) -> torch.Tensor:
             fixed = dr.opaque(mi.UInt32, seed), PILOT_SPP, self._state.scalars
             image = _call(lambda: _done(render(self._scene, *fixed)))
-            brightness: torch.Tensor = image.sum(-1)
+            brightness: torch.Tensor = image.double().sum(-1)  # whose squares may overflow float32
             return brightness
 
         # Whatever was rendered before, the pilots see the same: a job that is resumed chooses the same pixels.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.autograd import forward_ad
 
+from .._finite import check_gradient, check_image
 from ..errors import SceneCaptumError
 
 if TYPE_CHECKING:
@@ -41,7 +42,9 @@ class Render(torch.autograd.Function):
     def forward(call: RenderCall, *tensors: torch.Tensor) -> torch.Tensor:
         values = call.values(tensors)
         call.check(values)
-        return call.engine.primal(values, call.seed, call.spp)
+        image = call.engine.primal(values, call.seed, call.spp)
+        check_image(image, f"The render with seed {call.seed}", call.engine.shows)
+        return image
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
@@ -98,7 +101,8 @@ class Adjoint(_Derivative):
     def forward(
         call: RenderCall, tracked: tuple[str, ...], adjoint: torch.Tensor, *tensors: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
-        return call.engine.adjoint(
+        check_image(adjoint, f"The derivative with respect to the render with seed {call.seed}")
+        gradients = call.engine.adjoint(
             call.values(tensors),
             tracked,
             adjoint,
@@ -106,6 +110,9 @@ class Adjoint(_Derivative):
             call.spp_grad,
             choose=call.seed_grad != call.seed,
         )
+        for name, gradient in zip(tracked, gradients, strict=True):
+            check_gradient(name, gradient, f"seed {call.seed_grad}")
+        return gradients
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[Any, Any]:
@@ -120,7 +127,9 @@ class Tangent(_Derivative):
     def forward(call: RenderCall, moving: tuple[str, ...], *tensors: torch.Tensor) -> torch.Tensor:
         tangents = dict(zip(moving, tensors, strict=False))
         values = call.values(tensors[len(moving) :])
-        return call.engine.tangent(values, tangents, call.seed_grad, call.spp_grad)
+        image = call.engine.tangent(values, tangents, call.seed_grad, call.spp_grad)
+        check_image(image, f"The derivative of the render with seed {call.seed_grad}", call.engine.shows)
+        return image
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:

@@ -16,6 +16,7 @@ from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
+from ..scene._extremes import check_scale, check_values
 from ..scene._graph import SceneGraph
 from ..scene._loading import SceneLike, describe, source_of
 from ..scene._selection import Selection
@@ -99,6 +100,7 @@ class SceneRenderer(torch.nn.Module):
         self.name = describe(scene)
         loaded = load_scene(scene)
         self._source = digest(source_of(scene))
+        check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
@@ -108,6 +110,7 @@ class SceneRenderer(torch.nn.Module):
         size = _common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
+        check_values(self.name, self._state.original, self._table)
         self._borrowed = isinstance(scene, mi.Scene)
         self.checkpoint: Checkpoint | None = None
         self._granted = 0  # bytes that were found to be available

@@ -95,13 +95,17 @@ def shiny_ones(parameters: Mapping[str, Parameter], values: Mapping[str, torch.T
 
 def lifted(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
     """Return the value at which path replay takes the derivative: near its own, where that would lose it."""
-    # Not those of textures: a copy of each would be held for the sake of its black texels (see their caution).
     if value.ndim > 1:
-        return value
+        # A copy is held of a texture that has black texels, and of no other.
+        return torch.where(value == 0, LIFT["reflectance"], value) if _has_black(parameter, value) else value
     if parameter.role == "eta" and "Plastic" in parameter.plugin:
         # Without a step of the index there is no Fresnel term; rounding drowns it below this.
         return torch.where(value == 1, JUST_ABOVE_ONE, value)
     return value.clamp_min(LIFT[parameter.kind]) if parameter.kind in LIFT else value
+
+
+def _has_black(parameter: Parameter, texels: torch.Tensor) -> bool:
+    return parameter.kind == "reflectance" and not bool(texels.all())
 
 
 def is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:

@@ -225,7 +225,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         tracked=tracked,
         specular_inside=_is_specular(holder),
         problem=problem,
-        caution=None if problem else _caution(kind, role, holder, shape, value),
+        caution=None if problem else _caution(role, holder, shape, value),
     )
 
 
@@ -281,15 +281,9 @@ def _problem(
     return None
 
 
-def _caution(kind: str, role: str, holder: Any, shape: tuple[int, ...], value: Any) -> str | None:
+def _caution(role: str, holder: Any, shape: tuple[int, ...], value: Any) -> str | None:
     """Tell what is known to be wrong with a texture's derivative, which no difference can stand in for."""
-    if not _is_array(value) or len(shape) < 2:
-        return None
-    import drjit as dr
-
-    if kind == "reflectance" and dr.any(value == 0, axis=None):
-        return "texels that are exactly 0 miss the indirect part of their derivative"
-    if _is_specular(holder) and role in ("opacity", "weight"):
+    if _is_array(value) and len(shape) > 1 and _is_specular(holder) and role in ("opacity", "weight"):
         return "it weighs a perfectly specular lobe against others: its size is off"
     return None
 

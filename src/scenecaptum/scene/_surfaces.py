@@ -68,6 +68,11 @@ class SurfaceMap:
     parameters: tuple[tuple[str, ...], ...]
     texels: Mapping[str, TexelMap] = field(default_factory=dict)
 
+    def objects_on(self, pixels: NDArray[np.bool_]) -> list[str]:
+        """Return the names of the objects that a mask of pixels ``(H, W)`` shows, in the scene's order."""
+        here = pixels.ravel()[self.pixel] & (self.fraction > 0)
+        return [self.objects[index] for index in np.unique(self.object_index[here])]
+
     def shown(self, names: Collection[str]) -> NDArray[np.float32]:
         """Return the fraction of each pixel whose object shows any of the named parameters, ``(H, W)``."""
         shows = np.array([any(name in names for name in below) for below in self.parameters])

@@ -243,7 +243,7 @@ def _find_way(value: torch.Tensor, gradient: torch.Tensor, low: float, high: flo
         step = min(LONGEST * length, 0.5 * room.min().item())
         if step >= CRAMPED * length:
             return _Way(uphill, sign * step)
-    total = channel_totals(gradient).norm()
+    total = channel_totals(gradient).double().norm()
     ways = []
     for sign, room in rooms.items():
         direction = torch.where(room >= LONGEST * length, uphill, 0.0)

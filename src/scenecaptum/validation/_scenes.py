@@ -102,7 +102,7 @@ def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
     Of a texture, all texels move alike: what single texels are said to do is mostly noise.
     """
     totals = channel_totals(gradient)
-    direction: torch.Tensor = totals / totals.norm()
+    direction: torch.Tensor = (totals / totals.double().norm()).to(totals)
     return direction.reshape(gradient.shape if gradient.ndim < 2 else (-1,)).to(value)
 
 

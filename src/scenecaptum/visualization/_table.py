@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import shutil
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -124,6 +124,11 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
     marks = {name: markers[text] for text, names in groups.items() for name in names}
+    doubts = attribution.untrusted_errors()
+    # What holds for all need not be said of each.
+    doubtful = set(doubts) if len(doubts) < len(attribution) else set()
+    for name in doubtful:
+        marks[name] = f"{marks.get(name, '')}?"
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
     names = shorten([row.label for row in shown], _WIDEST_NAME)
     saliency, gradients = _saliency(shown), _gradients(shown)
@@ -144,6 +149,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
             *_hidden(ranking, len(shown)),
             *(["Σ totals over the texels, vertices or faces"] if textures else []),
             *(_caution(markers[text], text, names) for text, names in groups.items()),
+            *_doubt(attribution, doubts),
         ],
     )
 
@@ -169,6 +175,12 @@ def _hidden(ranking: Sequence[Ranked], shown: int) -> list[str]:
 
 def _caution(marker: str, text: str, names: Sequence[str]) -> str:
     return f"{marker.ljust(2)} {text} ({count_words(len(names), 'parameter')})"
+
+
+def _doubt(attribution: SceneAttribution, doubts: Mapping[str, str]) -> list[str]:
+    """Say which error bars cannot be trusted, and why."""
+    count = "all parameters" if len(doubts) == len(attribution) else count_words(len(doubts), "parameter")
+    return [f"?  {reason} ({count})" for reason in dict.fromkeys(doubts.values())]
 
 
 def _saliency(rows: Sequence[Ranked]) -> list[str]:

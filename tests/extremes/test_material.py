@@ -1,0 +1,176 @@
+"""Materials at the extremes: black and white, smooth and rough, there and not, and light that cannot leave."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient
+
+from .scenes import GREY, attribute, coverage, furnace, in_the_sky, mean, rgb, room, texture, total, z
+
+WALLS, GLOW = "walls.bsdf.reflectance.value", "walls.emitter.radiance.value"
+MIRROR = {"type": "conductor", "material": "none", "specular_reflectance": rgb(1.0)}
+COVERED = 2e-3  # how well the part of a picture is known that a ball covers
+
+
+def series(passed: float, depth: int) -> tuple[float, float]:
+    """Return ``Σ_{k<d} r^k``, the light in a furnace, and its derivative."""
+    return sum(passed**k for k in range(depth)), sum(k * passed ** (k - 1) for k in range(1, depth))
+
+
+@pytest.fixture(scope="module")
+def oven(mi):
+    return SceneRenderer(furnace(mi, GREY), inputs="all")
+
+
+@settings(max_examples=4, deadline=None, derandomize=True)
+@given(reflectance=st.floats(0.01, 1.0), radiance=st.floats(1e-3, 1e3))
+def test_furnace(oven, reflectance, radiance):
+    check_furnace(oven, reflectance, radiance)
+
+
+@pytest.mark.parametrize("reflectance", [0.0, 1.0])
+def test_furnace_of_black_and_of_white_walls(oven, reflectance):
+    # At 0 the slope is that at 0.001 (see _routes.LIFT), so that all is known to three thousandths.
+    check_furnace(oven, reflectance, 2.0, rounding=3e-3 if reflectance == 0 else 2e-5)
+
+
+def check_furnace(oven, reflectance, radiance, rounding=2e-5):
+    values = {WALLS: torch.full((3,), reflectance), GLOW: torch.full((3,), radiance)}
+    found = VanillaSceneGradient(oven, mean).attribute(values, seed=0, spp=64)
+    light, slope = series(reflectance, 4)
+    assert abs(z((found.metric_value, found.metric_standard_error), radiance * light)) < 4.5
+    assert abs(z(total(found, GLOW), light, rounding)) < 4.5
+    assert abs(z(total(found, WALLS), radiance * slope, rounding)) < 4.5
+
+
+@pytest.mark.parametrize("passed", [0.0, 0.7, 1.0])
+def test_closed_mirror_box(mi, passed):
+    """Without noise: the light is that of the series, to rounding, and so are its derivatives."""
+    scene = furnace(mi, {**MIRROR, "specular_reflectance": rgb(passed)}, depth=7)
+    found = attribute(scene, ["walls.bsdf.specular_reflectance.*", GLOW])
+    light, slope = series(passed, 7)
+    assert found.metric_value == pytest.approx(light, rel=1e-5)
+    assert total(found, GLOW)[0] == pytest.approx(light, rel=2e-3 if passed == 0 else 1e-5)
+    assert total(found, "walls.bsdf.specular_reflectance.value")[0] == pytest.approx(slope, rel=3e-3)
+
+
+def test_white_surfaces_lose_nothing_and_black_ones_all(mi):
+    """A convex ball in an even sky: M = 1 − c + c·r, where it covers c."""
+    renderer = SceneRenderer(in_the_sky(mi, GREY), inputs="reflectance")
+    covered, name = coverage(renderer), "ball.bsdf.reflectance.value"
+    for reflectance in (0.0, 1.0):
+        values = {name: torch.full((3,), reflectance)}
+        found = VanillaSceneGradient(renderer, mean).attribute(values, seed=0, spp=64)
+        assert (
+            abs(
+                z(
+                    (found.metric_value, found.metric_standard_error),
+                    1 - covered + covered * reflectance,
+                    COVERED,
+                )
+            )
+            < 4
+        )
+        assert abs(z(total(found, name), covered, COVERED)) < 4
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("plugin", ["roughconductor", "roughdielectric"])
+def test_roughness_from_a_ten_thousandth_to_one(mi, plugin):
+    """The derivative is that of the picture, as far as the noise of either tells, and is never sure of being 0."""
+    fixed = {"material": "none"} if plugin == "roughconductor" else {"int_ior": 1.5}
+    renderer = SceneRenderer(
+        room(mi, lamp=5.0, ball={"type": plugin, "alpha": 0.1, **fixed}), inputs="ball.bsdf.alpha.*"
+    )
+    name = "ball.bsdf.alpha.value"
+    for alpha in (1e-4, 1e-3, 0.03, 0.3, 1.0):
+        value = torch.tensor(alpha)
+        found = VanillaSceneGradient(renderer, mean).attribute({name: value}, seed=0, spp=256)
+        low, high = (
+            (0.999 * value, 1.001 * value)
+            if 1e-4 < alpha < 1
+            else (value, 1.5 * value)
+            if alpha < 1
+            else (0.98 * value, value)
+        )
+        slopes = torch.stack(
+            [
+                (
+                    renderer({name: high}, seed=s, spp=256).double().mean()
+                    - renderer({name: low}, seed=s, spp=256).double().mean()
+                )
+                / (high - low)
+                for s in range(8)
+            ]
+        )
+        error = (
+            (found.standard_error[name] ** 2 + slopes.var() / 8).sqrt() + 0.02 * slopes.mean().abs() + 1e-4
+        )
+        assert abs(found[name] - slopes.mean()) < 4.5 * error, alpha
+
+
+@pytest.mark.parametrize(
+    "ior",
+    [1 + 1e-6, *(pytest.param(one, marks=pytest.mark.long) for one in (1 / 3, 1 - 1e-6, 1.0, 1.5, 3.0))],
+)
+def test_clear_glass_in_an_even_sky_is_invisible(mi, ior):
+    """What glass does not reflect it lets pass, whatever its index: M = 1, and no slope."""
+    found = attribute(
+        in_the_sky(mi, {"type": "dielectric", "int_ior": ior, "ext_ior": 1.0}, depth=16),
+        ["ior", "emitters"],
+        spp=64,
+    )
+    assert found.metric_value == pytest.approx(1.0, abs=1e-4)
+    assert abs(z(total(found, "sky.radiance.value"), 1.0, 1e-4)) < 4
+    slope, error = total(found, "ball.bsdf.eta")
+    assert abs(slope) < 4 * error + 1e-3
+
+
+def test_nested_dielectrics(mi):
+    """Water in glass in air, all clear: invisible too."""
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    water = {"type": "sphere", "radius": 0.6, "bsdf": {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.5}}
+    found = attribute(in_the_sky(mi, glass, depth=16, water=water), ["ior", "emitters"], spp=64)
+    assert found.metric_value == pytest.approx(1.0, abs=2e-4)
+    for name in ("ball.bsdf.eta", "water.bsdf.eta"):
+        slope, error = total(found, name)
+        assert abs(slope) < 4 * error + 1e-3
+
+
+def test_opacity_nought_and_one(mi):
+    """Rays cross two skins, the inner side black: M = 1 − c + c (r o + (1 − o)²)."""
+    mask = {"type": "mask", "opacity": 0.5, "skin": GREY}
+    renderer = SceneRenderer(in_the_sky(mi, mask, depth=6), inputs=["opacity", "reflectance"])
+    covered = coverage(renderer)
+    for opacity in (0.0, 1.0):
+        values = {"ball.bsdf.opacity.value": torch.tensor(opacity)}
+        found = VanillaSceneGradient(renderer, mean).attribute(values, seed=0, spp=256)
+        light = 1 - covered + covered * (0.5 * opacity + (1 - opacity) ** 2)
+        assert abs(z((found.metric_value, found.metric_standard_error), light, COVERED)) < 4
+        assert abs(z(total(found, "ball.bsdf.opacity.value"), covered * (0.5 - 2 * (1 - opacity)), 0.02)) < 4
+
+
+@pytest.mark.parametrize(
+    ("shape", "value"),
+    [
+        ((1, 1), 0.5),
+        pytest.param((1, 8192), 0.5, marks=pytest.mark.long),
+        pytest.param((8192, 1), 0.5, marks=pytest.mark.long),
+        ((4, 4), 0.0),
+    ],
+)
+def test_odd_textures(mi, shape, value):
+    """A texture of one colour counts like that colour, also black, one texel large, or one texel wide."""
+    scene = in_the_sky(mi, texture(mi, np.full((*shape, 3), value)))
+    renderer = SceneRenderer(scene, inputs="textures")
+    found = VanillaSceneGradient(renderer, mean).attribute(seed=0, spp=64)
+    name = "ball.bsdf.reflectance.data"
+    assert found[name].shape == (*(max(2, side) for side in shape), 3)  # Mitsuba keeps two texels at least
+    assert torch.isfinite(found[name]).all()
+    assert torch.isfinite(found.standard_error[name]).all()
+    assert abs(z(total(found, name), coverage(renderer), COVERED)) < 4

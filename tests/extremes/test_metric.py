@@ -1,0 +1,227 @@
+"""Metrics at the extremes: constant, jumping, huge, not a number, random, greedy, elsewhere."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from toy import ToyRenderer
+
+from scenecaptum import FeatureAblationScene, SceneCaptumError, SceneRenderer, VanillaSceneGradient
+
+from .scenes import mean, room, total
+
+BALL = "ball.bsdf.reflectance.value"
+
+
+@pytest.fixture(scope="module")
+def renderer(mi):
+    return SceneRenderer(room(mi), inputs="all")
+
+
+@pytest.fixture(scope="module")
+def plain(renderer):
+    return VanillaSceneGradient(renderer, mean).attribute(seed=0)
+
+
+def by(renderer, metric, **options):
+    return VanillaSceneGradient(renderer, metric).attribute(**{"seed": 0, **options})
+
+
+def test_constant_in_effect(renderer):
+    """A constant that is computed from the image has a derivative, which is 0."""
+    found = by(renderer, lambda image: 0 * image.sum() + 3)
+    assert found.metric_value == 3
+    assert set(found.saliency().values()) == {0.0}
+
+
+@pytest.mark.parametrize(
+    "metric",
+    [
+        lambda image: torch.tensor(3.0, requires_grad=True),
+        lambda image: (image > 0.1).sum(),
+        lambda image: (image > 0.1).float().mean(),
+        lambda image: image.mean().round().long(),
+        lambda image: image.detach().mean(),
+    ],
+    ids=["constant", "integer", "discontinuous", "rounded", "detached"],
+)
+def test_metrics_without_a_derivative_are_refused(renderer, metric):
+    with pytest.raises(SceneCaptumError, match="does not depend on the image through differentiable"):
+        by(renderer, metric)
+
+
+def test_jump_beside_the_image(renderer, plain):
+    """On either side of a jump the derivative is that of the side: the jump itself is for ablation to see."""
+    found = by(renderer, lambda image: image.mean() * (image.mean() > 1e-3))
+    torch.testing.assert_close(found[BALL], plain[BALL], rtol=1e-4, atol=0)
+
+    def lit(image):
+        return (image.mean() > 0.015).float() + 0 * image.sum()
+
+    lamp = "lamp.emitter.radiance.value"
+    ablated = FeatureAblationScene(renderer, lit).attribute(
+        seed=0, spp=64, baselines={lamp: torch.zeros(3)}, groups={"lamp": lamp}
+    )
+    assert by(renderer, lit).saliency()[lamp] == 0
+    assert ablated["lamp"].item() == 1
+
+
+@settings(max_examples=4, deadline=None, derandomize=True)
+@given(exponent=st.integers(-30, 36))
+def test_huge_and_tiny(renderer, plain, exponent):
+    """A metric times 10ⁿ has gradients, errors and saliencies times 10ⁿ."""
+    factor = 10.0**exponent
+    found = by(renderer, lambda image: image.mean() * factor)
+    assert found.metric_value == pytest.approx(plain.metric_value * factor, rel=1e-5)
+    for ours, theirs in (
+        (found.saliency(), plain.saliency()),
+        (found.saliency_error(), plain.saliency_error()),
+    ):
+        assert ours[BALL] == pytest.approx(theirs[BALL] * factor, rel=5e-3)
+
+
+def test_beyond_single_precision(renderer):
+    with pytest.raises(SceneCaptumError, match="is inf on the rendered image, which is finite"):
+        by(renderer, lambda image: (1e30 * image).square().mean())
+
+
+def test_not_a_number_on_a_few_pixels(renderer):
+    """Refused, with the place; and where a metric skips them, its derivative is looked at too."""
+
+    def spoilt(image):
+        holes = torch.zeros_like(image)
+        holes[2:4, 5] = torch.nan
+        return (image + holes).sqrt().mean()
+
+    def skipped(image):
+        roots = (image - (torch.arange(8)[:, None, None] == 3).float()).sqrt()
+        return roots.nansum()
+
+    with pytest.raises(SceneCaptumError, match=r"spoilt is nan on the rendered image.*row"):
+        by(renderer, spoilt)
+    with pytest.raises(
+        SceneCaptumError, match=r"skipped has a derivative .* on \d+ of 64 pixels: rows? \d.*channels 0 to 2"
+    ):
+        by(renderer, skipped)
+
+
+def test_not_a_number_in_one_pass_is_found_there():
+    """Any renderer: the pass, its seed and the pixels; the others are not averaged with it."""
+
+    class Spoilt(ToyRenderer):
+        def __call__(self, inputs, *, seed, spp):
+            image = super().__call__(inputs, seed=seed, spp=spp)
+            image = image.clone()
+            if seed % 8 == 5:
+                image[1:3, 2, 0] = torch.inf
+            return image
+
+    with pytest.raises(
+        SceneCaptumError,
+        match=r"In pass \d+ of \d+: The render with seed \d+ is inf on 2 of 16 pixels: rows 1 to 2, column 2",
+    ):
+        by(Spoilt(), mean, spp=64, replicates=64)
+    with pytest.raises(SceneCaptumError, match=r"On the unchanged scene: In pass \d+ of 64: .* rows 1 to 2"):
+        FeatureAblationScene(Spoilt(), mean).attribute(
+            baselines={"x": torch.zeros(3)}, seed=0, spp=128, replicates=64
+        )
+
+
+def test_gradient_that_is_not_a_number_is_named():
+    """The parameter and the texel."""
+
+    class Root(ToyRenderer):
+        def __init__(self):
+            super().__init__()
+            self.inputs = {"x": torch.ones(3), "texture": torch.ones(4, 4, 3)}
+            self.inputs["texture"][3, 1, 2] = 0
+
+        def __call__(self, inputs, *, seed, spp):
+            return super().__call__(inputs, seed=seed, spp=spp) + inputs["texture"].sqrt()
+
+    with pytest.raises(
+        SceneCaptumError,
+        match=r"In backward pass 1 of 8: The gradient of 'texture' is inf at row 3, column 1, channel 2",
+    ):
+        by(Root(), mean)
+
+
+def test_plain_torch_code_is_told_too(renderer):
+    x = renderer.leaves()
+    loss = renderer(x, seed=4).log().mean()
+    with pytest.raises(
+        SceneCaptumError,
+        match=r"derivative with respect to the render with seed 4 is inf on \d+ of 64 pixels",
+    ):
+        loss.backward()
+
+
+def test_metric_that_keeps_its_graph(renderer, plain):
+    """What it keeps stays its own: later results do not change."""
+    kept = []
+
+    def greedy(image):
+        kept.append((image, image.mean()))
+        return kept[-1][1]
+
+    for _ in range(2):
+        torch.testing.assert_close(by(renderer, greedy)[BALL], plain[BALL], rtol=1e-4, atol=0)
+    assert len(kept) >= 16
+
+    first = []
+
+    def stale(image):
+        first.append(image.mean())
+        return first[0]
+
+    with pytest.raises(SceneCaptumError, match="does not depend on the image"):
+        by(renderer, stale)
+
+
+def test_metric_that_changes_its_image(renderer):
+    def doubled(image):
+        with torch.no_grad():
+            image.mul_(2)
+        return image.mean()
+
+    def scaled(image):
+        image *= 2
+        return image.mean()
+
+    for metric in (doubled, scaled):
+        with pytest.raises(SceneCaptumError, match="changes the image that it is given"):
+            by(renderer, metric)
+        with pytest.raises(SceneCaptumError, match="changes the image that it is given"):
+            FeatureAblationScene(renderer, metric).attribute(seed=0)
+
+
+def test_random_metric(renderer, plain):
+    """Its own noise is in the errors: of the value where it is added, of the gradient where it is multiplied."""
+    torch.manual_seed(0)
+    added = by(renderer, lambda image: image.mean() + torch.randn(()))
+    assert 0.5 < added.metric_standard_error < 10
+    torch.testing.assert_close(added[BALL], plain[BALL], rtol=1e-4, atol=0)
+    scores = []
+    for seed in range(8):
+        found = by(renderer, lambda image: (image * 2 * torch.rand(image.shape)).mean(), seed=seed)
+        value, error = total(found, BALL)
+        scores.append((value - total(plain, BALL)[0]) / error)
+    assert max(map(abs, scores)) < 5
+
+
+def test_other_devices(renderer, plain):
+    with pytest.raises(SceneCaptumError, match="must return a real number; it returned one on the meta"):
+        by(renderer, lambda image: image.to("meta").mean())
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device: a metric that computes there is not tried")
+    found = by(renderer, lambda image: image.cuda().mean())
+    torch.testing.assert_close(found[BALL], plain[BALL], rtol=1e-4, atol=0)
+
+
+def test_other_number_types(renderer, plain):
+    found = by(renderer, lambda image: image.double().mean())
+    torch.testing.assert_close(found[BALL], plain[BALL], rtol=1e-4, atol=0)
+    with pytest.raises(SceneCaptumError, match="must return a real number; it returned one complex"):
+        by(renderer, lambda image: torch.complex(image, image).mean())
