@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 help:
 	@echo "make demo       render a small scene, attribute a metric to it, write figures to out/"
 	@echo "make test       lint, then every test that takes seconds"
-	@echo "make test-long  the tests that take minutes"
+	@echo "make test-long  the tests that take minutes, with the counts they print"
 	@echo "make lint       ruff and mypy"
 	@echo "make docs       the documentation as HTML in docs/_build/; a warning is an error"
 	@echo "make clean      remove outputs and caches (not .venv)"
@@ -23,7 +23,7 @@ test: lint .venv/.llvm .venv/.chromium
 	$(BIN)/python -m pytest
 
 test-long: .venv/.test .venv/.llvm
-	$(BIN)/python -m pytest -m long
+	$(BIN)/python -m pytest -m long -rP
 
 lint: .venv/.test
 	$(BIN)/ruff check .
