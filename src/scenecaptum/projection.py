@@ -235,11 +235,11 @@ def _write_exr(
     surfaces: SurfaceMap | None,
 ) -> None:
     from ._cryptomatte import layers
-    from .backend import activate
+    from .backend import exclusively
 
-    mi = activate()
     if attribution is None:
-        mi.Bitmap(np.ascontiguousarray(values)).write(str(path))
+        with exclusively() as mi:
+            mi.Bitmap(np.ascontiguousarray(values)).write(str(path))
         return
     channels, metadata = layers(_surfaces_of(attribution, surfaces))
     channels = {"saliency": values, **channels}
@@ -247,10 +247,11 @@ def _write_exr(
         picture = attribution.image.numpy(force=True)
         channels = {**dict(zip("RGB", np.moveaxis(picture, -1, 0), strict=True)), **channels}
     stack = np.stack([one.astype(np.float32) for one in channels.values()], axis=-1)
-    bitmap = mi.Bitmap(stack, channel_names=list(channels))
-    for key, value in metadata.items():
-        bitmap.metadata()[key] = value
-    bitmap.write(str(path))
+    with exclusively() as mi:
+        bitmap = mi.Bitmap(stack, channel_names=list(channels))
+        for key, value in metadata.items():
+            bitmap.metadata()[key] = value
+        bitmap.write(str(path))
 
 
 def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> SurfaceMap:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import operator
-import threading
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, reduce
@@ -20,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
-from ..backend import device
+from ..backend import device, exclusively
 from ..errors import SceneCaptumError
 from ..scene import SceneParameters, SurfaceMap
 from ..scene._graph import SceneGraph
@@ -48,9 +47,6 @@ PILOTS, PILOT_SPP = 8, 2
 
 # How many samples tell where the derivative of a low roughness is noisy: in all, and in a pixel at most.
 PILOT_SAMPLES, MOST_PILOTS = 2**20, 64
-
-# Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
-_LOCK = threading.RLock()
 
 # The engine whose scene is tracked, if any. A call through a virtual function reaches the objects of every scene
 # in the process, so what another scene tracks would become part of this one's derivatives.
@@ -97,6 +93,7 @@ class Engine:
         self._parameters = parameters
         self._resolution = resolution
         self._borrowed = borrowed
+        self._variant, self._device = mi.variant(), device()
         self._is_at_hand = False
         self._plan = plan
         self._look_at = look_at
@@ -121,7 +118,7 @@ class Engine:
     def look(self) -> None:
         """Read a borrowed scene's own values again: its owner may have changed them."""
         if self._borrowed:
-            with _LOCK:
+            with exclusively(self._variant):
                 self._state.look()
 
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
@@ -186,7 +183,7 @@ class Engine:
         """Return the Jacobian–vector product: the derivative image along ``tangents``."""
         replayed = {name: t for name, t in tangents.items() if self._difference(name, values) is None}
         width, height = self._resolution
-        image = torch.zeros((height, width, 3), device=device())
+        image = torch.zeros((height, width, 3), device=self._device)
         moving = {n for n in tangents if not is_constant(self._parameters[n], {**self.original, **values})}
         replayed = {name: tangent for name, tangent in replayed.items() if name in moving}
         if replayed:
@@ -250,10 +247,11 @@ class Engine:
             return {n: g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)}
 
     def _surfaces(self, shiny: tuple[str, ...]) -> Surfaces | None:
-        if shiny not in self._starts:
-            worn = self._look_at().parameters
-            self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
-        return self._starts[shiny]
+        with exclusively(self._variant):
+            if shiny not in self._starts:
+                worn = self._look_at().parameters
+                self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
+            return self._starts[shiny]
 
     def _interests(
         self, values: Values, tracked: Sequence[str], surfaces: Surfaces | None
@@ -350,7 +348,7 @@ class Engine:
     @contextlib.contextmanager
     def at_hand(self) -> Iterator[None]:
         """Have the process to ourselves, and leave a borrowed scene as it was found."""
-        with _LOCK, _collector_paused():
+        with exclusively(self._variant), _collector_paused():
             if self._is_at_hand:
                 yield
                 return
