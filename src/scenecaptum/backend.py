@@ -18,7 +18,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._diagnosis import Diagnosis, default_variant, diagnose, no_llvm_message
 from ._llvm import OLDEST_LLVM, PATH_VARIABLE, choose_llvm, prepare_llvm
@@ -27,10 +27,12 @@ from .errors import BackendError, near_misses
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["Diagnosis", "activate", "default_variant", "device", "diagnose", "exclusively", "main"]
+__all__ = ["Diagnosis", "activate", "default_variant", "device", "diagnose", "dispose", "exclusively", "main"]
 
 # Dr.Jit's state belongs to the whole process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
+_depth = 0  # of nested calls of ``exclusively``, by the thread that holds the lock
+_disposed: list[Any] = []
 
 _is_forked = False
 
@@ -94,17 +96,33 @@ def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
     variant
         The variant; by default the active one if it is differentiable, else that of ``default_variant()``.
     """
+    global _depth  # noqa: PLW0603 -- like the lock that guards it
     _refuse_after_fork()  # before the lock: a thread that the fork has left behind may hold it
     with _LOCK:
         callers = _active_variant()
         if variant is None and callers is not None and "_ad_" not in callers:
             variant = default_variant()
         mi = activate(variant)
+        _depth += 1
         try:
             yield mi
         finally:
+            _depth -= 1
             if callers is not None and mi.variant() != callers:
                 mi.set_variant(callers)
+            if not _depth:
+                _disposed.clear()
+
+
+def dispose(what: Any) -> None:
+    """Let go of what holds a scene once no kernel is being recorded: going then, it would end the process."""
+    _disposed.append(what)
+    if not _is_forked and _LOCK.acquire(blocking=False):
+        try:
+            if not _depth:
+                _disposed.clear()
+        finally:
+            _LOCK.release()
 
 
 def device() -> torch.device:

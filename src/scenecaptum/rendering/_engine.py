@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
-from ..backend import device, exclusively
+from ..backend import device, dispose, exclusively
 from ..errors import SceneCaptumError
 from ..scene import SceneParameters, SurfaceMap
 from ..scene._graph import SceneGraph
@@ -99,10 +99,13 @@ class Engine:
         self._look_at = look_at
         self._starts: dict[tuple[str, ...], Surfaces | None] = {}
         self._interest: dict[Any, Sequence[tuple[float, torch.Tensor]]] = {}
+        self._noise_of: Values = {}
         self._integrator = plan.create_integrator()
         self._render, self._render_backward, self._propagate = _frozen(
             self._integrator, sensor, state.forget_gradients
         )
+        # Whoever drops the last reference may do so while another thread records a kernel.
+        weakref.finalize(self, dispose, self.__dict__).atexit = False
         # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
         dr.flush_malloc_cache()
 
@@ -247,7 +250,7 @@ class Engine:
             return {n: g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)}
 
     def _surfaces(self, shiny: tuple[str, ...]) -> Surfaces | None:
-        with exclusively(self._variant):
+        with self.at_hand():
             if shiny not in self._starts:
                 worn = self._look_at().parameters
                 self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
@@ -259,6 +262,10 @@ class Engine:
         """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
         # Where highlights are depends on the roughness, but not finely.
         octaves = {n: values[n].clamp_min(1e-4).log2().round().exp2() for n in tracked} if surfaces else {}
+        if not _equal(self._noise_of, self.original):
+            self._noise_of = self.original
+            self._interest.clear()
+            self.__dict__.pop("_noise", None)
         key = tuple(tracked), tuple(value.numpy(force=True).tobytes() for value in octaves.values())
         if key not in self._interest:
             noise = self._noise_left_by(surfaces, octaves) if surfaces else self._noise
@@ -293,7 +300,8 @@ class Engine:
     def _noise(self) -> torch.Tensor:
         """Roughly how noisy each pixel is: the spread of pilot pictures without the lights themselves.
 
-        The noise of a pixel's derivatives goes with it, while a light that is seen directly has none.
+        The noise of a pixel's derivatives goes with it, while a light that is seen directly has none. It is
+        that of the scene's own values, whatever was rendered before: the same seed shall choose the same pixels.
         """
         integrator = self._plan.create_integrator(hide_emitters=True)
         render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
@@ -304,7 +312,7 @@ class Engine:
             brightness: torch.Tensor = image.sum(-1)
             return brightness
 
-        with self.at_hand():
+        with self.holding({}):
             spread = torch.stack([luminance(seed) for seed in range(PILOTS)]).std(0)
         return _smooth(spread)
 
@@ -372,6 +380,10 @@ class Engine:
         if previous is not None and previous._state is not self._state:
             previous._state.release()
         _tracking = weakref.ref(self)
+
+
+def _equal(one: Values, other: Values) -> bool:
+    return one is other or (one.keys() == other.keys() and all(torch.equal(one[n], other[n]) for n in one))
 
 
 def _smooth(image: torch.Tensor) -> torch.Tensor:

@@ -116,6 +116,7 @@ class SceneRenderer(torch.nn.Module):
         """Make an engine for each sensor, all on the same scene."""
         from ._engine import Engine
         from ._stock import StockEngine
+        from ._visibility import trace_surfaces
 
         self.resolution = resolution
         self.plan = plan
@@ -128,7 +129,12 @@ class SceneRenderer(torch.nn.Module):
                 self._table,
                 plan,
                 resolution,
-                partial(self._surfaces_seen_by, index),
+                partial(
+                    _look,
+                    self._surface_maps,
+                    index,
+                    partial(trace_surfaces, self._graph, self._table, one, resolution),
+                ),
                 borrowed=self._borrowed,
             )
             for index, one in enumerate(self._sensors)
@@ -503,6 +509,14 @@ class SceneRenderer(torch.nn.Module):
             "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Build it again "
             "from its scene file, in the worker process where there are several (spawn, not fork)."
         )
+
+
+def _look(maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMap]) -> SurfaceMap:
+    """Return what a sensor shows. An engine that held its renderer would keep both, and the scene, in memory."""
+    key = (index, (), False)
+    if key not in maps:
+        maps[key] = trace()
+    return maps[key]
 
 
 def _variant_of(scene: SceneLike) -> str | None:
