@@ -204,7 +204,16 @@ class Warden:
 
 
 # What Python, the compiler of kernels and the fonts of figures open for themselves.
-OWN_READS = (sys.prefix, sys.base_prefix, "/usr", "/lib", "/proc", "/sys", "/dev", "/var/cache/fontconfig")
+OWN_READS = (
+    sys.prefix,
+    sys.base_prefix,
+    *filter(None, sys.path),
+    "/usr",
+    "/lib",
+    "/etc/ld.so.cache",
+    "/etc/localtime",
+)
+OWN_READS += ("/proc", "/sys", "/dev", "/var/cache/fontconfig")
 OPENED = re.compile(r'open(?:at)?\((?:AT_FDCWD, )?"([^"]*)", ([A-Z_|0-9a-z]+).*= (-?\d+)')
 
 
