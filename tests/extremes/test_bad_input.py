@@ -13,7 +13,7 @@ import pytest
 from results import make
 
 from extremes import fuzz, specimens
-from scenecaptum import SceneAttribution, SceneCaptumError, cli
+from scenecaptum import SceneAttribution, SceneCaptumError, SceneRenderer, cli
 from scenecaptum.scene import load_scene
 
 SENSOR = '<sensor type="perspective"/>'
@@ -88,6 +88,10 @@ def test_a_dict_with_none_in_it_is_refused_with_the_place(mi: Any) -> None:
 @pytest.mark.parametrize("name", ["x" * 5000, "a\0b"])
 def test_a_name_that_no_file_can_have_is_refused(mi: Any, name: str) -> None:
     assert "no scene file" in refusal(lambda: load_scene(name))
+
+
+def test_an_endless_depth_is_refused(mi: Any) -> None:
+    assert "max_depth" in refusal(lambda: SceneRenderer("cornell-box", max_depth=10**20))
 
 
 @pytest.mark.parametrize("out", ["a\0b", "x" * 300])

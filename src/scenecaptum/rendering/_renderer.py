@@ -108,7 +108,7 @@ class SceneRenderer(torch.nn.Module):
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
-            whole_number("max_depth", max_depth)
+            whole_number("max_depth", max_depth, high=2**31 - 1)
         values = {name: self._state.original[name] for name in self._names}
         return make_plan(self._graph, self._table, values, max_depth)
 
