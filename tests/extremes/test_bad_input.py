@@ -150,7 +150,7 @@ def test_a_radiance_picture_of_an_impossible_size_is_refused(mi: Any, tmp_path: 
     assert "sky.hdr is damaged" in refusal(lambda: load_xml(tmp_path, picture("sky.hdr")))
 
 
-@pytest.mark.parametrize(("where", "by"), [(-1, 0x7F), (-4, 0), (-5, 1), (2, 9)])
+@pytest.mark.parametrize(("where", "by"), [(-1, 0x7F), (-4, 0), (-5, 1), (2, 9), (20, 0), (30, 0)])
 def test_a_serialized_mesh_that_points_beyond_its_end_is_refused(
     mi: Any, tmp_path: Path, where: int, by: int
 ) -> None:
@@ -160,6 +160,17 @@ def test_a_serialized_mesh_that_points_beyond_its_end_is_refused(
     shape = '<shape type="serialized"><string name="filename" value="tent.serialized"/></shape>'
     assert "tent.serialized is damaged" in refusal(lambda: load_xml(tmp_path, shape))
     (tmp_path / "tent.serialized").write_bytes(specimens.serialized())
+    load_xml(tmp_path, shape)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_ply_mesh_with_a_vertex_that_is_not_there_is_refused(mi: Any, tmp_path: Path, binary: bool) -> None:
+    whole = specimens.ply(binary)
+    last = struct.pack("<i", 2**31 - 1) if binary else b"2147483647\n"
+    (tmp_path / "tent.ply").write_bytes(whole[: -4 if binary else -2] + last)
+    shape = '<shape type="ply"><string name="filename" value="tent.ply"/></shape>'
+    assert "vertex 2147483647 of 4" in refusal(lambda: load_xml(tmp_path, shape))
+    (tmp_path / "tent.ply").write_bytes(whole)
     load_xml(tmp_path, shape)
 
 

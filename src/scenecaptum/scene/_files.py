@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import struct
+import zlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -161,7 +162,7 @@ def _check_volume(path: Path) -> None:
 
 
 def _check_serialized(path: Path) -> None:
-    """Follow the dictionary at the end of a ``.serialized`` mesh: Mitsuba jumps to wherever it points."""
+    """Unpack ``.serialized`` meshes: Mitsuba goes wherever the dictionary at the end and the faces point."""
     data = path.read_bytes()
     (version,) = struct.unpack_from("<H", data, 2) if len(data) > 4 else (0,)
     size, letter = (8, "Q") if version >= 4 else (4, "I")
@@ -169,13 +170,89 @@ def _check_serialized(path: Path) -> None:
     start = len(data) - 4 - size * count
     if version not in (3, 4) or not count or start < 4:
         raise _damaged(path, f"there is no room for {count} meshes in {len(data)} bytes")
-    if any(offset >= start for offset in struct.unpack_from(f"<{count}{letter}", data, start)):
-        raise _damaged(path, "a mesh is said to begin beyond its end")
+    offsets = struct.unpack_from(f"<{count}{letter}", data, start)
+    for number, (offset, end) in enumerate(zip(offsets, [*offsets[1:], start], strict=True)):
+        try:
+            fault = _fault_of_mesh(zlib.decompress(data[offset + 4 : end]), version)
+        except (zlib.error, struct.error, ValueError) as error:
+            fault = str(error)
+        if fault:
+            raise _damaged(path, f"mesh {number}: {fault}")
 
+
+def _fault_of_mesh(data: bytes, version: int) -> str | None:
+    """Compare the counts, sizes and indices of an unpacked mesh."""
+    (flags,) = struct.unpack_from("<I", data)
+    at = 4 if version == 3 else data.index(b"\0", 4) + 1
+    vertices, faces = struct.unpack_from("<QQ", data, at)
+    floats = 3 + 3 * bool(flags & 1) + 2 * bool(flags & 2) + 3 * bool(flags & 8)
+    places = at + 16 + vertices * floats * (8 if flags & 0x2000 else 4)
+    if places + 12 * faces != len(data):
+        return f"{vertices} vertices and {faces} faces are not in {len(data)} bytes"
+    corners = np.frombuffer(data, "<u4", offset=places)
+    return "a face has a vertex that is not there" if faces and corners.max() >= vertices else None
+
+
+def _check_ply(path: Path) -> None:
+    """Look for faces with vertices that are not there: Mitsuba builds its tree of what lies beyond."""
+    data = path.read_bytes()
+    end = re.search(rb"end_header\r?\n", data)
+    if end is None:
+        return
+    head, body = data[: end.start()], data[end.end() :]
+    lines = [line.split() for line in head.decode(errors="replace").splitlines() if line.strip()]
+    order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(_ply_format(lines), "")
+    try:
+        counts, rows = _ply_rows(lines, order or "<")
+        if list(counts)[:2] != ["vertex", "face"]:
+            return
+        if order:
+            vertices = counts["vertex"] * np.dtype(rows["vertex"]).itemsize
+            faces = np.frombuffer(body, rows["face"], counts["face"], vertices)
+            corners = faces["corners"][faces["count"] == 3]
+        else:
+            words = body.split()[counts["vertex"] * len(rows["vertex"]) :]
+            width = len(words) // counts["face"]
+            corners = np.array(words[: width * counts["face"]], float).reshape(-1, width)[:, 1:4]
+    except (KeyError, ValueError, TypeError, IndexError, ZeroDivisionError):
+        return  # no triangles as Mitsuba reads them, and it says so
+    if corners.size and corners.max() >= counts["vertex"]:
+        raise _damaged(path, f"a face has vertex {corners.max():.0f} of {counts['vertex']}")
+
+
+def _ply_format(lines: list[list[str]]) -> str:
+    return next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "")
+
+
+def _ply_rows(lines: list[list[str]], order: str) -> tuple[dict[str, int], dict[str, list[Any]]]:
+    """Return how many rows each element has, and the fields of a row; a list is that of a triangle."""
+    counts: dict[str, int] = {}
+    rows: dict[str, list[Any]] = {}
+    for kind, *words in lines:
+        if kind == "element":
+            name = words[0]
+            counts[name], rows[name] = int(words[1]), []
+        elif kind == "property" and words[0] == "list":
+            rows[name] += [
+                ("count", order + _PLY_TYPES[words[1]]),
+                ("corners", order + _PLY_TYPES[words[2]], 3),
+            ]
+        elif kind == "property":
+            rows[name].append((words[1], order + _PLY_TYPES[words[0]]))
+    return counts, rows
+
+
+_PLY_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2"},
+    **{"int": "i4", "uint": "u4", "float": "f4", "double": "f8"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
 
 _CHECKS: dict[bytes, Callable[[Path], None]] = {
     b"#?": _check_hdr,
     b"VOL": _check_volume,
+    b"ply": _check_ply,
     b"\x1c\x04": _check_serialized,
 }
 
