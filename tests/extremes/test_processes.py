@@ -221,6 +221,7 @@ def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
 
     box = mi.cornell_box()
     box["sensor"]["film"] |= {"width": 12, "height": 12}
+    box["integrator"] = {"type": "prb", "max_depth": 3}
     scene = mi.load_dict(box, optimize=False)
     params = mi.traverse(scene)
     key = "white.reflectance.value"
