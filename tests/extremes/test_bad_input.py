@@ -174,6 +174,13 @@ def test_a_ply_mesh_with_a_vertex_that_is_not_there_is_refused(mi: Any, tmp_path
     load_xml(tmp_path, shape)
 
 
+@pytest.mark.parametrize("line", [b"element vertex 4\n", b"float x", b"uchar int", b"face 2"])
+def test_a_ply_mesh_whose_header_lacks_something_is_refused(mi: Any, tmp_path: Path, line: bytes) -> None:
+    (tmp_path / "tent.ply").write_bytes(specimens.ply().replace(line, b""))
+    shape = '<shape type="ply"><string name="filename" value="tent.ply"/></shape>'
+    assert "tent.ply" in refusal(lambda: load_xml(tmp_path, shape))
+
+
 def test_a_mesh_without_faces_is_refused(mi: Any, tmp_path: Path) -> None:
     (tmp_path / "flag.obj").write_text(specimens.OBJ.partition("f ")[0] + "f 1/1/1\n")
     shape = '<shape type="obj" id="flag"><string name="filename" value="flag.obj"/></shape>'

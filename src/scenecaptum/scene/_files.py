@@ -214,7 +214,7 @@ def _check_ply(path: Path) -> None:
             words = body.split()[counts["vertex"] * len(rows["vertex"]) :]
             width = len(words) // counts["face"]
             corners = np.array(words[: width * counts["face"]], float).reshape(-1, width)[:, 1:4]
-    except (KeyError, ValueError, TypeError, IndexError, ZeroDivisionError):
+    except (KeyError, ValueError, TypeError, IndexError, ArithmeticError):
         return  # no triangles as Mitsuba reads them, and it says so
     if corners.size and corners.max() >= counts["vertex"]:
         raise _damaged(path, f"a face has vertex {corners.max():.0f} of {counts['vertex']}")
@@ -228,6 +228,7 @@ def _ply_rows(lines: list[list[str]], order: str) -> tuple[dict[str, int], dict[
     """Return how many rows each element has, and the fields of a row; a list is that of a triangle."""
     counts: dict[str, int] = {}
     rows: dict[str, list[Any]] = {}
+    name = ""
     for kind, *words in lines:
         if kind == "element":
             name = words[0]
