@@ -12,9 +12,13 @@ Example
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
+import threading
+from collections.abc import Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._diagnosis import Diagnosis, default_variant, diagnose, no_llvm_message
 from ._llvm import OLDEST_LLVM, PATH_VARIABLE, choose_llvm, prepare_llvm
@@ -23,7 +27,23 @@ from .errors import BackendError, near_misses
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["Diagnosis", "activate", "default_variant", "device", "diagnose", "main"]
+__all__ = ["Diagnosis", "activate", "default_variant", "device", "diagnose", "dispose", "exclusively", "main"]
+
+# Dr.Jit's state belongs to the whole process, and torch may run a backward pass on another thread.
+_LOCK = threading.RLock()
+_depth = 0  # of nested calls of ``exclusively``, by the thread that holds the lock
+_disposed: list[Any] = []
+
+_is_forked = False
+
+
+def _note_fork() -> None:
+    global _is_forked  # noqa: PLW0603 -- it is a fact about the process
+    _is_forked = _is_forked or _active_variant() is not None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def activate(variant: str | None = None) -> ModuleType:
@@ -43,7 +63,8 @@ def activate(variant: str | None = None) -> ModuleType:
     Raises
     ------
     BackendError
-        If no usable LLVM or CUDA exists, or the variant is unknown or cannot be differentiated.
+        If no usable LLVM or CUDA exists, the variant is unknown or cannot be differentiated, or this process was
+        forked from one that had a variant: its threads are gone, and a render would wait for them for ever.
 
     Example
     -------
@@ -51,6 +72,7 @@ def activate(variant: str | None = None) -> ModuleType:
     >>> mi.variant()
     'llvm_ad_rgb'
     """
+    _refuse_after_fork()
     wanted = variant or _active_variant() or default_variant()
     if "drjit" not in sys.modules and prepare_llvm() is None and not wanted.startswith("cuda"):
         raise BackendError(no_llvm_message())
@@ -65,12 +87,59 @@ def activate(variant: str | None = None) -> ModuleType:
     return mi
 
 
+@contextlib.contextmanager
+def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
+    """Have Mitsuba to this thread alone, under a differentiable variant, and give back the caller's afterwards.
+
+    Parameters
+    ----------
+    variant
+        The variant; by default the active one if it is differentiable, else that of ``default_variant()``.
+    """
+    global _depth  # noqa: PLW0603 -- like the lock that guards it
+    _refuse_after_fork()  # before the lock: a thread that the fork has left behind may hold it
+    with _LOCK:
+        callers = _active_variant()
+        if variant is None and callers is not None and "_ad_" not in callers:
+            variant = default_variant()
+        mi = activate(variant)
+        _depth += 1
+        try:
+            yield mi
+        finally:
+            _depth -= 1
+            if callers is not None and mi.variant() != callers:
+                mi.set_variant(callers)
+            if not _depth:
+                _disposed.clear()
+
+
+def dispose(what: Any) -> None:
+    """Let go of what holds a scene once no kernel is being recorded: going then, it would end the process."""
+    _disposed.append(what)
+    if not _is_forked and _LOCK.acquire(blocking=False):
+        try:
+            if not _depth:
+                _disposed.clear()
+        finally:
+            _LOCK.release()
+
+
 def device() -> torch.device:
     """Return the torch device on which the active variant's images and gradients live."""
     import torch  # this module must stay importable without torch
 
     variant: str = activate().variant()
     return torch.device("cuda" if variant.startswith("cuda") else "cpu")
+
+
+def _refuse_after_fork() -> None:
+    if _is_forked:
+        raise BackendError(
+            "This process was forked from one in which Mitsuba was ready to render, and its threads did not come "
+            "along: a render would hang. Start workers with the method 'spawn' (for a DataLoader "
+            "multiprocessing_context='spawn'), and load the scene in the worker."
+        )
 
 
 def _active_variant() -> str | None:

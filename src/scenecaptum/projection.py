@@ -234,21 +234,25 @@ def _exr(
     values: NDArray[np.float32], attribution: SceneAttribution | None, surfaces: SurfaceMap | None
 ) -> bytes:
     from ._cryptomatte import layers
-    from .backend import activate
+    from .backend import exclusively
 
-    mi = activate()
     if attribution is None:
-        bitmap = mi.Bitmap(np.ascontiguousarray(values))
-    else:
-        channels, metadata = layers(_surfaces_of(attribution, surfaces))
-        channels = {"saliency": values, **channels}
-        if attribution.image is not None:
-            picture = attribution.image.numpy(force=True)
-            channels = {**dict(zip("RGB", np.moveaxis(picture, -1, 0), strict=True)), **channels}
-        stack = np.stack([one.astype(np.float32) for one in channels.values()], axis=-1)
+        with exclusively() as mi:
+            return _exr_bytes(mi, mi.Bitmap(np.ascontiguousarray(values)))
+    channels, metadata = layers(_surfaces_of(attribution, surfaces))
+    channels = {"saliency": values, **channels}
+    if attribution.image is not None:
+        picture = attribution.image.numpy(force=True)
+        channels = {**dict(zip("RGB", np.moveaxis(picture, -1, 0), strict=True)), **channels}
+    stack = np.stack([one.astype(np.float32) for one in channels.values()], axis=-1)
+    with exclusively() as mi:
         bitmap = mi.Bitmap(stack, channel_names=list(channels))
         for key, value in metadata.items():
             bitmap.metadata()[key] = value
+        return _exr_bytes(mi, bitmap)
+
+
+def _exr_bytes(mi: Any, bitmap: Any) -> bytes:
     # Into memory: Mitsuba does not say everything that goes wrong with a file.
     stream = mi.MemoryStream()
     bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)

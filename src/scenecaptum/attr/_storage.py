@@ -1,10 +1,11 @@
-"""Saving and loading attributions: numpy's ``.npz`` with a JSON header, never pickle."""
+"""Saving and loading attributions: numpy's ``.npz`` with a JSON header and a checksum, never pickle."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-import zipfile
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from ..errors import SceneCaptumError
 from ..scene import SurfaceMap, TexelMap
 from ._attribution import SceneAttribution
 
-FORMAT = "scenecaptum attribution 1"
+FORMAT = "scenecaptum attribution 2"
+WITHOUT_CHECKSUM = "scenecaptum attribution 1"  # what earlier versions wrote; zip's own checks are all it has
 
 _TENSOR_FIELDS = ("attributions", "standard_error", "bias", "replicates", "covariance")
 _SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta", "convergence_delta_error")
@@ -57,24 +59,48 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
             for field in _TEXEL_FIELDS:
                 arrays[f"texels/{index}/{field}"] = getattr(shown, field)
     with whole_file(path) as partial, partial.open("wb") as file:
-        np.savez_compressed(file, header=json.dumps(header), **arrays)
+        members = {"header": json.dumps(header), **arrays}
+        np.savez_compressed(file, checksum=_checksum(members), **members)
 
 
 def load(path: str | os.PathLike[str]) -> SceneAttribution:
     """Read an attribution that ``save`` wrote."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
-            if header["format"] != FORMAT:
-                raise SceneCaptumError(f"{path} is a {header['format']!r}, not a {FORMAT!r}.")
-            return _restore(header, file)
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(str(arrays["header"]))
+        if header["format"] not in (FORMAT, WITHOUT_CHECKSUM):
+            raise SceneCaptumError(f"{path} is a {header['format']!r}, not a {FORMAT!r}.")
+        if header["format"] == FORMAT and str(arrays.pop("checksum")) != _checksum(arrays):
+            raise SceneCaptumError(
+                f"{path} is damaged, or was changed after it was saved: its contents do not match their checksum. "
+                "Take a copy that is whole, or attribute again."
+            )
+        return _restore(header, arrays)
     except FileNotFoundError:
         raise SceneCaptumError(f"There is no saved attribution at {path}.") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except SceneCaptumError:
+        raise
+    except Exception as error:  # whatever zip, numpy or JSON make of it, it is the file that is wrong
         raise SceneCaptumError(
-            f"{path} is not a saved attribution, or it is damaged ({type(error).__name__}: {error}). "
+            f"{path} is not a saved attribution, or it is damaged ({type(error).__name__}: {_brief(error)}). "
             "Save it again with SceneAttribution.save."
         ) from error
+
+
+def _checksum(arrays: Mapping[str, Any]) -> str:
+    """Return SHA-256 over all members: it tells damage and careless edits, not a forger, who can make it anew."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def _brief(error: Exception) -> str:
+    """Return the message of an error on one line of reasonable length."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= 200 else f"{text[:200]} …"
 
 
 def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:

@@ -14,15 +14,16 @@ from ..errors import SceneCaptumError
 @contextlib.contextmanager
 def writable(folder: Path) -> Iterator[None]:
     """Make the output folder before hours of rendering, and leave none behind where nothing was written."""
-    existed = folder.exists()
     try:
+        existed = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         # Permissions do not tell the whole story (a read-only file system): only writing does.
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a null character
+        reason = getattr(error, "strerror", None) or error
         raise SceneCaptumError(
-            f"The output folder {folder} cannot be written: {error.strerror or error}. Choose another with --out."
+            f"The output folder {str(folder)!r} cannot be written: {reason}. Choose another with --out."
         ) from error
     try:
         yield

@@ -14,7 +14,6 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from ..backend import device
 from ..checkpoint import Checkpoint, digest
 from ._engine import Engine, Values
 
@@ -76,7 +75,7 @@ class CheckpointedEngine:
     def _take(
         self, kind: str, asked: Any, render: Callable[[], tuple[torch.Tensor, ...]]
     ) -> tuple[torch.Tensor, ...]:
-        return self._checkpoint.take((kind, self._fingerprint, asked), render, device())
+        return self._checkpoint.take((kind, self._fingerprint, asked), render, self.engine.device)
 
 
 def scene_contents(scene: Any) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import operator
-import threading
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, reduce
@@ -20,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
-from ..backend import device
+from ..backend import device, dispose, exclusively
 from ..errors import SceneCaptumError
 from ..scene import SceneParameters, SurfaceMap
 from ..scene._graph import SceneGraph
@@ -49,9 +48,6 @@ PILOTS, PILOT_SPP = 8, 2
 # How many samples tell where the derivative of a low roughness is noisy: in all, and in a pixel at most.
 PILOT_SAMPLES, MOST_PILOTS = 2**20, 64
 
-# Dr.Jit's state is global to the process, and torch may run a backward pass on another thread.
-_LOCK = threading.RLock()
-
 # The engine whose scene is tracked, if any. A call through a virtual function reaches the objects of every scene
 # in the process, so what another scene tracks would become part of this one's derivatives.
 _tracking: weakref.ref[Engine] | None = None
@@ -76,6 +72,11 @@ class Engine:
         Returns what each pixel shows.
     borrowed
         Whether the scene belongs to the caller and must be left as it was found.
+
+    Attributes
+    ----------
+    device
+        Where its pictures and gradients are.
     """
 
     def __init__(
@@ -97,15 +98,19 @@ class Engine:
         self._parameters = parameters
         self._resolution = resolution
         self._borrowed = borrowed
+        self._variant, self.device = mi.variant(), device()
         self._is_at_hand = False
         self._plan = plan
         self._look_at = look_at
         self._starts: dict[tuple[str, ...], Surfaces | None] = {}
         self._interest: dict[Any, Sequence[tuple[float, torch.Tensor]]] = {}
+        self._noise_of: Values = {}
         self._integrator = plan.create_integrator()
         self._render, self._render_backward, self._propagate = _frozen(
             self._integrator, sensor, state.forget_gradients
         )
+        # Whoever drops the last reference may do so while another thread records a kernel.
+        weakref.finalize(self, dispose, self.__dict__).atexit = False
         # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
         dr.flush_malloc_cache()
 
@@ -121,7 +126,7 @@ class Engine:
     def look(self) -> None:
         """Read a borrowed scene's own values again: its owner may have changed them."""
         if self._borrowed:
-            with _LOCK:
+            with exclusively(self._variant):
                 self._state.look()
 
     def shows(self, pixels: torch.Tensor) -> str:
@@ -192,7 +197,7 @@ class Engine:
         """Return the Jacobian–vector product: the derivative image along ``tangents``."""
         replayed = {name: t for name, t in tangents.items() if self._difference(name, values) is None}
         width, height = self._resolution
-        image = torch.zeros((height, width, 3), device=device())
+        image = torch.zeros((height, width, 3), device=self.device)
         moving = {n for n in tangents if not is_constant(self._parameters[n], {**self.original, **values})}
         replayed = {name: tangent for name, tangent in replayed.items() if name in moving}
         if replayed:
@@ -256,10 +261,11 @@ class Engine:
             return {n: g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)}
 
     def _surfaces(self, shiny: tuple[str, ...]) -> Surfaces | None:
-        if shiny not in self._starts:
-            worn = self._look_at().parameters
-            self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
-        return self._starts[shiny]
+        with self.at_hand():
+            if shiny not in self._starts:
+                worn = self._look_at().parameters
+                self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
+            return self._starts[shiny]
 
     def _interests(
         self, values: Values, tracked: Sequence[str], surfaces: Surfaces | None
@@ -267,6 +273,10 @@ class Engine:
         """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
         # Where highlights are depends on the roughness, but not finely.
         octaves = {n: values[n].clamp_min(1e-4).log2().round().exp2() for n in tracked} if surfaces else {}
+        if not _equal(self._noise_of, self.original):
+            self._noise_of = self.original
+            self._interest.clear()
+            self.__dict__.pop("_noise", None)
         key = tuple(tracked), tuple(value.numpy(force=True).tobytes() for value in octaves.values())
         if key not in self._interest:
             noise = self._noise_left_by(surfaces, octaves) if surfaces else self._noise
@@ -301,7 +311,8 @@ class Engine:
     def _noise(self) -> torch.Tensor:
         """Roughly how noisy each pixel is: the spread of pilot pictures without the lights themselves.
 
-        The noise of a pixel's derivatives goes with it, while a light that is seen directly has none.
+        The noise of a pixel's derivatives goes with it, while a light that is seen directly has none. It is
+        that of the scene's own values, whatever was rendered before: the same seed shall choose the same pixels.
         """
         integrator = self._plan.create_integrator(hide_emitters=True)
         render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
@@ -357,7 +368,7 @@ class Engine:
     @contextlib.contextmanager
     def at_hand(self) -> Iterator[None]:
         """Have the process to ourselves, and leave a borrowed scene as it was found."""
-        with _LOCK, _collector_paused():
+        with exclusively(self._variant), _collector_paused():
             if self._is_at_hand:
                 yield
                 return
@@ -381,6 +392,10 @@ class Engine:
         if previous is not None and previous._state is not self._state:
             previous._state.release()
         _tracking = weakref.ref(self)
+
+
+def _equal(one: Values, other: Values) -> bool:
+    return one is other or (one.keys() == other.keys() and all(torch.equal(one[n], other[n]) for n in one))
 
 
 def _smooth(image: torch.Tensor) -> torch.Tensor:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from ..backend import device
 from ..errors import SceneCaptumError
 from ._passes import SAMPLES
 
@@ -47,9 +46,7 @@ def predict(resolution: tuple[int, int], spp: int, pictures: int, texels: int) -
 
 
 def available() -> int | None:
-    """Return the bytes that this process may still take, or None where that is not known (no Linux, or a GPU)."""
-    if device().type != "cpu":
-        return None
+    """Return the bytes of main memory that this process may still take, or None where that is not known."""
     try:
         lines = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
         free = 1024 * int(lines["MemAvailable"].split()[0])

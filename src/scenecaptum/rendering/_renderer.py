@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 import numpy as np
 import torch
 
-from ..backend import activate, device
+from ..backend import device, exclusively
 from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
@@ -93,32 +93,35 @@ class SceneRenderer(torch.nn.Module):
         sensor: int | str | list[int | str] = 0,
     ) -> None:
         super().__init__()
-        mi = activate()
-        # Loaded only now: this module needs an active variant.
-        from ._state import SceneState
+        with exclusively(_variant_of(scene)) as mi:
+            # Loaded only now: this module needs an active variant.
+            from ._state import SceneState
 
-        self.name = describe(scene)
-        loaded = load_scene(scene)
-        self._source = digest(source_of(scene))
-        check_scale(self.name, loaded)
-        self._graph = SceneGraph(loaded)
-        self._table = discover(self._graph)
-        self._names = select(self._table, inputs)
-        self._stacked = isinstance(sensor, list)
-        chosen = sensor if isinstance(sensor, list) else [sensor]
-        self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
-        size = _common_resolution(self._sensors, resolution)
-        self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
-        self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
-        check_values(self.name, self._state.original, self._table)
-        self._borrowed = isinstance(scene, mi.Scene)
-        self.checkpoint: Checkpoint | None = None
-        self._granted = 0  # bytes that were found to be available
-        self._prepare(size, self._plan_for(max_depth))
+            self._variant, self._device = mi.variant(), device()
+            self.name = describe(scene)
+            loaded = load_scene(scene)
+            self._source = digest(source_of(scene))
+            check_scale(self.name, loaded)
+            self._graph = SceneGraph(loaded)
+            self._table = discover(self._graph)
+            self._names = select(self._table, inputs)
+            self._stacked = isinstance(sensor, list)
+            chosen = sensor if isinstance(sensor, list) else [sensor]
+            self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
+            size = _common_resolution(self._sensors, resolution)
+            self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
+            self._state = SceneState(
+                loaded, {name: p.shape for name, p in self._table.items() if not p.problem}
+            )
+            check_values(self.name, self._state.original, self._table)
+            self._borrowed = isinstance(scene, mi.Scene)
+            self.checkpoint: Checkpoint | None = None
+            self._granted = 0  # bytes that were found to be available
+            self._prepare(size, self._plan_for(max_depth))
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
-            whole_number("max_depth", max_depth)
+            whole_number("max_depth", max_depth, high=2**31 - 1)
         values = {name: self._state.original[name] for name in self._names}
         return make_plan(self._graph, self._table, values, max_depth)
 
@@ -126,6 +129,7 @@ class SceneRenderer(torch.nn.Module):
         """Make an engine for each sensor, all on the same scene."""
         from ._engine import Engine
         from ._stock import StockEngine
+        from ._visibility import trace_surfaces
 
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
@@ -138,7 +142,12 @@ class SceneRenderer(torch.nn.Module):
                 self._table,
                 plan,
                 resolution,
-                partial(self._surfaces_seen_by, index),
+                partial(
+                    _look,
+                    self._surface_maps,
+                    index,
+                    partial(trace_surfaces, self._graph, self._table, one, resolution),
+                ),
                 borrowed=self._borrowed,
             )
             for index, one in enumerate(self._sensors)
@@ -214,7 +223,7 @@ class SceneRenderer(torch.nn.Module):
         """
         sizes = self._sizes(spp, pictures)
         if (needed := predict(*sizes)) > self._granted:
-            require(*sizes, available())
+            require(*sizes, available() if self._device.type == "cpu" else None)
             # What was taken once is not available, but still there.
             self._granted = needed
 
@@ -269,22 +278,23 @@ class SceneRenderer(torch.nn.Module):
         """
         if integrator not in (None, "prb"):
             raise SceneCaptumError(f'integrator must be "prb", or left out, not {integrator!r}.')
-        size = self.resolution if resolution is None else _common_resolution(self._sensors, resolution)
-        plan = self.plan if max_depth is None else self._plan_for(max_depth)
-        stock = integrator is not None or self.plan.integrator in STOCK
-        if stock and plan.integrator not in STOCK:
-            plan = stock_plan(plan)
-        other = SceneRenderer.__new__(SceneRenderer)
-        other.__dict__.update(self.__dict__)
-        torch.nn.Module.__init__(other)  # hooks of its own
-        other._prepare(size, plan)
+        with exclusively(self._variant):
+            size = self.resolution if resolution is None else _common_resolution(self._sensors, resolution)
+            plan = self.plan if max_depth is None else self._plan_for(max_depth)
+            stock = integrator is not None or self.plan.integrator in STOCK
+            if stock and plan.integrator not in STOCK:
+                plan = stock_plan(plan)
+            other = SceneRenderer.__new__(SceneRenderer)
+            other.__dict__.update(self.__dict__)
+            torch.nn.Module.__init__(other)  # hooks of its own
+            other._prepare(size, plan)
         return other
 
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
         """The selected parameters with the scene's own values, detached copies made afresh at each access."""
         self._engines[0].look()
-        return {name: self._engines[0].original[name].clone().to(device()) for name in self._names}
+        return {name: self._engines[0].original[name].clone().to(self._device) for name in self._names}
 
     def leaves(self) -> dict[str, torch.Tensor]:
         """Return ``inputs`` again as leaves that require grad."""
@@ -328,7 +338,7 @@ class SceneRenderer(torch.nn.Module):
             "resolution": list(self.resolution),
             "integrator": self.plan.integrator,
             "max_depth": self.plan.max_depth,
-            "variant": activate().variant(),
+            "variant": self._variant,
             "cautions": dict(self.plan.cautions),
         }
 
@@ -384,7 +394,7 @@ class SceneRenderer(torch.nn.Module):
             engine, sensor = self._engines[index], self._sensors[index]
 
             def hold(name: str, texels: Any) -> Any:
-                return engine.holding({name: torch.from_numpy(texels).to(device())})
+                return engine.holding({name: torch.from_numpy(texels).to(self._device)})
 
             with engine.at_hand():
                 shapes = {name: self._table[name].shape for name in textures}
@@ -438,7 +448,7 @@ class SceneRenderer(torch.nn.Module):
         spp = whole_number("spp", self.spp if spp is None else spp)
         spp_grad = spp if spp_grad is None else whole_number("spp_grad", spp_grad)
         self.require_memory(spp=max(spp, spp_grad))
-        tensors = [value.to(device(), torch.float32) for value in given.values()]
+        tensors = [value.to(self._device, torch.float32) for value in given.values()]
         images = [
             render(
                 RenderCall(
@@ -608,6 +618,19 @@ class SceneRenderer(torch.nn.Module):
             "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Build it again "
             "from its scene file, in the worker process where there are several (spawn, not fork)."
         )
+
+
+def _look(maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMap]) -> SurfaceMap:
+    """Return what a sensor shows. An engine that held its renderer would keep both, and the scene, in memory."""
+    key = (index, (), False)
+    if key not in maps:
+        maps[key] = trace()
+    return maps[key]
+
+
+def _variant_of(scene: SceneLike) -> str | None:
+    """Return the variant that a scene object was made under; what is yet to be loaded has none."""
+    return scene.variant_name() if hasattr(scene, "variant_name") else None
 
 
 def _seed_of_camera(seed: int, number: int) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..backend import activate
 from ..errors import SceneCaptumError, near_misses
+from ._files import check_dict, check_named, check_xml, is_file
 from .bundled import BUNDLED
 
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
@@ -36,6 +37,7 @@ def load_scene(scene: SceneLike) -> Any:
     if isinstance(scene, mi.Scene):
         loaded = scene
     elif isinstance(scene, Mapping):
+        check_dict(scene)
         loaded = _instantiate("the scene dict", lambda config: mi.parser.parse_dict(config, dict(scene)))
     elif isinstance(scene, (str, os.PathLike)):
         loaded = _load_named(scene)
@@ -80,14 +82,15 @@ def _plain(value: Any) -> Any:
 def _load_named(scene: str | os.PathLike[str]) -> Any:
     mi = activate()
     path = Path(scene)
-    if path.is_file():
+    if is_file(path):
+        check_xml(path)
         # Textures and meshes are named relative to the file.
         with _search_path(path.resolve().parent):
             return _instantiate(str(path), lambda config: mi.parser.parse_file(config, str(path)))
     name = os.fspath(scene)
     if name in BUNDLED:
         return _instantiate(name, lambda config: mi.parser.parse_dict(config, BUNDLED[name]()))
-    if path.is_dir():
+    if os.path.isdir(path):
         raise SceneCaptumError(f"{path} is a folder, not a scene file.{_xml_inside(path)}")
     raise SceneCaptumError(
         f"There is no scene file {name!r}, and no bundled scene of that name "
@@ -120,10 +123,13 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
     # Merging would rename shapes to object_<address> and fuse materials that the user tells apart.
     config.merge_equivalent = False
     config.merge_meshes = False
+    # An error in a thread of its own, such as that of a damaged picture, would end the process.
+    config.parallel = False
     state = None
     try:
         state = parse(config)
         mi.parser.transform_all(config, state)
+        check_named(mi.file_resolver().resolve, state.nodes)
         _make_differentiable(state)
         loaded = mi.parser.instantiate(config, state)
     except (RuntimeError, ValueError, TypeError) as error:
@@ -139,7 +145,23 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
             f"{name} describes {type(loaded).__name__}, not a scene. Wrap it in a scene: "
             '<scene version="3.0.0">…</scene>, or {"type": "scene", …}.'
         )
+    _check_meshes(name, loaded)
     return loaded
+
+
+def _check_meshes(name: str, scene: Any) -> None:
+    """Raise where a mesh has no faces, or faces without their vertices: tracing it reads foreign memory."""
+    import drjit as dr
+
+    for mesh in (shape for shape in scene.shapes() if shape.is_mesh()):
+        faces = mesh.faces_buffer()
+        if not mesh.face_count() or not mesh.vertex_count():
+            fault = "has no faces"
+        elif dr.max(faces)[0] >= mesh.vertex_count():
+            fault = f"has {mesh.vertex_count()} vertices, and faces with vertex {dr.max(faces)[0]}"
+        else:
+            continue
+        raise SceneCaptumError(f"{name} cannot be loaded: the mesh {mesh.id()!r} {fault}. Export it again.")
 
 
 def _make_differentiable(state: Any) -> None:

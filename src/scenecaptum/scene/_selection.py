@@ -70,7 +70,8 @@ def _nothing(parameters: SceneParameters, item: str, matched: list[Parameter]) -
             f"{first.name}, for one: {first.problem}."
         )
     known = [*KINDS, *(name for name, p in parameters.items() if not p.problem)]
+    hint = "" if item in KINDS else near_misses(item, known)
     return (
-        f"inputs={item!r} matches no parameter of the scene.{near_misses(item, known)} "
+        f"inputs={item!r} matches no parameter of the scene.{hint} "
         f"Kinds are {', '.join(KINDS)}; parameters_table() lists every name."
     )

@@ -1,0 +1,106 @@
+"""What stays in memory after attributions: 500 of one renderer, and of renderers made anew."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+
+MEBIBYTE = 2**20
+
+# In a process of its own, so that what other tests leave behind cannot hide or feign anything.
+GROWTH = """
+import sys
+import torch
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+
+torch.set_num_threads(1)
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096
+
+def box():
+    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
+
+anew, count, first = sys.argv[1] == "anew", int(sys.argv[2]), int(sys.argv[3])
+renderer = box()
+for number in range(1, count + 1):
+    if anew:
+        renderer = box()
+    VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=number, replicates=2)
+    if number == first:
+        start = resident()
+print(resident() - start, start)
+"""
+
+
+def growth(how: str, count: int, first: int) -> float:
+    """Return by how many MiB resident memory grows from the ``first`` to the last of ``count`` attributions."""
+    command = [sys.executable, "-c", GROWTH, how, str(count), str(first)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    grown, start = (int(number) / MEBIBYTE for number in ran.stdout.split())
+    print(f"{count} attributions, {how}: {start:.0f} MiB after {first}, {grown:+.1f} MiB since")
+    return grown
+
+
+needs_proc = pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc"
+)
+
+
+@pytest.mark.long
+@needs_proc
+def test_five_hundred_attributions_leave_nothing_behind(mi: Any) -> None:
+    assert growth("the same renderer", 500, 50) < 20
+
+
+@pytest.mark.long
+@needs_proc
+def test_renderers_made_anew_leave_nothing_behind(mi: Any) -> None:
+    assert growth("anew", 150, 50) < 20
+
+
+def small_box() -> SceneRenderer:
+    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
+
+
+def test_a_renderer_goes_with_its_last_reference(mi: Any) -> None:
+    """Waiting for the garbage collector, scenes pile up, and all of them take part in every kernel."""
+    gc.collect()
+    gc.disable()
+    try:
+        renderer = small_box()
+        VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(replicates=2)
+        gone = [
+            weakref.ref(one) for one in (renderer, renderer._engines[0], renderer._state, renderer._graph)
+        ]
+        del renderer
+        assert [one() for one in gone] == [None] * 4
+    finally:
+        gc.enable()
+
+
+def test_a_graph_outlives_its_renderer(mi: Any) -> None:
+    leaves = small_box().leaves()
+    metric = small_box()(leaves, seed=1, seed_grad=2).mean()
+    metric.backward()
+    assert leaves["floor.reflectance.value"].grad is not None
+
+
+def test_renderers_may_go_in_any_thread_while_others_render(mi: Any) -> None:
+    """A scene that goes while a kernel is being recorded ends the process: its going has to wait."""
+
+    def work(seed: int) -> float:
+        return float(small_box()(seed=seed % 2).mean())
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(work, range(16)))
+    assert found == [found[0], found[1]] * 8

@@ -1,0 +1,259 @@
+"""Threads, worker processes, forks, other variants, and the user's own rendering in between."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from typing import Any
+
+import pytest
+import torch
+
+from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
+
+FLOOR = "floor.reflectance.value"
+PATIENCE = 100.0  # seconds; only a process that hangs takes them
+
+# Atomic additions come in any order: a gradient repeats to about 1e-6 of its size.
+SAME = {"rtol": 2e-5, "atol": 1e-9}
+
+
+def small_box() -> SceneRenderer:
+    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
+
+
+def attribution_of(seed: int) -> dict[str, torch.Tensor]:
+    """Load, attribute, and return plain tensors: what a worker process is asked for."""
+    torch.set_num_threads(1)
+    found = VanillaSceneGradient(small_box(), metrics.MeanLuminance()).attribute(seed=seed, replicates=2)
+    return dict(found)
+
+
+def assert_same(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+    assert list(found) == list(expected)
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, **SAME)
+
+
+@pytest.fixture(scope="module")
+def expected(mi: Any) -> list[dict[str, torch.Tensor]]:
+    return [attribution_of(seed) for seed in range(3)]
+
+
+# --- Threads --------------------------------------------------------------------------------------
+
+
+def test_attributions_from_several_threads_are_those_of_one(expected: list[Any]) -> None:
+    # Each loads a scene of its own too: loading writes to what the whole process shares.
+    with ThreadPoolExecutor(3) as pool:
+        for found, one in zip(pool.map(attribution_of, range(3)), expected, strict=True):
+            assert_same(found, one)
+
+
+def test_threads_may_share_a_renderer(expected: list[Any]) -> None:
+    method = VanillaSceneGradient(small_box(), metrics.MeanLuminance())
+    with ThreadPoolExecutor(3) as pool:
+        runs = pool.map(lambda seed: dict(method.attribute(seed=seed, replicates=2)), range(3))
+        for found, one in zip(runs, expected, strict=True):
+            assert_same(found, one)
+
+
+# --- Processes ------------------------------------------------------------------------------------
+
+
+class Attributions(torch.utils.data.Dataset[Any]):
+    """What a DataLoader may serve: each item is the attribution of a seed."""
+
+    def __len__(self) -> int:
+        return 1
+
+    def __getitem__(self, seed: int) -> dict[str, torch.Tensor]:
+        return attribution_of(seed)
+
+
+@pytest.mark.long
+def test_a_pool_of_spawned_processes_agrees(expected: list[Any]) -> None:
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert_same(pool.submit(attribution_of, 1).result(PATIENCE), expected[1])
+
+
+def test_a_data_loader_with_spawned_workers_agrees(expected: list[Any]) -> None:
+    loader = torch.utils.data.DataLoader(
+        Attributions(),
+        batch_size=None,
+        num_workers=1,
+        multiprocessing_context="spawn",
+        timeout=PATIENCE,
+    )
+    for found, one in zip(loader, expected[:1], strict=True):
+        assert_same(found, one)
+
+
+FORKS = [
+    pytest.param(lambda renderer: renderer(seed=0), id="render"),
+    pytest.param(lambda _: attribution_of(0), id="load"),
+    pytest.param(lambda renderer: renderer.surfaces, id="surfaces"),
+    pytest.param(lambda renderer: renderer.replace(max_depth=2), id="replace"),
+]
+
+
+def in_a_fork(call: Any) -> str:
+    """Call in a forked process, and return what is raised there."""
+
+    def child(connection: Connection) -> None:
+        try:
+            call()
+            connection.send("nothing was raised")
+        except SceneCaptumError as error:
+            connection.send(str(error))
+
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe()
+    process = context.Process(target=child, args=(there,), daemon=True)
+    process.start()
+    try:
+        said: str = here.recv() if here.poll(PATIENCE) else "it hangs"
+        return said
+    finally:
+        process.kill()
+        process.join()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.parametrize("call", FORKS)
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_is_refused_instead_of_hanging(expected: list[Any], call: Any) -> None:
+    renderer = small_box()
+    renderer(renderer.leaves(), seed=0).mean().backward()  # now Dr.Jit has threads
+    said = in_a_fork(lambda: call(renderer))
+    assert "forked" in said, said
+    assert "spawn" in said
+    renderer(seed=0)  # the parent goes on
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_backward_pass_across_a_fork_is_refused(expected: list[Any]) -> None:
+    renderer = small_box()
+    metric = renderer(renderer.leaves(), seed=0).mean()
+    assert "forked" in in_a_fork(metric.backward)
+
+
+FORKED_BEFORE = """
+import os, sys
+import scenecaptum
+child = os.fork()
+if child:
+    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+renderer = scenecaptum.SceneRenderer("cornell-box", resolution=(4, 4), spp=1, max_depth=2)
+renderer(renderer.leaves()).mean().backward()
+os._exit(7)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_before_mitsuba_is_ready_may_render(mi: Any) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-c", FORKED_BEFORE], capture_output=True, text=True, check=False, timeout=PATIENCE
+    )
+    assert ran.returncode == 7, ran.stderr[-400:]
+
+
+# --- Other variants -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def scalar(mi: Any) -> Any:
+    """The user's own code has set a variant without derivatives."""
+    before = mi.variant()
+    mi.set_variant("scalar_rgb")
+    yield mi
+    mi.set_variant(before)
+
+
+def test_the_users_variant_is_given_back(scalar: Any, expected: list[Any]) -> None:
+    assert_same(attribution_of(0), expected[0])
+    assert scalar.variant() == "scalar_rgb"
+
+
+def test_a_renderer_keeps_its_variant_whatever_is_set_later(
+    mi: Any, scalar: Any, expected: list[Any]
+) -> None:
+    mi.set_variant("llvm_ad_rgb")
+    renderer = small_box()
+    graph = renderer(leaves := renderer.leaves(), seed=3).mean()
+    alone = torch.autograd.grad(graph, leaves[FLOOR], retain_graph=True)[0]
+    mi.set_variant("scalar_rgb")
+    torch.testing.assert_close(torch.autograd.grad(graph, leaves[FLOOR])[0], alone, **SAME)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=1, replicates=2)
+    assert_same(dict(found), expected[1])
+    found.heatmap()
+    assert renderer.camera.width == 8
+    assert renderer.replace(max_depth=2)(seed=0).isfinite().all()
+    assert found.info["variant"] == "llvm_ad_rgb"
+    assert mi.variant() == "scalar_rgb"
+
+
+def test_the_users_variant_is_given_back_after_an_error(scalar: Any) -> None:
+    with pytest.raises(SceneCaptumError):
+        SceneRenderer("cornell-box", "no such input")
+    assert scalar.variant() == "scalar_rgb"
+
+
+def test_a_scene_of_a_variant_without_derivatives_is_refused_by_name(scalar: Any) -> None:
+    scene = scalar.load_dict(scalar.cornell_box())
+    with pytest.raises(SceneCaptumError, match="scalar_rgb"):
+        SceneRenderer(scene)
+    assert scalar.variant() == "scalar_rgb"
+
+
+# --- The user's own rendering ---------------------------------------------------------------------
+
+
+def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
+    """Neither side sees the other: the user's picture, parameters and gradients, and the attribution."""
+    import drjit as dr
+
+    box = mi.cornell_box()
+    box["sensor"]["film"] |= {"width": 12, "height": 12}
+    box["integrator"] = {"type": "prb", "max_depth": 3}
+    scene = mi.load_dict(box, optimize=False)
+    params = mi.traverse(scene)
+    key = "white.reflectance.value"
+
+    def users_picture() -> torch.Tensor:
+        picture: torch.Tensor = mi.render(scene, spp=4, seed=5).torch()
+        return picture
+
+    def users_gradient() -> float:
+        value = mi.Color3f(params[key])
+        dr.enable_grad(value)
+        params[key] = value
+        params.update()
+        dr.backward(dr.mean(mi.render(scene, params, spp=4, seed=5), axis=None))
+        gradient = float(dr.sum(dr.grad(value))[0])
+        params[key] = dr.detach(value)
+        params.update()
+        return gradient
+
+    picture, gradient = users_picture(), users_gradient()
+    renderer = SceneRenderer(scene, "reflectance", resolution=(8, 8), spp=4, max_depth=3)
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    undisturbed = method.attribute(seed=0, replicates=2)
+    torch.testing.assert_close(users_picture(), picture, **SAME)
+    pending = renderer(renderer.leaves(), seed=4).mean()  # a graph of ours is open meanwhile
+    assert users_gradient() == pytest.approx(gradient, rel=1e-4)
+    pending.backward()
+    assert_same(dict(method.attribute(seed=0, replicates=2)), dict(undisturbed))
+    assert tuple(scene.sensors()[0].film().crop_size()) == (12, 12)
+
+    params[key] = mi.Color3f(0.2)
+    params.update()
+    darker = method.attribute(seed=0, replicates=2)
+    assert darker.metric_value < undisturbed.metric_value
+    torch.testing.assert_close(darker.parameter_values[key], torch.full((3,), 0.2))
