@@ -8,34 +8,27 @@ torch's Adam moves it. Prints the parameters before and after, and draws both ro
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
+
+from _options import parser
 
 from scenecaptum import SceneRenderer, metrics, optimize
 
 LIMIT = 19.0
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/office-glare"))
-    parser.add_argument("--resolution", default="160x90")
-    parser.add_argument("--spp", type=int, default=64)
-    arguments = parser.parse_args()
-    width, height = map(int, arguments.resolution.split("x"))
-    renderer = SceneRenderer(
-        "office", ["materials", "emitters"], resolution=(width, height), spp=arguments.spp
-    )
+def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 64) -> optimize.Optimisation:
+    renderer = SceneRenderer("office", ["materials", "emitters"], resolution=resolution, spp=spp)
     glare = metrics.UnifiedGlareRating(renderer.camera)
     found = optimize.minimize(renderer, glare, LIMIT, top=5, change=0.5, show_progress=sys.stderr.isatty())
     print(found)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    found.plot().savefig(arguments.out / "office-glare.png")
-    print(f"{arguments.out / 'office-glare.png'}  before, after and the way between")
+    folder.mkdir(parents=True, exist_ok=True)
+    found.plot().savefig(folder / "office-glare.png")
+    print(f"{folder / 'office-glare.png'}  before, after and the way between")
+    return found
 
 
 if __name__ == "__main__":
-    main()
+    options = parser(__doc__, resolution="160x90", spp=64, out="out/office-glare").parse_args()
+    main(options.out, options.resolution, options.spp)

@@ -17,8 +17,30 @@ from derivatives import DIFFERENCE, GOOD, OURS, Estimate, Judge, Ours, estimates
 
 SEEDS = 8
 
+# What takes longest to compile, and shares its code with cases that remain.
+LONG = (
+    "principled/opaque",
+    "principled/specular",
+    "roughplastic/roughness",
+    "hair/polyline",
+    "hair/dyed",
+    "hair/white",
+    "pplastic/ball",
+    "mesh_attribute/vertex colours",
+    "normalmap/over roughplastic",
+    "envmap/smooth",
+)
 
-@pytest.mark.parametrize("case", [case for case in CASES if case.name in QUICK], ids=lambda case: case.name)
+
+def quick_cases() -> list[Any]:
+    return [
+        pytest.param(case, id=case.name, marks=[pytest.mark.long] if case.name in LONG else [])
+        for case in CASES
+        if case.name in QUICK
+    ]
+
+
+@pytest.mark.parametrize("case", quick_cases())
 def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
     spp = QUICK[case.name]
     judge = Judge(case)

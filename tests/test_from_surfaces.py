@@ -43,8 +43,8 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
     ("ball", "changes", "spp"),
     [
         (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 32),
-        (FROSTED, {}, 128),
-        (LACQUER, {"camera": LENS}, 32),
+        pytest.param(FROSTED, {}, 128, marks=pytest.mark.long),
+        pytest.param(LACQUER, {"camera": LENS}, 32, marks=pytest.mark.long),
         (METAL, {"floor": {"bsdf": POLISHED}}, 32),
     ],
     ids=["two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor"],

@@ -238,7 +238,9 @@ def gradient(renderer: SceneRenderer, values: dict[str, torch.Tensor], seed: int
     [
         ("twosided", {"type": "roughplastic", "distribution": "ggx"}, "brdf_0.alpha", 0.005),
         ("plain", {"type": "roughplastic", "alpha": 1.0, "nonlinear": True}, "eta", 0.02),
-        ("mask", {"type": "plastic", "int_ior": 2.4}, "nested_bsdf.eta", 0.02),
+        pytest.param(
+            "mask", {"type": "plastic", "int_ior": 2.4}, "nested_bsdf.eta", 0.02, marks=pytest.mark.long
+        ),
     ],
 )
 def test_derivatives_of_pictures_agree_with_differences_of_mitsubas(

@@ -413,6 +413,7 @@ def test_the_weights_of_the_shape_classifier_are_small():
     assert sum(p.numel() for p in metrics.ShapeClassifier().parameters()) < 15_000
 
 
+@pytest.mark.long
 def test_the_shape_classifier_recognises_held_out_renders(mi, trainer):
     count = 120
     images, labels = trainer.dataset(2 * trainer.HELD_OUT, count)

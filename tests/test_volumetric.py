@@ -157,9 +157,10 @@ def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, floa
             lambda mi: room(mi, homogeneous(3.0), sky=0),
             {"fog.interior_medium.phase_function.g": 0.05, "lamp.emitter.radiance.value": 1.0},
         ),
-        (
+        pytest.param(
             lambda mi: room(mi, smoke(mi, np.ones((2, 2, 2, 1))), ball=VEIL),
             {GRID: 0.1, "ball.bsdf.opacity.value": 0.05},
+            marks=pytest.mark.long,
         ),
     ],
     ids=["fog beside a mirror", "coloured fog in glass", "fog before a lamp", "smoke beside a veil"],

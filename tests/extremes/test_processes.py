@@ -181,6 +181,20 @@ def test_the_users_variant_is_given_back(scalar: Any, expected: list[Any]) -> No
     assert scalar.variant() == "scalar_rgb"
 
 
+def test_what_is_registered_while_another_variant_is_set_is_found_later() -> None:
+    """In a process of its own: a module is imported, and its plugin registered, only once."""
+    code = (
+        "import scenecaptum as sc\n"
+        "mi = sc.activate()\n"
+        "renderer = sc.SceneRenderer('cornell-box', resolution=(8, 8), spp=1)\n"
+        "mi.set_variant('scalar_rgb')\n"
+        "renderer.camera\n"
+        "print(sc.SceneRenderer('cornell-box', sensor='fisheye', resolution=(8, 8), spp=1)().shape)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.stdout.strip() == "torch.Size([8, 8, 3])", run.stderr
+
+
 def test_a_renderer_keeps_its_variant_whatever_is_set_later(
     mi: Any, scalar: Any, expected: list[Any]
 ) -> None:

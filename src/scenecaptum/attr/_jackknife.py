@@ -87,18 +87,17 @@ def jackknife(
 
 
 def _mean(images: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    return torch.einsum("r,r...->...", weights.to(images), images)
+    """Return a weighted mean: of equal images that image, and nowhere below all of them, in spite of rounding."""
+    first = images[0]
+    return (first + torch.einsum("r,r...->...", weights.to(images), images - first)).clamp_min(images.amin(0))
 
 
 def _at_means(
     metric: TargetedMetric, images: torch.Tensor, weights: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the metric's values and adjoints at weighted means of the images, one for each row of weights."""
-    # Rounding must not make a weight, and with it radiance, negative.
-    found = [metric.value_and_adjoint(_mean(images, row)) for row in weights.clamp_min(0)]
-    return torch.tensor([value for value, _ in found], dtype=torch.float64), torch.stack(
-        [a for _, a in found]
-    )
+    values, adjoints = zip(*(metric.value_and_adjoint(_mean(images, row)) for row in weights), strict=True)
+    return torch.tensor(values, dtype=torch.float64), torch.stack(adjoints)
 
 
 def _excess(moved: torch.Tensor, centre: torch.Tensor | float, step: float) -> torch.Tensor:

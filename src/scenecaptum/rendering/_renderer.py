@@ -322,13 +322,14 @@ class SceneRenderer(torch.nn.Module):
     @property
     def cameras(self) -> list[Camera]:
         """The camera of every sensor."""
-        from ._cameras import camera_of
+        with exclusively(self._variant):
+            from ._cameras import camera_of  # which registers a sensor under the variant that is active
 
-        found = []
-        for engine, sensor in zip(self._engines, self._sensors, strict=True):
-            with engine.at_hand():
-                found.append(camera_of(sensor))
-        return found
+            found = []
+            for engine, sensor in zip(self._engines, self._sensors, strict=True):
+                with engine.at_hand():
+                    found.append(camera_of(sensor))
+            return found
 
     @property
     def info(self) -> dict[str, Any]:

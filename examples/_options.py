@@ -1,0 +1,22 @@
+"""What the examples take on their command line."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def parser(doc: str | None, *, resolution: str, spp: int, out: str | None = None) -> argparse.ArgumentParser:
+    """Return a parser of ``--resolution`` and ``--spp``, and of ``--out`` where the example writes files."""
+    made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--resolution", type=size, default=size(resolution), metavar="WIDTHxHEIGHT")
+    made.add_argument("--spp", type=int, default=spp, help="samples per pixel")
+    if out is not None:
+        made.add_argument("--out", type=Path, default=Path(out), help="folder of what is written")
+    return made
+
+
+def size(text: str) -> tuple[int, int]:
+    """Return width and height of ``"160x90"``."""
+    width, height = text.split("x")
+    return int(width), int(height)

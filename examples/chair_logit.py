@@ -1,0 +1,61 @@
+"""What makes a network see a chair: the logit of a ResNet-50, attributed to materials and lights of the office.
+
+The camera looks at the office chair. Weights are downloaded by torchvision on first use; ``--random`` takes random
+ones, to see that it works without. Prints the ranking, and draws the picture beside the map.
+
+    python examples/chair_logit.py [--out out/chair] [--resolution 224x224] [--spp 256] [--random]
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from _options import parser
+
+from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, activate, metrics
+from scenecaptum.scene import bundled
+
+FOLDING_CHAIR = 559
+
+
+def scene() -> dict[str, Any]:
+    """Return the office, seen from a place before the chair."""
+    mi = activate()
+    office = bundled.office()
+    pose = mi.ScalarTransform4f().look_at(origin=(0.9, 0.7, 1.35), target=(-0.22, 2.42, 0.6), up=(0, 0, 1))
+    office["sensor"] |= {"to_world": pose}
+    return office
+
+
+def classifier(exposure: float, *, random: bool) -> metrics.ClassLogit:
+    """Return the logit of the folding chair, ImageNet's class 559."""
+    if not random:
+        return metrics.ClassLogit.pretrained("resnet50", "IMAGENET1K_V2", FOLDING_CHAIR, exposure=exposure)
+    from torchvision.models import resnet18
+
+    torch.manual_seed(0)
+    return metrics.ClassLogit(resnet18(), FOLDING_CHAIR, exposure=exposure)
+
+
+def main(
+    folder: Path, resolution: tuple[int, int] = (224, 224), spp: int = 256, *, random: bool = False
+) -> SceneAttribution:
+    renderer = SceneRenderer(scene(), ["materials", "emitters"], resolution=resolution, spp=spp, max_depth=6)
+    with torch.no_grad():
+        brightness = metrics.MeanLuminance()(renderer(seed=1, spp=16)).item()
+    logit = classifier(0.4 / brightness, random=random)
+    found = VanillaSceneGradient(renderer, logit).attribute(scale="range", seed=0)
+    print(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    found.plot_heatmap(signed=True).savefig(folder / "chair.png")
+    print(f"\n{folder / 'chair.png'}  the picture and what the network goes by")
+    return found
+
+
+if __name__ == "__main__":
+    asked = parser(__doc__, resolution="224x224", spp=256, out="out/chair")
+    asked.add_argument("--random", action="store_true", help="random weights of a ResNet-18")
+    options = asked.parse_args()
+    main(options.out, options.resolution, options.spp, random=options.random)

@@ -1,0 +1,36 @@
+"""Which lamp matters: for how bright the office is, and for how much it glares.
+
+With ``scale="value"`` a lamp's attribution is what it adds: mean luminance is linear in the light, so there the
+shares of all lamps add up to the whole. The glare rating is not: a lamp out of sight lowers it.
+
+    python examples/which_lamp.py [--resolution 160x90] [--spp 128]
+"""
+
+from __future__ import annotations
+
+from _options import parser
+
+from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
+
+
+def main(resolution: tuple[int, int] = (160, 90), spp: int = 128) -> dict[str, SceneAttribution]:
+    renderer = SceneRenderer("office", "emitters", resolution=resolution, spp=spp, max_depth=6)
+    chosen = {
+        "mean luminance": metrics.MeanLuminance(),
+        "UGR": metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5),
+    }
+    found = {
+        name: VanillaSceneGradient(renderer, metric).attribute(scale="value", groups="material", seed=0)
+        for name, metric in chosen.items()
+    }
+    for name, lamps in found.items():
+        print(f"\n{name} {lamps.metric_value:.3f} ± {lamps.metric_standard_error:.1g}")
+        for lamp in lamps.ranking():
+            print(f"  {lamp.label:20s} {lamp.total[0]:+8.3f} ± {lamp.saliency_error:.1g}")
+        print(f"  {'all of them':20s} {sum(sum(lamp.total) for lamp in lamps.ranking()):+8.3f}")
+    return found
+
+
+if __name__ == "__main__":
+    options = parser(__doc__, resolution="160x90", spp=128).parse_args()
+    main(options.resolution, options.spp)
