@@ -102,7 +102,7 @@ def check_command(words: list[str]) -> None:
                 re.search(rf"^{one}:", (ROOT / "Makefile").read_text(), re.MULTILINE) for one in targets
             )
         case ["python", path, *_]:
-            assert (ROOT / path).is_file(), path
+            assert (ROOT / path).is_file() or (ROOT / path / "__main__.py").is_file(), path
         case ["pip", "install", what]:
             extras = re.findall(r"\[(\w+)\]", what)
             assert all(f"\n{one} = [" in (ROOT / "pyproject.toml").read_text() for one in extras), what
