@@ -159,7 +159,7 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
     section.difference = (
         f"Pictures are {size.judged} pixels wide. Of the pairs that the reference of {size.reference} samples "
         f"tells apart, the order holds from {counts[1]} samples on, to a Kendall's τ of {worst:.2f} or better; "
-        "pairs that no setting tells apart have no order to keep. [Performance](performance.md) has a network's "
+        "pairs that no setting tells apart have no order to keep. [Speed and accuracy](speed.md) has a network's "
         "logit and depth as well."
     )
     return section
