@@ -54,9 +54,13 @@ def in_a_process_of_its_own(scene: str, threads: int) -> tuple[torch.Tensor, Ten
 
 
 def assert_same(
-    found: tuple[torch.Tensor, Tensors, Tensors], expected: tuple[torch.Tensor, Tensors, Tensors]
+    found: tuple[torch.Tensor, Tensors, Tensors],
+    expected: tuple[torch.Tensor, Tensors, Tensors],
+    *,
+    picture: float = 0.0,
 ) -> None:
-    assert torch.equal(found[0], expected[0])
+    """Compare pictures to a relative precision, bit by bit by default, and gradients to what is promised."""
+    torch.testing.assert_close(found[0], expected[0], rtol=picture, atol=0.0)
     for gradients, reference in zip(found[1:], expected[1:], strict=True):
         # What cancels is small beside what it is the sum of: the largest says how large that is.
         largest = max(one.norm() for one in reference.values())
@@ -112,8 +116,9 @@ def test_whatever_the_owner_of_the_scene_did_before(mi: Any) -> None:
     params["white.reflectance.value"] = mi.Color3f(0.05)
     params.update()
     darker = picture_and_gradients(borrowed())
-    assert_same(picture_and_gradients(used), darker)
-    assert not torch.equal(darker[0], own[0])
+    # Its film spreads samples over several pixels (a Gaussian), whose sums depend on their order.
+    assert_same(picture_and_gradients(used), darker, picture=PROMISED)
+    assert not torch.allclose(darker[0], own[0], rtol=0.01)
 
 
 def test_the_first_pass_of_a_renderer_is_like_the_later_ones(mi: Any) -> None:
