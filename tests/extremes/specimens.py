@@ -82,7 +82,7 @@ SPECTRUM = (
 
 def picture(height: int = 4, width: int = 8) -> np.ndarray:
     """Radiance that differs from pixel to pixel."""
-    return np.random.default_rng(3).uniform(0.2, 2.0, (height, width, 3)).astype(np.float32)
+    return np.random.default_rng(3).uniform(0.2, 0.95, (height, width, 3)).astype(np.float32)
 
 
 def hdr(image: np.ndarray) -> bytes:
