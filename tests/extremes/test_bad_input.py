@@ -15,6 +15,7 @@ from results import make
 from extremes import fuzz, specimens
 from scenecaptum import SceneAttribution, SceneCaptumError, SceneRenderer, cli
 from scenecaptum.scene import load_scene
+from scenecaptum.scene._loading import source_of
 
 SENSOR = '<sensor type="perspective"/>'
 
@@ -261,3 +262,13 @@ def test_two_thousand_spoiled_inputs_are_refused_or_succeed() -> None:
     outcomes = fuzz.fuzz(2120)
     assert len(outcomes) >= 2000
     check(outcomes)
+
+
+def test_what_cannot_be_printed_is_known_by_its_type() -> None:
+    class Broken:
+        """An array of Dr.Jit's does so where its shape does not fit."""
+
+        def __repr__(self) -> str:
+            raise RuntimeError("internal error")
+
+    assert source_of({"type": "scene", "shade": Broken()}) == {"type": "scene", "shade": "Broken"}

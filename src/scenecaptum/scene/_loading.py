@@ -76,7 +76,12 @@ def _plain(value: Any) -> Any:
         return {str(name): _plain(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [_plain(one) for one in value]
-    return value if isinstance(value, np.ndarray) else str(value)
+    if isinstance(value, np.ndarray):
+        return value
+    try:
+        return str(value)
+    except RuntimeError:  # Dr.Jit cannot print an array that does not have the shape it claims
+        return type(value).__name__
 
 
 def _load_named(scene: str | os.PathLike[str]) -> Any:
