@@ -22,13 +22,12 @@ FALSE_ALARMS = 0.01
 # A spread so small, relative to what spreads, is rounding.
 ROUNDING = 1e-5
 
-TO_SIGMA = (
-    1.4826  # the standard deviation of a normal distribution, in units of its median absolute deviation
-)
+# The standard deviation of a normal distribution, in units of its median absolute deviation.
+TO_SIGMA = 1.4826
 CLIPPED = 3.0  # standard deviations
-MEDIAN_LOSS = (
-    math.pi / 2
-)  # by how much the variance of a median exceeds that of the mean, where all is normal
+
+# By how much the variance of a median exceeds that of the mean, where all is normal.
+MEDIAN_LOSS = math.pi / 2
 
 
 def untrusted_errors(attribution: SceneAttribution) -> dict[str, str]:
