@@ -323,7 +323,6 @@ class Engine:
             brightness: torch.Tensor = image.double().sum(-1)  # whose squares may overflow float32
             return brightness
 
-        # Whatever was rendered before, the pilots see the same: a job that is resumed chooses the same pixels.
         with self.holding({}):
             spread = torch.stack([luminance(seed) for seed in range(PILOTS)]).std(0)
         return _smooth(spread)

@@ -186,13 +186,18 @@ class SceneRenderer(torch.nn.Module):
         SceneCaptumError
             Where the folder cannot be written.
         """
-        other = type(self).__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        torch.nn.Module.__init__(other)  # hooks of its own
         if checkpoint is not None and not isinstance(checkpoint, Checkpoint):
             checkpoint = Checkpoint(checkpoint)
+        other = self._twin()
         other.checkpoint = checkpoint
         other._record()
+        return other
+
+    def _twin(self) -> SceneRenderer:
+        """Return another renderer of the same scene, with hooks of its own."""
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        torch.nn.Module.__init__(other)
         return other
 
     def memory(self, *, spp: int | None = None, pictures: int = 1) -> int:
@@ -284,9 +289,7 @@ class SceneRenderer(torch.nn.Module):
             stock = integrator is not None or self.plan.integrator in STOCK
             if stock and plan.integrator not in STOCK:
                 plan = stock_plan(plan)
-            other = SceneRenderer.__new__(SceneRenderer)
-            other.__dict__.update(self.__dict__)
-            torch.nn.Module.__init__(other)  # hooks of its own
+            other = self._twin()
             other._prepare(size, plan)
         return other
 
