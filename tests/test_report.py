@@ -441,6 +441,27 @@ def test_a_click_in_the_picture_selects_the_rows_and_back(report):
     assert report.selected() == []
 
 
+def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
+    path = tmp_path / "report.html"
+    even = {name: torch.linspace(-1, 1, 8)[:, None].expand(8, 3) for name in VALUES}
+    rare = {**even, "chair.alpha": torch.tensor([0, 0, 0, 0, 0, 0, 1e-5, 1])[:, None]}
+    few = {**make().info, "passes": 2}
+    write_report([make(replicates=rare), make(info=few)], path, titles=["Rare", "Few"])
+    page = Page(browser, path)
+    notes = page.page.locator("#notes")
+    assert "? one pass has nearly all of the spread" in notes.inner_text()
+    assert "(1 parameter)" in notes.inner_text()
+    marked = page.page.locator("#rows tr", has=page.page.locator(".mark", has_text="?"))
+    assert [row.inner_text().split()[1:3] for row in marked.all()] == [["chair:", "alpha!?"]]
+    page.click(11, 1)
+    assert "? one pass has nearly all" in page.page.locator("#detail").inner_text()
+    # What holds for all is said once.
+    page.page.get_by_text("Few", exact=True).first.click()
+    assert "unsure by 71 % (all parameters)" in notes.inner_text()
+    assert marked.count() == 0
+    page.check(path)
+
+
 def test_what_is_out_of_sight_says_so(report):
     row = report.page.locator("#rows tr", has_text="sky.radiance")
     assert "not in view" in row.inner_text()

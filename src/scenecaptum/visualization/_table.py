@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import shutil
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,6 +13,7 @@ from ._numbers import Format, align_decimals, columns, cut, pad, shorten, with_e
 from ._words import (
     caution_groups,
     count_words,
+    doubt_groups,
     method_name,
     metric_line,
     pack,
@@ -124,11 +125,10 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
     marks = {name: markers[text] for text, names in groups.items() for name in names}
-    doubts = attribution.untrusted_errors()
-    # What holds for all need not be said of each.
-    doubtful = set(doubts) if len(doubts) < len(attribution) else set()
-    for name in doubtful:
-        marks[name] = f"{marks.get(name, '')}?"
+    doubts = doubt_groups(attribution)
+    for names in doubts.values():
+        if len(names) < len(attribution):  # what holds for all need not be said of each
+            marks |= {name: f"{marks.get(name, '')}?" for name in names}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
     names = shorten([row.label for row in shown], _WIDEST_NAME)
     saliency, gradients = _saliency(shown), _gradients(shown)
@@ -149,7 +149,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
             *_hidden(ranking, len(shown)),
             *(["Σ totals over the texels, vertices or faces"] if textures else []),
             *(_caution(markers[text], text, names) for text, names in groups.items()),
-            *_doubt(attribution, doubts),
+            *(_doubt(reason, names, len(attribution)) for reason, names in doubts.items()),
         ],
     )
 
@@ -177,10 +177,9 @@ def _caution(marker: str, text: str, names: Sequence[str]) -> str:
     return f"{marker.ljust(2)} {text} ({count_words(len(names), 'parameter')})"
 
 
-def _doubt(attribution: SceneAttribution, doubts: Mapping[str, str]) -> list[str]:
-    """Say which error bars cannot be trusted, and why."""
-    count = "all parameters" if len(doubts) == len(attribution) else count_words(len(doubts), "parameter")
-    return [f"?  {reason} ({count})" for reason in dict.fromkeys(doubts.values())]
+def _doubt(reason: str, names: Sequence[str], count: int) -> str:
+    whose = "all parameters" if len(names) == count else count_words(len(names), "parameter")
+    return f"?  {reason} ({whose})"
 
 
 def _saliency(rows: Sequence[Ranked]) -> list[str]:

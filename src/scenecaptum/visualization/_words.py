@@ -126,6 +126,14 @@ def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[
     return groups
 
 
+def doubt_groups(attribution: SceneAttribution) -> dict[str, list[str]]:
+    """Group the parameters whose error bars cannot be trusted by the reason."""
+    groups: dict[str, list[str]] = {}
+    for name, reason in attribution.untrusted_errors().items():
+        groups.setdefault(reason, []).append(name)
+    return groups
+
+
 def count_words(count: int, noun: str) -> str:
     """``'1 parameter'``, ``'3 parameters'``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"

@@ -16,6 +16,7 @@ from .._numbers import with_error
 from .._words import (
     axis_words,
     caution_groups,
+    doubt_groups,
     method_name,
     metric_name,
     quantity,
@@ -76,6 +77,8 @@ def _result(
     ranking = attribution.ranking()
     cautions = caution_groups(attribution, (row.name for row in ranking))
     number = {name: index for index, names in enumerate(cautions.values()) for name in names}
+    doubts = doubt_groups(attribution)
+    doubt = {name: index for index, names in enumerate(doubts.values()) for name in names}
     below = _rows_below(attribution, ranking, surfaces)
     objects = [_painted(ranking, rows) for rows in below]
     value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
@@ -91,7 +94,15 @@ def _result(
         "method": method_name(attribution),
         "sampling": sampling_words(attribution),
         "cautions": list(cautions),
-        "rows": [_row(attribution, row, number.get(row.name)) for row in ranking],
+        "doubts": list(doubts),
+        "rows": [
+            {
+                **_row(attribution, row),
+                "caution": number.get(row.name),
+                "doubt": doubt.get(row.name),
+            }
+            for row in ranking
+        ],
         "objects": [
             {"rows": below[i], "magnitude": _number(abs(objects[i])), "signed": _number(objects[i])}
             for i in shown
@@ -133,7 +144,7 @@ def _painted(ranking: Sequence[Ranked], rows: Sequence[int]) -> float:
     return math.copysign(magnitude, math.fsum(sum(ranking[index].total) for index in rows))
 
 
-def _row(attribution: SceneAttribution, row: Ranked, caution: int | None) -> dict[str, Any]:
+def _row(attribution: SceneAttribution, row: Ranked) -> dict[str, Any]:
     errors: Sequence[float | None] = row.total_error or [None] * len(row.total)
     few = len(row.total) <= _MOST_CHANNELS
     members = (attribution.info.get("groups") or {}).get(row.name)
@@ -151,7 +162,6 @@ def _row(attribution: SceneAttribution, row: Ranked, caution: int | None) -> dic
         else [],
         "channels": len(row.total),
         "texture": attribution[row.name].ndim > 1,
-        "caution": caution,
         **_value(attribution, row.name, members),
     }
 

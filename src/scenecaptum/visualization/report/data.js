@@ -125,12 +125,18 @@ function signMark(row, result) {
   return make("span", { class: `sign ${kind}`, title: words, role: "img", "aria-label": words }, mark);
 }
 
-/** The signs that the table of the terminal has too: Σ for a texture's total, ! for a derivative known to be off. */
+/**
+ * The signs that the table of the terminal has too: Σ for a texture's total, ! for a derivative known to be off,
+ * ? for an error bar that cannot be trusted, unless that holds for all.
+ */
 function markOf(row, result) {
   const marks = [];
   if (row.texture) marks.push(make("abbr", { class: "mark", title: "totals over the texels, vertices or faces, and their mean value" }, "Σ"));
   if (row.caution !== null) marks.push(make("abbr", { class: "mark caution", title: result.cautions[row.caution] }, cautionMark(row.caution, result)));
+  if (row.doubt !== null && !isShared(row.doubt, result)) marks.push(make("abbr", { class: "mark caution", title: result.doubts[row.doubt] }, "?"));
   return marks;
 }
 
+/** Whether a doubt holds for every row, so that it need not be said of each. */
+const isShared = (doubt, result) => result.rows.every((row) => row.doubt === doubt);
 const cautionMark = (index, result) => (result.cautions.length > 1 ? `!${index + 1}` : "!");

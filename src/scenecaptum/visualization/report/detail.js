@@ -67,7 +67,8 @@ function cardOf(results, current, index) {
   return make("article", { class: "card" },
     make("h3", {}, ...breakable(row.label), ...markOf(row, result)), make("p", { class: "path" }, row.name),
     make("dl", {}, ...facts.filter(([, value]) => value).flatMap(([name, value]) => [make("dt", {}, ...[name].flat()), make("dd", {}, value)])),
-    row.caution === null ? null : make("p", { class: "warning" }, `${cautionMark(row.caution, result)} ${result.cautions[row.caution]}`));
+    row.caution === null ? null : make("p", { class: "warning" }, `${cautionMark(row.caution, result)} ${result.cautions[row.caution]}`),
+    row.doubt === null ? null : make("p", { class: "warning" }, `? ${result.doubts[row.doubt]}`));
 }
 
 function othersOf(results, current, name) {

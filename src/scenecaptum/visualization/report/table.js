@@ -116,6 +116,11 @@ function drawNotes(result) {
     const count = result.rows.filter((row) => row.caution === index).length;
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);
   });
+  notes.push(...result.doubts.map((text, index) => {
+    const count = result.rows.filter((row) => row.doubt === index).length;
+    const whose = isShared(index, result) ? "all parameters" : counted(count, "parameter");
+    return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
+  }));
   if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {
     notes.push(make("p", {}, ...["1", "-1", "0"].flatMap((sign, index) => [
