@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 import torch
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.rendering import _renderer
 
 FLOOR = "floor.reflectance.value"
 PATIENCE = 100.0  # seconds; only a process that hangs takes them
@@ -60,6 +62,22 @@ def test_threads_may_share_a_renderer(expected: list[Any]) -> None:
         runs = pool.map(lambda seed: dict(method.attribute(seed=seed, replicates=2)), range(3))
         for found, one in zip(runs, expected, strict=True):
             assert_same(found, one)
+
+
+def test_a_refused_scene_is_gone_before_its_error_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Going with the error, it would go while another thread renders, whose kernels reach every object alive."""
+    loaded: list[weakref.ref[Any]] = []
+
+    class Watched(_renderer.SceneGraph):
+        def __init__(self, scene: Any) -> None:
+            super().__init__(scene)
+            loaded.append(weakref.ref(self))
+
+    monkeypatch.setattr(_renderer, "SceneGraph", Watched)
+    with pytest.raises(SceneCaptumError, match=r"nothing\.such") as caught:
+        SceneRenderer("cornell-box", "nothing.such")
+    assert caught.value.__traceback__ is not None, "it holds the frames in which the scene was loaded"
+    assert [one() for one in loaded] == [None]
 
 
 # --- Processes ------------------------------------------------------------------------------------

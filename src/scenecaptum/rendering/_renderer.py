@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
@@ -94,30 +95,44 @@ class SceneRenderer(torch.nn.Module):
     ) -> None:
         super().__init__()
         with exclusively(_variant_of(scene)) as mi:
-            # Loaded only now: this module needs an active variant.
-            from ._state import SceneState
-
             self._variant, self._device = mi.variant(), device()
-            self.name = describe(scene)
-            loaded = load_scene(scene)
-            self._source = digest(source_of(scene))
-            check_scale(self.name, loaded)
-            self._graph = SceneGraph(loaded)
-            self._table = discover(self._graph)
-            self._names = select(self._table, inputs)
-            self._stacked = isinstance(sensor, list)
-            chosen = sensor if isinstance(sensor, list) else [sensor]
-            self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
-            size = _common_resolution(self._sensors, resolution)
-            self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
-            self._state = SceneState(
-                loaded, {name: p.shape for name, p in self._table.items() if not p.problem}
-            )
-            check_values(self.name, self._state.original, self._table)
             self._borrowed = isinstance(scene, mi.Scene)
             self.checkpoint: Checkpoint | None = None
             self._granted = 0  # bytes that were found to be available
-            self._prepare(size, self._plan_for(max_depth))
+            try:
+                size = self._load(scene, inputs, sensor, resolution, spp)
+                self._prepare(size, self._plan_for(max_depth))
+            except SceneCaptumError as error:
+                # What was loaded goes now: let go with the error, it would go while another thread renders.
+                self.__dict__.clear()
+                traceback.clear_frames(error.__traceback__)
+                raise
+
+    def _load(
+        self,
+        scene: SceneLike,
+        inputs: Selection,
+        sensor: int | str | list[int | str],
+        resolution: tuple[int, int] | None,
+        spp: int | None,
+    ) -> tuple[int, int]:
+        """Load the scene, and look at what is in it; return the resolution."""
+        from ._state import SceneState  # which needs an active variant
+
+        self.name = describe(scene)
+        loaded = load_scene(scene)
+        self._source = digest(source_of(scene))
+        check_scale(self.name, loaded)
+        self._graph = SceneGraph(loaded)
+        self._table = discover(self._graph)
+        self._names = select(self._table, inputs)
+        self._stacked = isinstance(sensor, list)
+        chosen = sensor if isinstance(sensor, list) else [sensor]
+        self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
+        self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
+        self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
+        check_values(self.name, self._state.original, self._table)
+        return _common_resolution(self._sensors, resolution)
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
