@@ -20,7 +20,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+import numpy as np
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, activate, metrics
 from scenecaptum.rendering import _passes
 
 RESOLUTION = (1280, 720)
@@ -67,14 +69,38 @@ CASES = (
     "cornell-box 2560x1440 2 2",
     "office 320x180 64 8",
     "office 1280x720 8 8",
+    "wall-1024 64x64 64 8",
+    "wall-4096 64x64 64 8",
 )
+
+
+def scene_of(name: str) -> Any:
+    """Return a scene by name; ``wall-4096`` is a wall whose texture has so many texels to a side."""
+    if not name.startswith("wall-"):
+        return name
+    mi = activate()
+    side = int(name.removeprefix("wall-"))
+    texture = {
+        "type": "bitmap",
+        "raw": True,
+        "format": "variant",
+        "data": mi.TensorXf(np.full((side, side, 3), 0.5, np.float32)),
+    }
+    pose = mi.ScalarTransform4f().look_at(origin=(0, 0, 3), target=(0, 0, 0), up=(0, 1, 0))
+    return {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "sensor": {"type": "perspective", "to_world": pose, "film": {"type": "hdrfilm"}},
+        "wall": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": texture}},
+        "lamp": {"type": "point", "position": (0, 0, 2), "intensity": 5.0},
+    }
 
 
 def attribute(case: str) -> None:
     """Attribute once, and print what was predicted and what was taken."""
     scene, size, spp, replicates = case.split()
     width, _, height = size.partition("x")
-    renderer = SceneRenderer(scene, "all", resolution=(int(width), int(height)))
+    renderer = SceneRenderer(scene_of(scene), "all", resolution=(int(width), int(height)))
     predicted = renderer.memory(spp=int(spp) // int(replicates), pictures=int(replicates))
     # The peak is counted from here.
     Path("/proc/self/clear_refs").write_text("5")

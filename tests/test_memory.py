@@ -135,7 +135,12 @@ def test_what_a_renderer_was_granted_it_may_take_again(monkeypatch: pytest.Monke
 def test_predictions_are_not_far_below_what_is_taken() -> None:
     """A quarter below at most: a job that was let through must not be killed for its memory."""
     script = Path(__file__).parents[1] / "benchmarks" / "memory.py"
-    cases = ["cornell-box 64x64 64 8", "cornell-box 1280x720 8 8", "office 320x180 16 8"]
+    cases = [
+        "cornell-box 64x64 64 8",
+        "cornell-box 1280x720 8 8",
+        "office 320x180 16 8",
+        "wall-2048 64x64 16 8",
+    ]
     done = subprocess.run(
         [sys.executable, str(script), "--predict", *cases], capture_output=True, text=True, check=True
     )

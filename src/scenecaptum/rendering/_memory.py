@@ -14,8 +14,8 @@ MEBIBYTE = 2**20
 # Upper bounds of what ``benchmarks/memory.py --predict`` measures, in bytes.
 ONCE = 250 * MEBIBYTE  # kernels, libraries and what is imported on the way
 PER_SAMPLE = 40  # of a pass
-PER_PIXEL = 260  # of one picture with its pilots and its backward pass
-PER_PICTURE = 60  # and pixel: a picture, its adjoint, and what the jackknife makes of both
+PER_PIXEL = 320  # of one picture with its pilots and its backward pass
+PER_PICTURE = 80  # and pixel: a picture, its adjoint, and what the jackknife makes of both
 PER_TEXEL = 60  # and channel, of what is tracked: values, gradients and their spread
 
 # Where Linux says in which control groups a process is, and what their limits are.
