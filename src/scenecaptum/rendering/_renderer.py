@@ -24,6 +24,7 @@ from ..scene._selection import Selection
 from ._function import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import STOCK, RenderPlan, make_plan, stock_plan
+from ._sensors import choose_sensor, common_resolution
 
 if TYPE_CHECKING:
     from ._checkpointed import CheckpointedEngine
@@ -128,11 +129,11 @@ class SceneRenderer(torch.nn.Module):
         self._names = select(self._table, inputs)
         self._stacked = isinstance(sensor, list)
         chosen = sensor if isinstance(sensor, list) else [sensor]
-        self._sensors = [_sensor(loaded, one, resolution) for one in chosen]
+        self._sensors = [choose_sensor(loaded, one, resolution) for one in chosen]
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
         check_values(self.name, self._state.original, self._table)
-        return _common_resolution(self._sensors, resolution)
+        return common_resolution(self._sensors, resolution)
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
@@ -299,7 +300,7 @@ class SceneRenderer(torch.nn.Module):
         if integrator not in (None, "prb"):
             raise SceneCaptumError(f'integrator must be "prb", or left out, not {integrator!r}.')
         with exclusively(self._variant):
-            size = self.resolution if resolution is None else _common_resolution(self._sensors, resolution)
+            size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
             plan = self.plan if max_depth is None else self._plan_for(max_depth)
             stock = integrator is not None or self.plan.integrator in STOCK
             if stock and plan.integrator not in STOCK:
@@ -655,54 +656,3 @@ def _variant_of(scene: SceneLike) -> str | None:
 def _seed_of_camera(seed: int, number: int) -> int:
     """Return the seed of one camera of several, whose noise is its own; the first has the seed itself."""
     return seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-
-
-def _common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None) -> tuple[int, int]:
-    if not sensors:
-        raise SceneCaptumError("sensor is an empty list: name at least one sensor.")
-    found = {_resolution(sensor, resolution) for sensor in sensors}
-    if len(found) > 1:
-        sizes = ", ".join(f"{width}×{height}" for width, height in sorted(found))
-        raise SceneCaptumError(
-            f"The sensors have pictures of different sizes ({sizes}): give resolution= for all of them."
-        )
-    return found.pop()
-
-
-def _sensor(scene: Any, which: int | str, resolution: tuple[int, int] | None) -> Any:
-    sensors = scene.sensors()
-    if isinstance(which, str):
-        if which != "fisheye":
-            raise SceneCaptumError(f'sensor must be the index of a sensor or "fisheye", not {which!r}.')
-        from ._cameras import fisheye_at
-
-        side = min(sensors[0].film().crop_size())
-        return fisheye_at(sensors[0], _checked(resolution) if resolution else (side, side))
-    index = whole_number("sensor", which, 0, len(sensors) - 1)
-    if "pixel_format = rgb," not in str(sensors[index].film()):
-        raise SceneCaptumError(
-            f'The film of sensor {index} does not record linear RGB. Give it pixel_format="rgb" (hdrfilm), or '
-            "hand in the scene's file or dict, which is loaded so."
-        )
-    return sensors[index]
-
-
-def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, int]:
-    film = sensor.film()
-    width, height = (int(n) for n in film.crop_size())
-    if resolution is None:
-        return width, height
-    if list(film.crop_size()) != list(film.size()):
-        raise SceneCaptumError(
-            f"The film shows a crop of {width}×{height} pixels, so resolution= would be ambiguous: "
-            "leave it out, or take the crop out of the scene."
-        )
-    return _checked(resolution)
-
-
-def _checked(resolution: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = resolution
-    except (TypeError, ValueError):
-        raise SceneCaptumError(f"resolution must be (width, height) in pixels, not {resolution!r}.") from None
-    return whole_number("the width", width), whole_number("the height", height)
