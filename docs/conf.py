@@ -51,14 +51,22 @@ def _hide_constructor(
     _app: Any, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returns: str | None
 ) -> tuple[str | None, str | None]:
     """Hide how results are made, which is not for users to do: their attributes are described."""
-    is_result = what == "class" and dataclasses.is_dataclass(thing)
+    is_result = what == "class" and (dataclasses.is_dataclass(thing) or issubclass(thing, tuple))
     return ("" if is_result else signature), returns
+
+
+def _skip_numbered_field(
+    _app: Any, _what: str, _name: str, thing: Any, _skip: bool, _options: Any
+) -> bool | None:
+    """Skip the fields of a named tuple, of which Python says only their number: the class describes them."""
+    return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
 
 
 def setup(app: Any) -> None:
     """Register what differs from Sphinx's own ways."""
     app.connect("autodoc-process-docstring", _mend_docstring, priority=100)
     app.connect("autodoc-process-signature", _hide_constructor)
+    app.connect("autodoc-skip-member", _skip_numbered_field)
     for field in PyObject.doc_field_types:
         if field.name == "variable":
             field.label = "Attributes"

@@ -13,6 +13,7 @@ import pkgutil
 import re
 import shlex
 import shutil
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -175,6 +176,67 @@ def test_every_public_name_has_a_docstring():
         if not (part.__doc__ or "").strip()
     ]
     assert not undocumented
+
+
+def test_every_parameter_is_described():
+    undescribed = [
+        f"{name}{'.' if member else ''}{member}({parameter})"
+        for name, thing in public()
+        for member, part in [("", thing), *methods(thing)]
+        for parameter in set(parameters(part)) - described(part)
+    ]
+    assert not undescribed
+
+
+def parameters(part: Any) -> list[str]:
+    """Return what a docstring has to describe: a constructor's parameters, a result's fields, others from two on.
+
+    A single parameter is what the summary is about. Exceptions are made by the library alone.
+    """
+    part = getattr(part, "__func__", part)
+    if not callable(part) or (inspect.isclass(part) and issubclass(part, BaseException)):
+        return []
+    if inspect.isclass(part) and issubclass(part, tuple):
+        return list(part._fields)
+    names = [name for name in inspect.signature(part).parameters if name not in ("self", "cls")]
+    return names if inspect.isclass(part) or len(names) > 1 else []
+
+
+def described(part: Any) -> set[str]:
+    """Return the parameters and attributes that a docstring, or that of a base class, names."""
+    docs = [one.__doc__ or "" for one in (inspect.getmro(part) if inspect.isclass(part) else [part])]
+    entries = re.findall(
+        r"^([*\w]+(?:, [*\w]+)*)(?: : .*)?\n(?= )", "\n".join(map(inspect.cleandoc, docs)), re.MULTILINE
+    )
+    names = [name.strip(" *") for entry in entries for name in entry.split(",")]
+    return {*names, *re.findall(r"``(\w+)``", " ".join(docs))}
+
+
+def test_every_error_that_is_raised_is_described():
+    silent = [
+        f"{name}{'.' if member else ''}{member}"
+        for name, thing in public()
+        for member, part in [("", thing), *methods(thing)]
+        if raises(part) and "Raises\n" not in f"{part.__doc__}{thing.__doc__ if member else ''}"
+    ]
+    assert not silent
+
+
+def raises(part: Any) -> bool:
+    """Return whether a function, a property or a constructor raises by itself, not only through what it calls."""
+    part = vars(part).get("__init__") if inspect.isclass(part) else part
+    part = getattr(part, "fget", None) or getattr(part, "__func__", part)
+    if not inspect.isfunction(part) or not (source := source_of(part)):
+        return False
+    return any(isinstance(node, ast.Raise) for node in ast.walk(ast.parse(source)))
+
+
+def source_of(function: Any) -> str:
+    """Return a function's source; that of what a dataclass writes by itself is nowhere."""
+    try:
+        return textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        return ""
 
 
 def methods(thing: Any) -> list[tuple[str, Any]]:

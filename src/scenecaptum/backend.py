@@ -55,10 +55,15 @@ def activate(variant: str | None = None) -> ModuleType:
     Parameters
     ----------
     variant
-        A differentiable Mitsuba variant such as ``"llvm_ad_rgb"`` or ``"cuda_ad_rgb"``. If omitted, a
-        differentiable variant that is already active stays; otherwise it is ``cuda_ad_rgb`` where a trial
-        render on a CUDA device succeeds, else ``llvm_ad_rgb``. Scenes belong to the variant they were loaded
-        under, so load them again after a change.
+        A differentiable Mitsuba variant: ``"llvm_ad_rgb"`` or ``"cuda_ad_rgb"`` for a ``SceneRenderer``, which
+        renders in RGB. If omitted, a differentiable variant that is already active stays; otherwise it is
+        ``cuda_ad_rgb`` where a trial render on a CUDA device succeeds, else ``llvm_ad_rgb``. Scenes belong to the
+        variant they were loaded under, so load them again after a change.
+
+    Returns
+    -------
+    module
+        ``mitsuba``.
 
     Raises
     ------

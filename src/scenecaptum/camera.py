@@ -70,6 +70,11 @@ class Camera:
         principal_point_offset
             Where the optical axis meets the picture, as an offset from its centre: a fraction of the width to the
             right, and of the height downward.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         fov = _angle("fov_x", fov_x, below=180.0, of="perspective camera")
@@ -95,6 +100,11 @@ class Camera:
             The picture's size in pixels.
         fov
             Field of view across the image circle, in degrees, above 0 and at most 360.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         angle = _angle("fov", fov, below=math.nextafter(360.0, math.inf), of="fisheye")

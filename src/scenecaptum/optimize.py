@@ -29,7 +29,15 @@ SURE = 2.0  # standard errors that the goal must lie above the metric
 
 @dataclass(frozen=True)
 class Measured:
-    """The metric of a scene with its standard error, and the scene's picture, ``(H, W, 3)``."""
+    """What a scene measures.
+
+    Attributes
+    ----------
+    value, error
+        The metric and its standard error.
+    image
+        The scene's picture, ``(H, W, 3)`` linear radiance.
+    """
 
     value: float
     error: float
@@ -38,7 +46,17 @@ class Measured:
 
 @dataclass(frozen=True)
 class Moved:
-    """A parameter that was moved: what it was and is (a texture's mean), and which part of its range it went."""
+    """A parameter that was moved.
+
+    Attributes
+    ----------
+    name, label
+        Its name in the scene, and a readable one.
+    before, after
+        What it was and what it is; of a texture the mean over its texels.
+    fraction
+        The part of its range that it went, of a colour the channel that went farthest.
+    """
 
     name: str
     label: str
@@ -63,6 +81,8 @@ class Optimisation:
         The metric at each step, as noisy as the step's own render.
     below
         The goal.
+    metric
+        Its name.
     """
 
     values: Mapping[str, torch.Tensor]

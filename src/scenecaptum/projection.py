@@ -129,7 +129,22 @@ def shared_maximum(
 ) -> float:
     """Return the ``maximum`` for heatmaps that are to be compared: the largest of their own.
 
-    The other parameters are those of ``heatmap``. It is 0 where all attributions are.
+    Parameters
+    ----------
+    attributions
+        What the heatmaps paint, in the same unit.
+    parameter, texels, surfaces
+        As for ``heatmap``.
+
+    Returns
+    -------
+    float
+        0 where all attributions are.
+
+    Raises
+    ------
+    SceneCaptumError
+        As ``heatmap``.
     """
     return max(
         (_entries(one, _surfaces_of(one, surfaces), parameter, texels)[2] for one in attributions),

@@ -29,7 +29,19 @@ Tensors = Mapping[str, torch.Tensor]
 
 
 class Ranked(NamedTuple):
-    """One row of a ranking; ``total`` and ``total_error`` have one element per channel."""
+    """One row of a ranking.
+
+    Attributes
+    ----------
+    rank
+        From 1, the most salient.
+    name, label
+        The parameter's name in the scene, and a readable one.
+    saliency, saliency_error
+        Its magnitude and the standard error of that; errors are None where there were fewer than two passes.
+    total, total_error
+        The attribution, summed over texels, with one element per channel, and its standard errors.
+    """
 
     rank: int
     name: str
@@ -117,7 +129,10 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
 
     def saliency_error(self) -> dict[str, float] | None:
-        """Return the standard error of each saliency, from the covariance of the channels over the passes."""
+        """Return the standard error of each saliency, from the covariance of the channels over the passes.
+
+        It is None where there were fewer than two passes.
+        """
         if self.covariance is None:
             return None
         return {name: _norm_error(channel_totals(self[name]), self.covariance[name]) for name in self}
@@ -145,7 +160,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return tuple(self.covariance[name].diagonal().sqrt().tolist())
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-        """Return for each parameter the lower and upper ends of a confidence interval (Student's t).
+        """Return for each parameter the lower and upper ends of a confidence interval, of its shape (Student's t).
 
         Raises
         ------
@@ -169,6 +184,10 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
         There are too few passes, or one of them dominates the spread, as where a rare path is very bright: more
         samples help, or ``median_of_means``.
+
+        References
+        ----------
+        Grubbs, "Sample criteria for testing outlying observations", Annals of Mathematical Statistics 21(1), 1950.
         """
         from ._heavy_tails import untrusted_errors
 
@@ -187,6 +206,10 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         ------
         SceneCaptumError
             Where there are no error bars, or the result is of several scenes or rounds.
+
+        References
+        ----------
+        Nemirovsky and Yudin, "Problem Complexity and Method Efficiency in Optimization", 1983.
         """
         from ._heavy_tails import median_of_means
 
@@ -197,6 +220,11 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
         Two results of the same seed and samples share their noise, so the errors of their totals come from the
         pass-by-pass differences; otherwise, and for the texels of a texture, they are taken as independent.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where the parameters, or their shapes, differ.
         """
         if not isinstance(other, SceneAttribution):
             return NotImplemented
@@ -211,7 +239,13 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return subtract(self, other)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the ranking as a pandas DataFrame (needs pandas: ``pip install 'scenecaptum[frames]'``)."""
+        """Return the ranking as a pandas DataFrame with the columns of `Ranked`, indexed by rank.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where pandas is missing: ``pip install 'scenecaptum[frames]'``.
+        """
         try:
             import pandas
         except ImportError as error:
@@ -221,7 +255,13 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return pandas.DataFrame([row._asdict() for row in self.ranking()]).set_index("rank")
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write everything to one file (numpy's ``.npz``, no pickle), from which ``load`` restores it."""
+        """Write everything to one file (numpy's ``.npz``, no pickle), from which ``load`` restores it.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where the file cannot be written; what was there before is as it was.
+        """
         from ._storage import save
 
         save(self, path)
@@ -233,7 +273,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         Raises
         ------
         SceneCaptumError
-            Where the file is missing, truncated, or something else.
+            Where the file is missing, damaged, or something else.
         """
         from ._storage import load
 
@@ -242,7 +282,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     def heatmap(self, **options: Any) -> torch.Tensor:
         """Return an ``(H, W)`` tensor in [0, 1]: each pixel has the saliency of what it shows.
 
-        The options are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale``, ``decades``,
+        The ``options`` are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale``, ``decades``,
         ``maximum``, ``texels``, ``surfaces``.
         """
         from ..projection import heatmap
@@ -250,25 +290,31 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return heatmap(self, **options)
 
     def plot_heatmap(self, ax: Axes | None = None, **options: Any) -> Figure:
-        """Draw the heatmap beside the render; the options are those of ``visualization.plot_heatmap``."""
+        """Draw the heatmap and the render, with the ``ax`` and ``options`` of ``visualization.plot_heatmap``."""
         from ..visualization import plot_heatmap
 
         return plot_heatmap(self, ax, **options)
 
     def plot_overlay(self, ax: Axes | None = None, **options: Any) -> Figure:
-        """Draw the heatmap over the render; the options are those of ``visualization.plot_overlay``."""
+        """Draw the heatmap over the render, with the ``ax`` and ``options`` of ``visualization.plot_overlay``."""
         from ..visualization import plot_overlay
 
         return plot_overlay(self, ax, **options)
 
     def plot_bars(self, top: int | None = 15, ax: Axes | None = None) -> Figure:
-        """Draw the ranking as bars with their standard errors."""
+        """Draw the ranking as bars with their standard errors: the ``top`` first, or all, into ``ax`` if given."""
         from ..visualization import plot_bars
 
         return plot_bars(self, top=top, ax=ax)
 
     def report(self, path: str | os.PathLike[str], *others: SceneAttribution) -> None:
-        """Write this result, and others beside it, as one HTML file to explore in a browser."""
+        """Write this result, and ``others`` beside it, to ``path`` as one HTML file to explore in a browser.
+
+        Raises
+        ------
+        SceneCaptumError
+            As ``visualization.write_report``.
+        """
         from ..visualization import write_report
 
         write_report([self, *others], path)

@@ -55,7 +55,23 @@ class InputXGradientScene(GradientMethod):
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
-        """Attribute the metric to each input; parameters, result and errors as ``VanillaSceneGradient``'s."""
+        """Attribute the metric to each input.
+
+        Parameters
+        ----------
+        inputs, target, groups, seed, spp, replicates, tolerance, share, top, time_limit, checkpoint, show_progress
+            As for ``VanillaSceneGradient``.
+
+        Returns
+        -------
+        SceneAttribution
+            Signed products in the metric's unit, with standard errors; a list of them for a list of targets.
+
+        Raises
+        ------
+        SceneCaptumError, AttributionInterrupted
+            As ``VanillaSceneGradient``.
+        """
         run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
         goal = Goal(tolerance, share, top, time_limit)
         return reach(run, Point(run.values, factors=run.values), goal, spp, quantity="input × gradient")

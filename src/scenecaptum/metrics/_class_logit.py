@@ -44,6 +44,7 @@ class ClassLogit(torch.nn.Module):
     ------
     SceneCaptumError
         Where the target is not one of the classes, or the model returns something other than ``(1, classes)``.
+        From ``forward``, where radiance is negative or not finite.
 
     Notes
     -----
@@ -98,7 +99,7 @@ class ClassLogit(torch.nn.Module):
         return cls(model, target, chosen.transforms(), exposure=exposure, classes=classes)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the logit, a 0-d tensor, or without a target all of them, ``(classes,)``."""
+        """Return the logit of an ``(H, W, 3)`` image, a 0-d tensor, or without a target all, ``(classes,)``."""
         logits = run_frozen(self.model, self.transform(srgb_picture(image, self.exposure)))
         if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != 1:
             raise SceneCaptumError(_not_logits(self.model, logits))

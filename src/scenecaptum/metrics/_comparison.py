@@ -21,6 +21,11 @@ class MeanSquaredError(torch.nn.Module):
     reference
         ``(H, W, 3)`` linear radiance.
 
+    Raises
+    ------
+    SceneCaptumError
+        Where the reference is no finite image or, from ``forward``, the image has another size.
+
     Notes
     -----
     The unit is that of radiance, squared, and bright pixels weigh most. The noise of a render adds its own
@@ -34,7 +39,7 @@ class MeanSquaredError(torch.nn.Module):
         self.register_buffer("reference", check_reference(reference))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the error, a 0-d tensor; 0 where the images are the same."""
+        """Return the error of an ``(H, W, 3)`` image, a 0-d tensor; 0 where the images are the same."""
         check_same_shape(image, self.reference)
         return (image - self.reference.to(image)).square().mean()
 
@@ -64,6 +69,12 @@ class StructuralSimilarity(torch.nn.Module):
     window
         Width of the window in pixels, odd.
 
+    Raises
+    ------
+    SceneCaptumError
+        Where a setting does not fit the reference or, from ``forward``, the image has another size or values that
+        are negative or not finite.
+
     References
     ----------
     Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity", 2004; computed by
@@ -86,7 +97,7 @@ class StructuralSimilarity(torch.nn.Module):
         self.register_buffer("reference", check_reference(reference))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the similarity, a 0-d tensor in [−1, 1]."""
+        """Return the similarity of an ``(H, W, 3)`` image, a 0-d tensor in [−1, 1]."""
         from kornia.metrics import ssim
 
         check_same_shape(image, self.reference)

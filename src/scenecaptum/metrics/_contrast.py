@@ -25,6 +25,11 @@ class ContrastRatio(torch.nn.Module):
         Half-width, in percentile points, of the band over which each is averaged (see `LuminancePercentile`).
     floor
         Luminance below which the dark side counts as this much, so that a black picture has a finite ratio.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the settings do not fit or, from ``forward``, a value of the image is negative or not finite.
     """
 
     def __init__(
@@ -39,7 +44,7 @@ class ContrastRatio(torch.nn.Module):
             raise SceneCaptumError(f"floor must be a positive luminance, not {floor!r}.")
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the ratio, a 0-d tensor without a unit."""
+        """Return the ratio of an ``(H, W, 3)`` image, a 0-d tensor without a unit."""
         values = photopic(image, 1.0).flatten()
         bright = banded_percentile(values, self.high, self.width)
         dark = banded_percentile(values, self.low, self.width)

@@ -62,6 +62,11 @@ class GlareRating(torch.nn.Module):
     task
         ``(H, W)`` bool, the task zone: with it ``threshold_factor`` multiplies the mean luminance of this zone
         (evalglare's ``-t``).
+
+    Raises
+    ------
+    SceneCaptumError
+        Where a setting is unknown or out of range, or the task zone does not fit the camera.
     """
 
     task: torch.Tensor | None
@@ -107,7 +112,7 @@ class GlareRating(torch.nn.Module):
         return like_input(self._rate(values, self._find(values)), image)
 
     def sources(self, image: torch.Tensor) -> list[GlareSource]:
-        """Return a picture's sources, the brightest first, with position, luminance, solid angle and index."""
+        """Return the sources of an ``(H, W, 3)`` picture, the brightest first; errors as those of ``forward``."""
         values = photopic(image.detach(), self.efficacy, self.camera)
         found = self._find(values)
         return [] if found is None else describe(found, self.view)
@@ -126,7 +131,7 @@ class GlareRating(torch.nn.Module):
         return like_input(painted, image)
 
     def held_at(self, image: torch.Tensor) -> GlareRating:
-        """Return the same rating with the threshold that it has for a picture, whatever it is shown.
+        """Return the same rating with the threshold that it has for a picture ``(H, W, 3)``, whatever it sees.
 
         That is the function whose derivative a rating with ``threshold_factor`` has.
         """

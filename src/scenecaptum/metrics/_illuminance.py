@@ -23,9 +23,15 @@ class VerticalIlluminance(torch.nn.Module):
     efficacy
         Luminous efficacy in lm/W: with 179, as in Radiance, radiance gives lux.
 
+    Raises
+    ------
+    SceneCaptumError
+        From ``forward``, where a value is negative or not finite, or the image has another size than the camera.
+
     Notes
     -----
-    L is the luminance of a pixel, ω its solid angle and θ its angle from the line of sight.
+    L is the luminance of a pixel, ω its solid angle and θ its angle from the line of sight: the definition of
+    illuminance (CIE S 017), on a plane that faces the line of sight.
     """
 
     projected: torch.Tensor
@@ -36,7 +42,7 @@ class VerticalIlluminance(torch.nn.Module):
         self.register_buffer("projected", projected_solid_angles(camera), persistent=False)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the illuminance, a 0-d tensor."""
+        """Return the illuminance that an ``(H, W, 3)`` image of linear radiance gives, a 0-d tensor."""
         values = photopic(image, self.efficacy, self.camera)
         return like_input((self.projected.to(values) * values).sum(), image)
 

@@ -19,7 +19,16 @@ def luminance(image: torch.Tensor) -> torch.Tensor:
     Returns
     -------
     Tensor
-        ``(H, W)``.
+        ``(H, W)``, in the image's unit.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the image has another shape.
+
+    References
+    ----------
+    Recommendation ITU-R BT.709: the weights 0.2127, 0.7152 and 0.0722, as kornia has them.
     """
     from kornia.color import rgb_to_xyz
 
@@ -42,9 +51,14 @@ class MeanLuminance(torch.nn.Module):
     mask
         ``(H, W)``, the pixels that count (bool, or weights that are not negative); all of them by default.
 
+    Raises
+    ------
+    SceneCaptumError
+        Where the mask selects nothing or, from ``forward``, has another size than the image.
+
     Notes
     -----
-    Weights of Rec. ITU-R BT.709 (the Y row of kornia's ``rgb_to_xyz``).
+    The weights are those of `luminance`.
     """
 
     mask: torch.Tensor | None
@@ -57,7 +71,7 @@ class MeanLuminance(torch.nn.Module):
         self.register_buffer("mask", mask)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the mean, a 0-d tensor, in the image's unit times ``efficacy``."""
+        """Return the mean over an ``(H, W, 3)`` image, a 0-d tensor, in the image's unit times ``efficacy``."""
         y = luminance(image)
         if self.mask is None:
             return self.efficacy * y.mean()

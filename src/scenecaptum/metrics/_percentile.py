@@ -30,6 +30,11 @@ class LuminancePercentile(torch.nn.Module):
         Half-width of the band, in percentile points; what sticks out beyond 0 or 100 is cut off.
     efficacy
         Luminous efficacy in lm/W: 1 gives the relative luminance of the render, 179 gives cd/m² as in Radiance.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where a percentage is none or, from ``forward``, a value of the image is negative or not finite.
     """
 
     def __init__(self, percentile: float = 95.0, *, width: float = 1.0, efficacy: float = 1.0) -> None:
@@ -39,7 +44,7 @@ class LuminancePercentile(torch.nn.Module):
         self.efficacy = efficacy
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the percentile, a 0-d tensor, in the image's unit times ``efficacy``."""
+        """Return the percentile of an ``(H, W, 3)`` image, a 0-d tensor, in its unit times ``efficacy``."""
         values = photopic(image, self.efficacy).flatten()
         return like_input(banded_percentile(values, self.percentile, self.width), image)
 

@@ -46,6 +46,12 @@ class PerceptualDistance(torch.nn.Module):
     exposure
         What radiance is multiplied by before it is clipped at white and encoded as sRGB.
 
+    Raises
+    ------
+    SceneCaptumError
+        Where the backbone has no such layer or, when it is called, returns no features, or the image has another
+        size than the reference or values that are negative or not finite.
+
     References
     ----------
     Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", 2018 (LPIPS). Its
@@ -73,7 +79,7 @@ class PerceptualDistance(torch.nn.Module):
         self.register_buffer("reference", check_reference(reference))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the distance, a 0-d tensor."""
+        """Return the distance of an ``(H, W, 3)`` image, a 0-d tensor without a unit."""
         check_same_shape(image, self.reference)
         with torch.no_grad():
             expected = self.features(self.reference.to(image))

@@ -33,6 +33,11 @@ class ResizeCropNormalize(torch.nn.Module):
         Per channel, of an sRGB picture in [0, 1].
     interpolation
         ``"bilinear"`` or ``"bicubic"``, as the network's model card says.
+
+    Raises
+    ------
+    SceneCaptumError
+        Where the interpolation is unknown, or the square to be cut is larger than the picture.
     """
 
     mean: torch.Tensor

@@ -71,7 +71,7 @@ class RenderPlan:
         return plan_html(self)
 
     def create_integrator(self, *, hide_emitters: bool | None = None) -> Any:
-        """Instantiate the Mitsuba integrator; whether the camera sees lights may be set otherwise."""
+        """Return a Mitsuba integrator as planned; ``hide_emitters`` may be set otherwise."""
         return activate().load_dict(
             {
                 "type": self.integrator,

@@ -77,6 +77,12 @@ class SceneRenderer(torch.nn.Module):
         Which integrator, depth and derivatives were chosen, and why.
     resolution : tuple of int
         ``(width, height)``.
+    spp : int
+        Samples per pixel of a render, where ``spp=`` does not say otherwise.
+    name : str
+        What the scene is called in results.
+    checkpoint : Checkpoint or None
+        The folder of ``with_checkpoint``; its ``reused`` and ``rendered`` count passes.
 
     Raises
     ------
@@ -235,7 +241,12 @@ class SceneRenderer(torch.nn.Module):
         return predict(*self._sizes(spp, pictures))
 
     def require_memory(self, *, spp: int | None = None, pictures: int = 1) -> None:
-        """Raise where that is more than is available, with settings that would fit.
+        """Raise where ``memory`` is more than is available, with settings that would fit.
+
+        Parameters
+        ----------
+        spp, pictures
+            As for ``memory``.
 
         Raises
         ------
@@ -331,7 +342,13 @@ class SceneRenderer(torch.nn.Module):
 
     @property
     def camera(self) -> Camera:
-        """Where each pixel looks and how large it is: directions and solid angles. Of several, see ``cameras``."""
+        """Where each pixel looks and how large it is: directions and solid angles.
+
+        Raises
+        ------
+        SceneCaptumError
+            For a list of sensors, whose cameras are ``cameras``.
+        """
         if self._stacked:
             raise SceneCaptumError(
                 f"This renderer has a list of {len(self._sensors)} sensors: renderer.cameras lists their cameras."

@@ -88,7 +88,13 @@ class Parameter:
 
 
 class SceneParameters(Mapping[str, Parameter]):
-    """The parameters of a scene by name, in the scene's order; prints as a table."""
+    """The parameters of a scene by name, in the scene's order; prints as a table.
+
+    Parameters
+    ----------
+    parameters
+        What to list, each with a name of its own.
+    """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._by_name = {parameter.name: parameter for parameter in parameters}
@@ -184,12 +190,20 @@ _DROPPED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data"
 
 
 def discover(graph: SceneGraph) -> SceneParameters:
-    """Describe every parameter that ``mi.traverse`` finds in the scene.
+    """Return every parameter that ``mi.traverse`` finds in a scene, described.
+
+    It is what ``SceneRenderer.parameters_table`` returns.
 
     Example
     -------
-    >>> discover(SceneGraph(load_scene("office")))["desk.brdf_0.base_color.value"].kind  # doctest: +SKIP
+    >>> from scenecaptum.scene import load_scene
+    >>> discover(SceneGraph(load_scene("office")))["desk.base_color.value"].kind
     'reflectance'
+
+    Parameters
+    ----------
+    graph
+        The objects of a loaded scene and what refers to what.
     """
     mi = activate()
     # Writing is none of its business, but reading through mi.traverse is what fixes the names.

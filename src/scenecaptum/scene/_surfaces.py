@@ -19,6 +19,11 @@ class TexelMap:
     for an environment map. What it makes of the gradients of texels is a gradient per unit of texture: a texture
     with the same gradient at every texel has at every pixel their sum, which is what a plain colour in its place
     would have.
+
+    Attributes
+    ----------
+    entry, texel, weight
+        ``(K,)`` arrays of int32, int32 and float32.
     """
 
     entry: NDArray[np.int32]
@@ -28,7 +33,12 @@ class TexelMap:
     def density(self, gradient: NDArray[np.float32], entries: int) -> NDArray[np.float64]:
         """Return the gradient per unit of texture that each entry shows, ``(entries, C)``.
 
-        ``gradient`` is that of the texels, ``(H, W, C)``, or of vertices or faces, ``(N, C)``.
+        Parameters
+        ----------
+        gradient
+            That of the texels, ``(H, W, C)``, or of vertices or faces, ``(N, C)``.
+        entries
+            How many entries the ``SurfaceMap`` has.
         """
         texels = gradient.reshape(-1, gradient.shape[-1])
         columns = [

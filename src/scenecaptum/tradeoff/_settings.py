@@ -50,7 +50,7 @@ class Setting:
         return math.inf if self.max_depth == -1 else self.max_depth or 0
 
     def changed(self, key: str, value: Any) -> Setting:
-        """Return the setting with another value; ``"spp"`` is that of primal and gradient."""
+        """Return the setting with another ``value`` of ``key``; ``"spp"`` is that of primal and gradient."""
         if key == "spp":
             return dataclasses.replace(self, primal_spp=value, gradient_spp=value)
         return dataclasses.replace(self, **{key: value})

@@ -39,6 +39,8 @@ class Ablated:
 
     Attributes
     ----------
+    name, label
+        The parameter's name in the scene, and a readable one.
     predicted, predicted_error
         The saliency ``‖g‖``: how much the metric should rise per unit of a step along the gradient.
     measured, measured_error
@@ -86,7 +88,15 @@ class Ablated:
 
 @dataclass(frozen=True, repr=False)
 class AblationTest:
-    """The parameters by falling saliency, each with what moving it does; prints as a table."""
+    """The parameters by falling saliency, each with what moving it does; prints as a table.
+
+    Attributes
+    ----------
+    rows
+        One for each parameter.
+    metric
+        What was attributed.
+    """
 
     rows: tuple[Ablated, ...]
     metric: str
@@ -184,6 +194,11 @@ def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
         with the same arguments.
     show_progress
         Whether to show a progress bar.
+
+    Returns
+    -------
+    AblationTest
+        A row for each parameter with saliency; its ``is_confirmed`` and ``verdict`` judge them.
 
     Raises
     ------

@@ -162,6 +162,11 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
         A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
         with the same arguments.
 
+    Returns
+    -------
+    DeletionInsertion
+        Both curves and those of the random orders, in the metric's unit.
+
     Raises
     ------
     SceneCaptumError

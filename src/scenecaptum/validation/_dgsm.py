@@ -32,6 +32,8 @@ class GlobalDerivative:
 
     Attributes
     ----------
+    name, label
+        The parameter's name in the scene, and a readable one.
     low, high
         The interval over which the parameter was varied, in its unit.
     nu, nu_error
@@ -57,12 +59,18 @@ class DGSM:
 
     Attributes
     ----------
+    rows
+        One for each parameter.
+    metric
+        What was differentiated.
     variance, variance_error
         The metric's variance over the intervals.
     points
         How many scenes.
     renders
         Renders and backward passes in all, each counted by its samples: 1 for as many as ``spp``.
+    seconds
+        How long that took.
     """
 
     rows: tuple[GlobalDerivative, ...]

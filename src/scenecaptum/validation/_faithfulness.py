@@ -138,6 +138,11 @@ def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
         A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
         with the same arguments.
 
+    Returns
+    -------
+    Infidelity
+        Its ``value`` is in the metric's unit, squared; ``missed`` is that part of what there was to predict.
+
     Raises
     ------
     SceneCaptumError
@@ -286,6 +291,11 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
     checkpoint
         A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
         with the same arguments.
+
+    Returns
+    -------
+    SensitivityN
+        A correlation, with its error, for each size.
 
     Raises
     ------

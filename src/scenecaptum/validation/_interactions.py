@@ -173,6 +173,12 @@ def interactions(  # noqa: PLR0913 -- those of every long job, and its own
         A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
         with the same arguments.
 
+    Returns
+    -------
+    Interactions
+        The matrix ``(P, P)`` in the metric's unit per unit of both parameters, or in the metric's unit for
+        ``scale="range"``, with errors and a test of its symmetry.
+
     Raises
     ------
     SceneCaptumError

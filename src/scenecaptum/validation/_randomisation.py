@@ -147,6 +147,11 @@ def randomisation_check(  # noqa: PLR0913 -- those of every long job, and its ow
         A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
         with the same arguments.
 
+    Returns
+    -------
+    RandomisationCheck
+        Rank correlations with the attribution of the network itself; ``verdict`` judges them.
+
     Raises
     ------
     SceneCaptumError

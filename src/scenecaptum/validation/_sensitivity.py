@@ -41,6 +41,8 @@ class SensitivityIndex:
 
     Attributes
     ----------
+    method
+        Its name.
     values, errors
         By parameter name, with standard errors.
     renders
@@ -86,6 +88,8 @@ class SensitivityComparison:
         ``μ*``, Morris's mean absolute elementary effect, as the change over the interval.
     sobol
         The total Sobol index.
+    metric
+        What was measured.
     """
 
     parameters: tuple[Scalar, ...]

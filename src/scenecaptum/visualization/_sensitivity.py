@@ -26,7 +26,7 @@ _AXIS_WORDS = {
 
 
 def dgsm_text(found: DGSM, top: int | None = 40) -> str:
-    """Write the table for a terminal: interval, mean squared derivative and bound of each parameter."""
+    """Write ``found`` for a terminal: interval, mean squared derivative and bound of the ``top`` first or all."""
     rows = found.rows[:top]
     names = shorten([row.label for row in rows], _NAME_WIDTH)
     table = [
@@ -48,7 +48,7 @@ def dgsm_text(found: DGSM, top: int | None = 40) -> str:
 
 
 def sensitivity_text(found: SensitivityComparison, top: int | None = 40) -> str:
-    """Write the table for a terminal: what each method says, and below it what that took."""
+    """Write ``found`` for a terminal: what each method says of the ``top`` first or all, and what that took."""
     shown = found.parameters[:top]
     names = [one.name for one in shown]
     hidden = len(found.parameters) - len(shown)

@@ -31,7 +31,7 @@ _NOTE_WIDTH = 96
 
 
 def tradeoff_text(trade: Tradeoff, tolerance: float) -> str:
-    """Write the table for a terminal, with the reference and the advice below it."""
+    """Write ``trade`` for a terminal, with the reference and the advice for ``tolerance`` below it."""
     front = trade.front
     cells = [
         (
@@ -76,7 +76,7 @@ def reference_words(trade: Tradeoff) -> str:
 
 
 def recommendation_text(trade: Tradeoff, tolerance: float) -> str:
-    """Return one line: what to use for a relative error, or what keeps it out of reach."""
+    """Return one line from ``trade``: what to use for a relative error of ``tolerance``, or what is in the way."""
     best = trade.cheapest(tolerance)
     if best is not None:
         return (
