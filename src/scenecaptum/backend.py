@@ -99,13 +99,13 @@ def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
     Parameters
     ----------
     variant
-        The variant; by default the active one if it is differentiable, else that of ``default_variant()``.
+        The variant; by default the active one if it renders RGB with derivatives, else ``default_variant()``.
     """
     global _depth  # noqa: PLW0603 -- like the lock that guards it
     _refuse_after_fork()  # before the lock: a thread that the fork has left behind may hold it
     with _LOCK:
         callers = _active_variant()
-        if variant is None and callers is not None and "_ad_" not in callers:
+        if variant is None and callers is not None and not callers.endswith("_ad_rgb"):
             variant = default_variant()
         mi = activate(variant)
         _depth += 1

@@ -244,6 +244,19 @@ def test_a_scene_of_a_variant_without_derivatives_is_refused_by_name(scalar: Any
     assert scalar.variant() == "scalar_rgb"
 
 
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"])
+def test_other_colours_than_rgb_are_set_aside_or_refused(mi: Any, variant: str, expected: list[Any]) -> None:
+    before = mi.variant()
+    mi.set_variant(variant)
+    try:
+        assert_same(attribution_of(0), expected[0])
+        with pytest.raises(SceneCaptumError, match=f"loaded under {variant}"):
+            SceneRenderer(mi.load_dict(mi.cornell_box()))
+        assert mi.variant() == variant
+    finally:
+        mi.set_variant(before)
+
+
 # --- The user's own rendering ---------------------------------------------------------------------
 
 

@@ -667,7 +667,13 @@ def _look(maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMa
 
 def _variant_of(scene: SceneLike) -> str | None:
     """Return the variant that a scene object was made under; what is yet to be loaded has none."""
-    return scene.variant_name() if hasattr(scene, "variant_name") else None
+    variant: str | None = scene.variant_name() if hasattr(scene, "variant_name") else None
+    if variant is not None and not variant.endswith("_rgb"):
+        raise SceneCaptumError(
+            f"The mi.Scene was loaded under {variant}, and only RGB is rendered here. Load it after "
+            "scenecaptum.activate('llvm_ad_rgb'), or hand in its file or dict."
+        )
+    return variant
 
 
 def _seed_of_camera(seed: int, number: int) -> int:
