@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test test-long lint docs clean
+.PHONY: help demo test test-long lint docs notebooks clean
 
 help:
 	@echo "make demo       render a small scene, attribute a metric to it, write figures to out/"
@@ -12,6 +12,7 @@ help:
 	@echo "make test-long  the tests that take minutes, with the counts they print"
 	@echo "make lint       ruff and mypy"
 	@echo "make docs       the documentation as HTML in docs/_build/; a warning is an error"
+	@echo "make notebooks  run the notebooks in examples/notebooks/ and keep their outputs; takes minutes"
 	@echo "make clean      remove outputs and caches (not .venv)"
 	@echo
 	@echo "PYTHON=python3.12 chooses the Python that .venv is made with (3.10 or newer)."
@@ -33,6 +34,9 @@ lint: .venv/.test
 docs: .venv/.docs
 	rm -rf docs/generated
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build
+
+notebooks: .venv/.test .venv/.llvm
+	$(BIN)/python examples/notebooks/run.py
 
 clean:
 	rm -rf out docs/_build docs/generated build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info
