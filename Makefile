@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test test-long lint docs package clean
+.PHONY: help demo test test-long lint docs notebooks package clean
 
 help:
 	@echo "make demo       render a small scene, attribute a metric to it, write figures to out/"
@@ -13,6 +13,7 @@ help:
 	@echo "make lint       ruff and mypy"
 	@echo "make docs       the documentation as HTML in docs/_build/; a warning is an error"
 	@echo "make package    build wheel and sdist, install them elsewhere, and run the demo there"
+	@echo "make notebooks  run the notebooks in examples/notebooks/ and keep their outputs; takes minutes"
 	@echo "make clean      remove outputs and caches (not .venv)"
 	@echo
 	@echo "PYTHON=python3.12 chooses the Python that .venv is made with (3.10 or newer)."
@@ -37,6 +38,9 @@ docs: .venv/.docs
 
 package:
 	PYTHON=$(PYTHON) scripts/check-package
+
+notebooks: .venv/.test .venv/.llvm
+	$(BIN)/python examples/notebooks/run.py
 
 clean:
 	rm -rf out docs/_build docs/generated build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info

@@ -132,7 +132,7 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_scripts_that_pages_name_exist(page):
-    for path in re.findall(r"(?:benchmarks|examples|scripts)/[\w/-]+(?:\.py)?", page.read_text()):
+    for path in re.findall(r"(?:benchmarks|examples|scripts)/[\w/-]+(?:\.(?:py|ipynb))?", page.read_text()):
         assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 

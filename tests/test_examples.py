@@ -51,3 +51,17 @@ def test_a_network_looks_at_the_chair(mi: Any, torchvision: Any, tmp_path: Path)
     found = load("chair_logit").main(tmp_path / "new", (32, 32), 8, random=True)
     assert found.metric_value != 0
     assert (tmp_path / "new" / "chair.png").is_file()
+
+
+def test_metrics_rank_parameters_each_in_its_own_way(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    correlations = load("specificity").main(tmp_path / "new", SIZE, 32)
+    with_itself = [value for (one, other), value in correlations.items() if one == other]
+    with_another = [value for (one, other), value in correlations.items() if one != other]
+    # What noise may cost is far less than what the metrics differ in.
+    assert min(with_itself) > 0.8, correlations
+    assert max(with_another) < 0.5, correlations
+    assert correlations["UGR", "mean luminance"] == correlations["mean luminance", "UGR"]
+    assert (tmp_path / "new" / "specificity.png").is_file()
+    assert "desk's contrast" in capsys.readouterr().out

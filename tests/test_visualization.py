@@ -265,6 +265,9 @@ def test_heatmap_names_what_matters_out_of_sight() -> None:
     first = dataclasses.replace(seen, attributions={**weak, "third": torch.tensor(0.2)}, covariance=None)
     shown = dataclasses.replace(first.surfaces, parameters=(("lamp", "third"), ("two_minds",), ()))
     assert "not in the picture" not in all_text(plot_heatmap(dataclasses.replace(first, surfaces=shown)))
+    # A group is in the picture where one of its members is.
+    grouped = make(groups={"lamp": ["bulb", "rough"], "two_minds": ["elsewhere"]})
+    assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))
 
 
 def test_heatmap_needs_to_know_what_pixels_show() -> None:

@@ -31,6 +31,7 @@ ORDERED = 0.95  # Kendall's τ
 
 # The step of Beresna and Fiume: so much of the gradient itself.
 FIXED = 0.01
+SHORT = 0.99  # of the way to a bound, which itself may be unphysical
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class Ablated:
     degrees_of_freedom
         Of the errors.
     fixed, fixed_error
-        How much it rises per unit on a step of one hundredth of the gradient, down it and at most to the bound, as
-        in the paper, bending included; None where the bound leaves no room.
+        How much it rises per unit on a step of one hundredth of the gradient, down it and short of the bound, as in
+        the paper, bending included; None where the bound leaves no room.
     """
 
     name: str
@@ -289,7 +290,7 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         if abs(bending) - 2 * bending_error <= BENT * abs(measured):
             break
         step /= SHORTER
-    length = min(FIXED * row.saliency, _rooms(value, -way.direction, low, high).min().item())
+    length = min(FIXED * row.saliency, SHORT * _rooms(value, -way.direction, low, high).min().item())
     fixed, fixed_error = mean_and_error(slope_on(-length)) if length > 0 else (None, None)
     return Ablated(
         name=row.name,

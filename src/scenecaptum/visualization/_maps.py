@@ -274,13 +274,14 @@ def _panels(
 
 
 def _caption(attribution: SceneAttribution) -> str:
-    """Name the strongest parameter that no pixel shows, if it is one of the three most salient."""
+    """Name the strongest parameter or group that no pixel shows, if it is one of the three most salient."""
     surfaces = attribution.surfaces
     if surfaces is None:
         return ""
     seen = {name for index in set(surfaces.object_index.tolist()) for name in surfaces.parameters[index]}
+    groups = attribution.info.get("groups") or {}
     for row in attribution.ranking(3):
-        if row.name not in seen and row.saliency > 0:
+        if seen.isdisjoint(groups.get(row.name, [row.name])) and row.saliency > 0:
             saliency = " ± ".join(filter(None, with_error(row.saliency, row.saliency_error)))
             label = shorten([row.label], 60)[0]
             return f"not in the picture: {label}, #{row.rank} with a saliency of {saliency}"

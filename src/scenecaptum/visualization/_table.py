@@ -91,17 +91,17 @@ def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
     )
 
 
-# Notebooks bring styles of their own for tables; these are specific enough to win over them.
+# Notebooks bring styles of their own for tables; with the class named twice these are specific enough to win.
 STYLE = """<style>
 .scenecaptum { color: inherit; font-size: 0.9em; }
 .scenecaptum table { border-collapse: collapse; border: none; margin: 0.5em 0; width: auto; display: table; }
-.scenecaptum table tr { background: transparent; border: none; }
-.scenecaptum table th, .scenecaptum table td {
+.scenecaptum.scenecaptum table tr { background: transparent; border: none; }
+.scenecaptum.scenecaptum table th, .scenecaptum.scenecaptum table td {
   color: inherit; background: transparent; border: none; padding: 0.1em 0.7em; text-align: left;
   white-space: pre; border-bottom: 1px solid rgba(128, 128, 128, 0.25); }
-.scenecaptum table th { font-weight: 600; border-bottom: 1px solid rgba(128, 128, 128, 0.8); }
-.scenecaptum td.number { font-family: ui-monospace, Menlo, Consolas, monospace; }
-.scenecaptum td.rank { text-align: right; opacity: 0.7; }
+.scenecaptum.scenecaptum table th { font-weight: 600; border-bottom: 1px solid rgba(128, 128, 128, 0.8); }
+.scenecaptum.scenecaptum td.number { font-family: ui-monospace, Menlo, Consolas, monospace; }
+.scenecaptum.scenecaptum td.rank { text-align: right; opacity: 0.7; }
 .scenecaptum .notes { opacity: 0.75; font-size: 0.9em; max-width: 60em; }
 </style>"""
 

@@ -1,0 +1,64 @@
+"""How specific saliency is to its metric: brightness, glare and contrast of the office, from one set of settings.
+
+All three are measured on the same renders, so that what their rankings differ in is due to the metrics. Prints
+the rank correlation (Spearman's) of what raising each parameter does to either of two metrics; on the diagonal,
+that of a metric with itself under another seed, which is the most that noise allows. Draws the rankings as bars,
+and the maps below them.
+
+    python examples/specificity.py [--out out/specificity] [--resolution 160x90] [--spp 128]
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from _options import parser
+from own_metric import WeberContrast
+
+from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.visualization import plot_specificity
+
+
+def rank_correlation(a: SceneAttribution, b: SceneAttribution) -> float:
+    """Return Spearman's correlation of the signed attributions, channels and texels added up."""
+    totals = torch.tensor([[one[name].sum() for name in a] for one in (a, b)])
+    return torch.corrcoef(totals.argsort().argsort().float())[0, 1].item()
+
+
+def main(
+    folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 128
+) -> dict[tuple[str, str], float]:
+    renderer = SceneRenderer(
+        "office", ["reflectance", "emitters"], resolution=resolution, spp=spp, max_depth=6
+    )
+    desk = torch.from_numpy(renderer.surfaces.shown(["desk.base_color.value"]))
+    chosen = {
+        "mean luminance": metrics.MeanLuminance(),
+        "UGR": metrics.UnifiedGlareRating(renderer.camera),
+        "desk's contrast": WeberContrast(desk),
+    }
+    found, again = (
+        {
+            name: VanillaSceneGradient(renderer, metric).attribute(scale="range", seed=seed)
+            for name, metric in chosen.items()
+        }
+        for seed in (0, 1)
+    )
+    correlations = {
+        (one, other): rank_correlation(found[one], (again if one == other else found)[other])
+        for one in chosen
+        for other in chosen
+    }
+    print(" " * 16 + "".join(f"{name:>17s}" for name in chosen))
+    for one in chosen:
+        print(f"{one:16s}" + "".join(f"{correlations[one, other]:17.2f}" for other in chosen))
+    folder.mkdir(parents=True, exist_ok=True)
+    plot_specificity(list(found.values()), signed=True).savefig(folder / "specificity.png")
+    print(f"\n{folder / 'specificity.png'}  what each metric depends on")
+    return correlations
+
+
+if __name__ == "__main__":
+    options = parser(__doc__, resolution="160x90", spp=128, out="out/specificity").parse_args()
+    main(options.out, options.resolution, options.spp)
