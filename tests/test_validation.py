@@ -138,6 +138,9 @@ def test_the_fixed_step_of_the_paper_is_measured_too():
         assert rows[name].fixed == pytest.approx(fall.item() / step, rel=1e-2), name
     # "d" is at its lower bound, and rises.
     assert rows["d"].fixed is None
+    assert "on a step of 0.01 of the gradient" in {
+        text.get_text() for text in test.plot().axes[0].get_legend().get_texts()
+    }
 
 
 def test_no_step_reaches_a_bound():
@@ -152,9 +155,6 @@ def test_no_step_reaches_a_bound():
     near.inputs["a"] = torch.tensor(0.001)  # nearer than a hundredth of its gradient
     rows = {row.name: row for row in ablation_test(near, lambda image: 100 * image.mean()).rows}
     assert rows["a"].fixed is not None
-    assert "on a step of 0.01 of the gradient" in {
-        text.get_text() for text in test.plot().axes[0].get_legend().get_texts()
-    }
 
 
 class Textured(Curved):
