@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -16,6 +17,8 @@ from scenecaptum.tradeoff._statistics import spearman
 from scenecaptum.validation import ablation_test
 from scenecaptum.visualization import plot_specificity
 
+LEADERS = 5  # materials that matter most
+
 
 def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
     """Draw three metrics of one picture, bars above maps, and compare their rankings."""
@@ -24,7 +27,7 @@ def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
         "UGR isolates localised reflective surfaces and lights, mean luminance large areas; the maps of metrics "
         "differ, so that they are no generic map of the scene. A network's logit can be attributed alike.",
     )
-    rows, shares = [], []
+    firsts, compared = [], []
     for name in rooms:
         room = load(name, "materials", size.width, size.spp, resnet=size.resnet)
         found = attribute(room)
@@ -34,34 +37,34 @@ def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
             plot_specificity(list(found.values()), top=size.top),
             f"{name}: three metrics, their rankings above their maps",
         )
-        areas = {metric: area_of_leaders(room, one) for metric, one in found.items()}
-        shares.append(areas["mean luminance"] - areas["UGR"])
-        firsts = [", ".join(ranked.label for ranked in one.ranking(top=3)) for one in found.values()]
-        pairs = itertools.combinations(found.values(), 2)
-        rows.append(
-            [name, *firsts, *(f"{area:.0%}" for area in areas.values()), *(f"{alike(*p):.2f}" for p in pairs)]
+        firsts.append(
+            [name, *(", ".join(ranked.label for ranked in one.ranking(top=3)) for one in found.values())]
         )
-    names = list(room.metrics)
+        compared += [
+            Pair(room, names, (found[names[0]], found[names[1]]))
+            for names in itertools.combinations(found, 2)
+        ]
     section.measured = [
-        *table(["room", *(f"first three, {metric}" for metric in names)], [row[:4] for row in rows]),
+        *table(["room", *(f"first three, {metric}" for metric in room.metrics)], firsts),
         "",
         *table(
-            [
-                "room",
-                *(f"area, {m}" for m in names),
-                *(f"ρ {a}, {b}" for a, b in itertools.combinations(names, 2)),
-            ],
-            [[row[0], *row[4:]] for row in rows],
+            ["room", "metrics", "area", "leaders in common", "opposite in sign", "ρ"],
+            [one.cells for one in compared],
         ),
         "",
-        "Area is the part of the picture that shows the five most salient materials, ρ Spearman's correlation of "
-        "two rankings of all materials.",
+        f"Leaders are the {LEADERS} most salient materials of a metric, area the part of the picture that shows "
+        "them. Opposite in sign are those leaders of either that raise one metric and lower the other. ρ is "
+        "Spearman's correlation of the two rankings of all materials, by size.",
     ]
-    larger = sum(share > 0 for share in shares)
+    ours = [one for one in compared if one.names == ("mean luminance", "UGR")]
+    larger = sum(one.areas[0] > one.areas[1] for one in ours)
     section.difference = (
-        f"In {larger} of {len(shares)} rooms the materials that matter most to mean luminance fill more of the "
-        "picture than those that matter most to UGR. Rankings are correlated all the same, since every metric "
-        "hangs on how much light there is; what differs is the head of the ranking."
+        f"In {larger} of {len(ours)} rooms the leaders of mean luminance fill more of the picture than those of "
+        f"UGR. The two share {sum(one.common for one in ours)} of {LEADERS * len(ours)} leaders, since both hang "
+        "on how much light there is: by their sizes alone, maps of these two metrics are not far from a generic "
+        "map of the scene. What tells them apart is the sign, which the paper's magnitudes leave out: "
+        f"{sum(one.opposite for one in ours)} of {sum(one.either for one in ours)} leaders raise one and lower "
+        "the other, because what brightens the surroundings of a light makes it glare less."
     )
     return section
 
@@ -74,16 +77,36 @@ def attribute(room: Room) -> dict[str, SceneAttribution]:
     }
 
 
-def area_of_leaders(room: Room, attribution: SceneAttribution) -> float:
-    """Return the part of the picture that shows the first five parameters."""
-    leaders = [ranked.name for ranked in attribution.ranking(top=5)]
-    return float(room.renderer.surfaces.shown(leaders).mean())
+@dataclass
+class Pair:
+    """Two metrics of a room, compared."""
 
+    room: Room
+    names: tuple[str, str]
+    found: tuple[SceneAttribution, SceneAttribution]
 
-def alike(one: SceneAttribution, other: SceneAttribution) -> float:
-    """Return Spearman's correlation of two rankings."""
-    first, second = one.saliency(), other.saliency()
-    return spearman(torch.tensor([first[n] for n in first]), torch.tensor([second[n] for n in first]))
+    def __post_init__(self) -> None:
+        first, second = ({ranked.name: ranked for ranked in one.ranking()} for one in self.found)
+        leaders = [list(one)[:LEADERS] for one in (first, second)]
+        shown = self.room.renderer.surfaces.shown
+        self.areas = [float(shown(names).mean()) for names in leaders]
+        either = set(leaders[0]) | set(leaders[1])
+        self.either, self.common = len(either), len(set(leaders[0]) & set(leaders[1]))
+        self.opposite = sum(sum(first[name].total) * sum(second[name].total) < 0 for name in either)
+        sizes = [torch.tensor([one[name].saliency for name in first]) for one in (first, second)]
+        self.correlation = spearman(*sizes)
+
+    @property
+    def cells(self) -> list[str]:
+        """Return a row of the table."""
+        return [
+            self.room.name,
+            " and ".join(self.names),
+            " and ".join(f"{area:.0%}" for area in self.areas),
+            f"{self.common} of {LEADERS}",
+            f"{self.opposite} of {self.either}",
+            f"{self.correlation:.2f}",
+        ]
 
 
 def ablation(rooms: list[str], size: Size, folder: Path) -> Section:
