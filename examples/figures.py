@@ -5,6 +5,7 @@ python examples/figures.py FOLDER
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -37,6 +38,6 @@ def main(folder: Path, resolution: tuple[int, int] = (256, 144), spp: int = 64) 
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python examples/figures.py FOLDER")
-    main(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where they are written")
+    main(parser.parse_args().folder)

@@ -8,6 +8,7 @@ All that scenecaptum asks of a renderer is a call ``renderer(inputs, *, seed, sp
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Mapping
 
@@ -95,4 +96,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()  # --help
     main()

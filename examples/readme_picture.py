@@ -5,6 +5,7 @@ python examples/readme_picture.py [FILE]
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -23,8 +24,7 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(
-        Path(sys.argv[1])
-        if len(sys.argv) > 1
-        else Path(__file__).parents[1] / "docs" / "pictures" / "office.png"
-    )
+    parser = argparse.ArgumentParser(description=__doc__)
+    picture = Path(__file__).parents[1] / "docs" / "pictures" / "office.png"
+    parser.add_argument("file", type=Path, nargs="?", default=picture, help="where it is written")
+    main(parser.parse_args().file)
