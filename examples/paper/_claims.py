@@ -168,7 +168,8 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
                 spp, order = row.setting.primal_spp, row.kendall_resolved.value
                 worst = worst if spp == counts[0] else min(worst, order)
                 cells = [f"{row.relative_error.value:.1%}", f"{row.spearman.value:.2f}", f"{order:.2f}"]
-                rows.append([name, metric, f"{spp}", *cells, f"{row.top.value:.0%}"])
+                reference = f"{trade.reference.relative_error:.1%}"
+                rows.append([name, metric, f"{spp}", *cells, f"{row.top.value:.0%}", reference])
             section.add_figure(
                 folder,
                 f"stability-{name}-{metric.replace(' ', '-')}",
@@ -176,7 +177,16 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
                 f"{name}, {metric}: error and seconds",
             )
     section.measured = table(
-        ["room", "metric", "spp", "error of the gradient", "Spearman", "Kendall, resolved pairs", "top 5"],
+        [
+            "room",
+            "metric",
+            "spp",
+            "error of the gradient",
+            "Spearman",
+            "Kendall, resolved pairs",
+            "top 5",
+            "the reference's own error",
+        ],
         rows,
     )
     section.difference = (
@@ -200,18 +210,19 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
         found = VanillaSceneGradient(room.renderer, room.metrics[metric]).attribute(seed=0, scale="value")
         ranking = found.ranking()
         hidden = [one for one in ranking if not room.renderer.surfaces.shown([one.name]).any()]
-        section.add_figure(
-            folder,
-            f"unseen-{name.replace(' ', '-')}-{metric.replace(' ', '-')}",
-            found.plot_bars(),
-            f"{name}, {metric}: the ranking, with what no pixel shows",
-        )
-        if hidden and hidden[0].saliency:
-            place = 1 + [one.name for one in ranking].index(hidden[0].name)
-            share = hidden[0].saliency / ranking[0].saliency
-            rows.append([name, metric, hidden[0].label, f"{place} of {len(ranking)}", f"{share:.0%}"])
-        else:
+        if not (hidden and hidden[0].saliency):
             rows.append([name, metric, "nothing", "–", "–"])
+            continue
+        strongest = hidden[0]
+        share = strongest.saliency / ranking[0].saliency
+        rows.append([name, metric, strongest.label, f"{strongest.rank} of {len(ranking)}", f"{share:.0%}"])
+        if strongest.rank <= LEADERS:
+            section.add_figure(
+                folder,
+                f"unseen-{name.replace(' ', '-')}-{metric.replace(' ', '-')}",
+                found.plot_heatmap(),
+                f"{name}: what moves {metric}; below the picture, what it does not show",
+            )
     section.measured = table(
         ["room", "metric", "the strongest that no pixel shows", "its rank", "of the strongest"], rows
     )
