@@ -228,7 +228,7 @@ class SceneRenderer(torch.nn.Module):
         Example
         -------
         >>> renderer = SceneRenderer("cornell-box", resolution=(1920, 1080), spp=64)
-        >>> renderer.memory(pictures=8) < 2 * 2**30
+        >>> renderer.memory(pictures=8) < 4 * 2**30
         True
 
         Parameters

@@ -53,8 +53,8 @@ class Ablated:
     degrees_of_freedom
         Of the errors.
     fixed, fixed_error
-        How much it rises per unit on a step of one hundredth of the gradient, down it and short of the bound, as in
-        the paper, bending included; None where the bound leaves no room.
+        How much it rises per unit on a step of one hundredth of the gradient, down it and short of the bound, as
+        in the paper, bending included; None where the bound leaves no room.
     """
 
     name: str
