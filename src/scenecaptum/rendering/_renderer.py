@@ -136,10 +136,11 @@ class SceneRenderer(torch.nn.Module):
         self._stacked = isinstance(sensor, list)
         chosen = sensor if isinstance(sensor, list) else [sensor]
         self._sensors = [choose_sensor(loaded, one, resolution) for one in chosen]
+        size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
         check_values(self.name, self._state.original, self._table)
-        return common_resolution(self._sensors, resolution)
+        return size
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
