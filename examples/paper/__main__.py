@@ -1,7 +1,7 @@
 """Reproduce the figures and claims of the paper, and say where they differ.
 
 Runs on the office and on the rooms in ``shared/scenes``, where present. Writes the figures into a folder, and with
-``--write`` the page that sets the paper beside what was measured.
+``--write`` the page that sets the paper beside what was measured, or the sections of some claims in it.
 
     python examples/paper [CLAIM ...] [--out FOLDER] [--write docs/paper.md] [--room office] [--quick] [--resnet]
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import shutil
 import sys
 import time
@@ -61,7 +62,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def write(page: Path, folder: Path, sections: list[Section], rooms: list[str], *, resnet: bool) -> None:
-    """Write the page, with copies of its figures in ``pictures/paper`` beside it."""
+    """Write the page, with copies of its figures in ``pictures/paper`` beside it.
+
+    Of a page that is there already only these sections are renewed.
+    """
     pictures = page.parent / "pictures" / "paper"
     pictures.mkdir(parents=True, exist_ok=True)
     for section in sections:
@@ -71,9 +75,10 @@ def write(page: Path, folder: Path, sections: list[Section], rooms: list[str], *
         "the paper's ResNet-50" if resnet else "the small classifier of shapes that ships with scenecaptum"
     )
     head = HEAD.format(rooms=f"these are {', '.join(rooms)}", network=network)
-    page.write_text(
-        "\n\n".join([head.rstrip(), *(one.markdown("pictures/paper") for one in sections)]) + "\n"
-    )
+    kept = re.split(r"^(?=## )", page.read_text(), flags=re.MULTILINE)[1:] if page.is_file() else []
+    texts = {text[3 : text.index("\n")]: text for text in kept}
+    texts |= {one.title: one.markdown("pictures/paper") for one in sections}
+    page.write_text("\n\n".join(text.rstrip() for text in (head, *texts.values())) + "\n")
 
 
 if __name__ == "__main__":
