@@ -20,7 +20,7 @@ from ._attribution import SceneAttribution, surfaces_of
 from ._gradients import GradientSum, Point, require_memory
 from ._method import Own, Result, Run
 from ._passes import Budget, channel_totals
-from ._rounds import Rounds, RoundSum, TimeLimit
+from ._rounds import PassTime, Rounds, RoundSum, TimeLimit
 from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
 
 SHARE = 0.05
@@ -35,6 +35,8 @@ _CLEAR = 6.0  # standard errors apart: no need to compare
 _COMPARED = 4  # one sample for so many tells what another renderer would change: they share their seeds
 _SAFE = 0.95  # of the time that is left, to be filled by a round
 _SPENT = 0.05  # of a time limit, too little to begin another round
+_SHORT = 0.5  # of a time limit, which a pass may take that is only timed
+_LITTLE = 1.25  # times the shortest pass: samples that make it no longer are nearly free
 
 
 @dataclass(frozen=True)
@@ -257,6 +259,7 @@ class _Search:
         self.first = math.ceil(first / self.passes)  # samples of a pass
         self.seconds: list[float] = []  # of each round
         self.setup = 0.0  # seconds before the clock begins
+        self.pass_time = PassTime()
         asked = dataclasses.asdict(goal), run.settings.seed, self.passes, self.first, run.values
         about = getattr(run.renderer, "info", {})
         self.time = TimeLimit(goal.time_limit, run.renderer, (asked, about))
@@ -293,26 +296,33 @@ class _Search:
             into.add(one)
         self.verdicts = [judge(one, self.goal, self.run.members) for one in self.sums]
         self.seconds.append(self.time.now() - began)
+        self.pass_time.note(spp, self.seconds[-1] / max(1, min(one.passes for one in found)))
         return interrupted
 
     def _first_size(self) -> tuple[int, int] | None:
         """Return the passes of the first round and their samples; a time limit may leave only few.
 
         What happens only once, compiling above all, is done before the clock begins; then a pass of one sample is
-        timed.
+        timed and, where it is short, one of the first round's size.
         """
-        limit, now = self.goal.time_limit, self.time.now
+        limit = self.goal.time_limit
         if limit is None:
             return self.passes, self.first
         surfaces_of(self.run.renderer, self.run.values)
-        self.rounds.rehearse(self.point)
-        began = now()
-        self.rounds.rehearse(self.point)
-        each = now() - began
+        self.rounds.rehearse(self.point, 1)
+        self._time_pass(1)
+        if self.first * self.pass_time.shortest < _SHORT * limit:
+            self._time_pass(self.first)
         self.setup = self.time.restart()
-        passes = min(self.passes, max(2, int(limit / (2 * each))))
-        spp = min(self.first, max(1, int(limit / (4 * each * passes))))
-        return self._decide("first", lambda: (passes, spp))
+        shortest = self.pass_time.shortest
+        passes = min(self.passes, max(2, int(limit / (2 * shortest))))
+        spp = self.pass_time.samples_within(max(limit / (4 * passes), _LITTLE * shortest))
+        return self._decide("first", lambda: (passes, min(self.first, spp)))
+
+    def _time_pass(self, spp: int) -> None:
+        began = self.time.now()
+        self.rounds.rehearse(self.point, spp)
+        self.pass_time.note(spp, self.time.now() - began)
 
     def _decide(self, what: str, choose: Callable[[], tuple[int, int] | None]) -> tuple[int, int] | None:
         """Choose the size of a round; where the clock has a say, once and for all."""
@@ -330,15 +340,16 @@ class _Search:
         growth = min(max(growth / 3 if growth > _FAR else growth, _LEAST), _MOST)
         sampled = self.sums[0].share
         samples = math.ceil((growth - 1) * sampled)
+        most = 3 * self.passes
         if self.goal.time_limit is not None:
-            done, spp = self.rounds.budget.passes[-1], self.rounds.budget.spp[-1] or 1
-            each = self.seconds[-1] / done
-            if self.time.left() < max(_SPENT * self.goal.time_limit, 2 * each / spp):
+            left = self.time.left()
+            if left < max(_SPENT * self.goal.time_limit, 2 * self.pass_time.shortest):
                 return None
-            samples = min(samples, int(_SAFE * spp * self.time.left() / each))
+            most = min(self.passes, max(2, int(left / (2 * self.pass_time.shortest))))
+            samples = min(samples, most * self.pass_time.samples_within(_SAFE * left / most))
         # A round that counts little tells little of the error: half as many passes do.
         least = self.passes if samples > sampled else math.ceil(self.passes / 2)
-        passes = max(2, min(max(samples // (4 * self.first), least), 3 * self.passes))
+        passes = max(2, min(max(samples // (4 * self.first), least), most))
         fewest = self.first if self.goal.time_limit is None else 1
         return passes, max(fewest, samples // passes)
 

@@ -16,6 +16,7 @@ from ._jackknife import Adjoints, jackknife
 from ._metric import TargetedMetric
 from ._passes import Budget
 
+_LEAST_SHARE = 0.1  # of a pass's time, for its samples
 _GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
 
 
@@ -62,6 +63,35 @@ class TimeLimit:
             return None if chosen is None else tuple(chosen)
         found: tuple[int, ...] | None = self._checkpoint.decide((self.limit, self._asked, what), choose)
         return found
+
+
+class PassTime:
+    """What a pass takes: something for itself, and something for each of its samples, as passes have told."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[int, float] = {}  # of the latest pass with so many samples per pixel
+
+    def note(self, spp: int, seconds: float) -> None:
+        """Remember how long a pass took."""
+        self._seconds[spp] = seconds
+
+    @property
+    def shortest(self) -> float:
+        """The seconds of a pass with as few samples as any."""
+        return self._seconds[min(self._seconds)]
+
+    def samples_within(self, seconds: float) -> int:
+        """Return how many samples per pixel a pass can have in a time; 1 at least.
+
+        A single pass that was timed takes its time for its samples alone, for all that is known. Of two, each
+        sample takes what they differ by, and a tenth at least of what it would if a pass took nothing for itself.
+        """
+        low, high = min(self._seconds), max(self._seconds)
+        longest = self._seconds[high]
+        each = longest / high
+        if high > low:
+            each = max(_LEAST_SHARE * each, (longest - self._seconds[low]) / (high - low))
+        return max(1, int(high + (seconds - longest) / each)) if each > 0 else high
 
 
 class RoundSum(GradientSum):
@@ -121,12 +151,12 @@ class Rounds(Gradients):
         """Rounds are all at one point."""
         return 1
 
-    def rehearse(self, point: Point) -> None:
-        """Render and differentiate one sample per pixel, and keep nothing."""
+    def rehearse(self, point: Point, spp: int) -> None:
+        """Render and differentiate a pass, and keep nothing."""
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
         seeds = {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._replays else {"seed": self._seed}
         # What a checkpoint has compiles nothing.
-        graph = without_checkpoint(self.renderer)(leaves, spp=1, **seeds)
+        graph = without_checkpoint(self.renderer)(leaves, spp=spp, **seeds)
         for metric in self.metrics:
             _, adjoint = metric.value_and_adjoint(graph)
             torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
