@@ -277,7 +277,7 @@ def difference(room: Room, metric: metrics.MeanLuminance, name: str, seeds: int 
     It is one-sided, away from the bounds, and of second order.
     """
     value, (low, high) = room.renderer.inputs[name], room.renderer.bounds[name]
-    step = 0.01 * (high - low if math.isfinite(high - low) else value.abs().mean().item())
+    step = 0.01 * (high - low if math.isfinite(high - low) else value.abs().mean().item() or 1.0)
     step = -step if value.max() + 2 * step > high else step
 
     @torch.no_grad()
