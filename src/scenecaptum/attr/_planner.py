@@ -345,7 +345,8 @@ class _Search:
             left = self.time.left()
             if left < max(_SPENT * self.goal.time_limit, 2 * self.pass_time.shortest):
                 return None
-            most = min(self.passes, max(2, int(left / (2 * self.pass_time.shortest))))
+            # Few passes of many samples would tell little of the error.
+            most = min(self.passes, max(2, int(left / (_LITTLE * self.pass_time.shortest))))
             samples = min(samples, most * self.pass_time.samples_within(_SAFE * left / most))
         # A round that counts little tells little of the error: half as many passes do.
         least = self.passes if samples > sampled else math.ceil(self.passes / 2)

@@ -16,7 +16,7 @@ from ._jackknife import Adjoints, jackknife
 from ._metric import TargetedMetric
 from ._passes import Budget
 
-_LEAST_SHARE = 0.25  # of a pass's time, for its samples
+_LEAST_SHARE = 0.5  # of a pass's time, for its samples
 _FARTHEST = 4  # times the samples that were timed: farther away times are not foretold
 _GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
 
@@ -85,7 +85,7 @@ class PassTime:
         """Return how many samples per pixel a pass can have in a time; 1 at least.
 
         A single pass that was timed takes its time for its samples alone, for all that is known. Of two, each
-        sample takes what they differ by, and a quarter at least of what it would if passes took nothing else.
+        sample takes what they differ by, and half at least of what it would if passes took nothing else.
         """
         low, high = min(self._seconds), max(self._seconds)
         longest = self._seconds[high]
