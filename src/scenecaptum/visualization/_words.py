@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ..attr import SceneAttribution
 
 
+_MOST_CAUTIONS = 5
 METRIC_WIDTH = 36  # letters of a metric's name in a figure
 
 
@@ -124,6 +125,18 @@ def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[
         if name in cautions:
             groups.setdefault(cautions[name], []).append(name)
     return groups
+
+
+def scene_cautions(attribution: SceneAttribution) -> list[str]:
+    """Say what is wrong in the scene itself, with parameters that are left out."""
+    members = {name for group in (attribution.info.get("groups") or {}).values() for name in group}
+    groups: dict[str, list[str]] = {}
+    for name, text in (attribution.info.get("cautions") or {}).items():
+        if name not in attribution and name not in members:
+            groups.setdefault(text, []).append(name)
+    said = [f"{', '.join(names)}: {text}" for text, names in groups.items()]
+    more = len(said) - _MOST_CAUTIONS
+    return said if more <= 0 else [*said[:_MOST_CAUTIONS], f"… and {more} more such; renderer.plan lists all"]
 
 
 def doubt_groups(attribution: SceneAttribution) -> dict[str, list[str]]:
