@@ -30,15 +30,22 @@ _PLACEHOLDER = re.compile(r"(?<!\\)\$(\w+)")
 _FILE_NAME = re.compile(r'filename="([^"]*)"')
 
 
-def check_xml(path: Path) -> None:
+def check_xml(path: Path, values: Mapping[str, str]) -> None:
     """Raise where a scene file, or one that it includes, is nested too deep or grows without end.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    values
+        Those of its ``$names``.
 
     Raises
     ------
     SceneCaptumError
         With the file and its fault.
     """
-    for file, text in _texts(path):
+    for file, text in _texts(path, values):
         depth = deepest = 0
         for tag in _TAG.finditer(text):
             depth += 1 if tag.group() == "<" else -1
@@ -51,15 +58,18 @@ def check_xml(path: Path) -> None:
         _check_defaults(file, text)
 
 
-def _texts(path: Path, seen: frozenset[Path] = frozenset()) -> Iterator[tuple[Path, str]]:
+def _texts(
+    path: Path, values: Mapping[str, str], seen: frozenset[Path] = frozenset()
+) -> Iterator[tuple[Path, str]]:
     """Read a scene file and those that it includes, without their comments."""
     text = _COMMENT.sub("", path.read_text(encoding="utf-8", errors="replace"))
     yield path, text
+    values = {**dict(_DEFAULT.findall(text)), **values}
     for name in _FILE_NAME.findall(text):
-        other = path.parent / name
+        other = path.parent / _PLACEHOLDER.sub(lambda found: values.get(found[1], found[0]), name)
         check_kind(other)
         if other.suffix == ".xml" and is_file(other) and other.resolve() not in seen:
-            yield from _texts(other, seen | {path.resolve()})
+            yield from _texts(other, values, seen | {path.resolve()})
 
 
 @dataclass(frozen=True)
@@ -70,9 +80,9 @@ class Placeholders:
     defaults: frozenset[str]
 
     @classmethod
-    def of(cls, path: Path) -> Placeholders:
-        """Look for them."""
-        texts = [text for _, text in _texts(path)]
+    def of(cls, path: Path, values: Mapping[str, str]) -> Placeholders:
+        """Look for them, where some have got values."""
+        texts = [text for _, text in _texts(path, values)]
         used = (name for text in texts for name in _PLACEHOLDER.findall(text))
         defaults = (name for text in texts for name, _ in _DEFAULT.findall(text))
         return cls(frozenset(used), frozenset(defaults))

@@ -41,10 +41,9 @@ def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any
         ``parameters`` are not those of the file.
     """
     mi = activate()
-    if parameters and not (isinstance(scene, (str, os.PathLike)) and is_file(Path(scene))):
+    if parameters and (not isinstance(scene, (str, os.PathLike)) or _is_bundled(scene)):
         raise SceneCaptumError(
-            f"parameters= gives values to the $names of an XML file, and {describe(scene)} is not one. Put the "
-            "values into the scene itself."
+            f"parameters= gives values to the $names of an XML file, and {describe(scene)} is none. Leave it out."
         )
     if isinstance(scene, mi.Scene):
         loaded = scene
@@ -101,12 +100,12 @@ def _load_named(scene: str | os.PathLike[str], parameters: Mapping[str, str]) ->
     mi = activate()
     path = Path(scene)
     if is_file(path):
-        check_xml(path)
+        check_xml(path, parameters)
         # Textures and meshes are named relative to the file.
         with _search_path(path.resolve().parent):
             return _instantiate(str(path), lambda config: _parse_file(config, path, parameters))
     name = os.fspath(scene)
-    if name in BUNDLED:
+    if _is_bundled(scene):
         return _instantiate(name, lambda config: mi.parser.parse_dict(config, BUNDLED[name]()))
     if os.path.isdir(path):
         raise SceneCaptumError(f"{path} is a folder, not a scene file.{_xml_inside(path)}")
@@ -151,12 +150,12 @@ def _parse_file(config: Any, path: Path, parameters: Mapping[str, str]) -> Any:
         if missing:
             raise SceneCaptumError(_missing(path, missing[1], parameters)) from error
         if unknown:
-            raise SceneCaptumError(_unknown(path, unknown[1])) from error
+            raise SceneCaptumError(_unknown(path, unknown[1], parameters)) from error
         raise
 
 
 def _missing(path: Path, name: str, parameters: Mapping[str, str]) -> str:
-    found = Placeholders.of(path)
+    found = Placeholders.of(path, parameters)
     names = sorted({name, *(found.used - found.defaults - parameters.keys())})
     return (
         f"{path} has no value for {', '.join(f'${one}' for one in names)}: give parameters="
@@ -165,10 +164,14 @@ def _missing(path: Path, name: str, parameters: Mapping[str, str]) -> str:
     )
 
 
-def _unknown(path: Path, name: str) -> str:
-    known = sorted(Placeholders.of(path).used)
+def _unknown(path: Path, name: str, parameters: Mapping[str, str]) -> str:
+    known = sorted(Placeholders.of(path, parameters).used)
     listed = f"It has {', '.join(f'${one}' for one in known)}." if known else "It has no $name at all."
     return f"{path} has no ${name} that a value could be given to.{near_misses(name, known)} {listed}"
+
+
+def _is_bundled(scene: str | os.PathLike[str]) -> bool:
+    return not is_file(Path(scene)) and os.fspath(scene) in BUNDLED
 
 
 def _xml_inside(folder: Path) -> str:

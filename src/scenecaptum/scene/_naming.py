@@ -14,11 +14,12 @@ from typing import Any
 from ..backend import activate
 from ._graph import children, is_nameless
 
-# What these hold goes by its id; what anything else holds, by what it is held as ("bsdf", "emitter").
-_COLLECTIONS = ("scene", "shapegroup", "merge", "batch")
+# What a scene holds goes by its id; what anything else holds, by what it is held as ("bsdf", "emitter"). A merge
+# leaves to the scene what cannot be merged.
+_COLLECTIONS = ("scene", "merge")
 
 # What Mitsuba adds to a plugin's name to make that of its class.
-_SUFFIXES = ("Camera", "Sensor", "Background", "Emitter", "Light", "Integrator", "Plugin", "Mesh")
+_ADDED = r"^Smooth|(Camera|Sensor|Background|Emitter|Light|Integrator|Plugin|Mesh|BRDF|BSDF)+$"
 
 
 def lamp_on(shape: str) -> str:
@@ -128,7 +129,7 @@ def _name_of_loaded(shape: Any) -> str:
 def _kind(one: Any) -> str:
     """Return the plugin that an object is made by, as far as its class tells: ``constant``, ``rectangle``."""
     name = str(one.class_name()).replace("EnvironmentMap", "Envmap")
-    return re.sub(f"({'|'.join(_SUFFIXES)})+$", "", name).lower() or "mesh"
+    return re.sub(_ADDED, "", name).lower() or "mesh"
 
 
 def _place(one: Any) -> tuple[float, ...]:

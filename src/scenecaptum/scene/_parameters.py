@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -174,10 +175,9 @@ _SURFACE_ROLES: dict[str, tuple[str, Bounds]] = {
 
 # Properties that Mitsuba's materials look up as one number, whatever they are given as: of a colour they take the
 # mean of its channels, of a bitmap the luminance.
-_ONE_NUMBER = frozenset(
-    "opacity weight alpha alpha_u alpha_v roughness metallic anisotropic sheen spec_tint sheen_tint clearcoat "
-    "clearcoat_gloss spec_trans flatness diff_trans".split()
-)
+_ONE_NUMBER = {"opacity", "weight", "alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic"}
+_ONE_NUMBER |= {"sheen", "sheen_tint", "spec_tint", "clearcoat", "clearcoat_gloss", "spec_trans", "flatness"}
+_ONE_NUMBER |= {"diff_trans"}
 
 _EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width"), Bounds(0.0, 180.0))
 
@@ -381,10 +381,12 @@ def _labels(labels: Mapping[str, str]) -> dict[str, str]:
 def _label(graph: SceneGraph, name: str, node: Any) -> str:
     """Return a readable name: the object that a parameter belongs to, whose id may have dots, and what it is."""
     path = graph.path(node)
-    if not path:
+    # Mitsuba numbers what is held under one name.
+    segments = "".join(rf"({re.escape(held_as)}(?:_\d+)?)\." for held_as, _ in path)
+    found = re.fullmatch(f"{segments}(.+)", name)
+    if not path or found is None:
         return name
-    inner = [held_as for held_as, _ in path[1:]] + [name.rsplit(".", 1)[-1]]
-    owner = name.removesuffix("." + ".".join(inner))
+    owner, *inner = found.groups()
     if lamp_on(owner) in (one.id() for _, one in path):
         owner = lamp_on(owner)
     words = [segment.replace("_", " ") for segment in inner if segment not in _DROPPED_SEGMENTS]
