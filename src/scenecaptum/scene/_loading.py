@@ -132,6 +132,8 @@ def as_text(parameters: XmlParameters | None) -> dict[str, str]:
             raise SceneCaptumError(
                 f"parameters= has the key {name!r}; keys are the $names of the file without $, such as 'spp'."
             )
+        if name in ("config", "filename"):
+            raise SceneCaptumError(f"Mitsuba's parser keeps the name {name!r} to itself: rename ${name}.")
         if not isinstance(value, (str, Real)):
             raise SceneCaptumError(
                 f"parameters= gives ${name} a {type(value).__name__}; values are numbers and strings."
