@@ -47,7 +47,7 @@ class SceneRenderer(torch.nn.Module):
     torch.Size([3])
 
     Every call is pure: it carries its own values into its backward pass and leaves a scene that was handed in
-    as it found it. Any number of renders may live in one graph, and a graph may be differentiated any number
+    as it found it, but that objects without an id have got one. Any number of renders may live in one graph, and a graph may be differentiated any number
     of times, but only to first order.
 
     Parameters

@@ -97,7 +97,7 @@ def shorten(names: Sequence[str], width: int) -> list[str]:
     Example
     -------
     >>> shorten(["mat-Wall White painted.001: diffuse reflectance", "lamp: radiance"], 36)
-    ['mat-Wal…ed.001: diffuse reflectance', 'lamp: radiance']
+    ['mat-Wal…ted.001: diffuse reflectance', 'lamp: radiance']
     """
     names = ["".join(c if c.isprintable() else "�" for c in name) for name in names]
     middle = max(width - 1, 0) // 2
