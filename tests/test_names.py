@@ -28,9 +28,10 @@ from scenecaptum.visualization._numbers import columns, shorten
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
-# Nothing here has an id but a material, the shape group, and what Mitsuba wrote into the file itself.
+# Nothing here has an id but a material, the shape group, and what Mitsuba wrote into the file itself. The
+# integrator is one that Mitsuba describes by an address.
 NAMELESS = """<scene version="3.0.0">
-    <integrator type="path"/>
+    <integrator type="depth"/>
     <sensor type="perspective">
         <transform name="to_world"><lookat origin="0, -4, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
         <sampler type="independent"><integer name="sample_count" value="8"/></sampler>

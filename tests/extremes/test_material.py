@@ -198,7 +198,7 @@ def test_an_impossible_index_is_left_out_by_kinds_and_globs_and_a_caution_names_
     assert {"knob.bsdf.k.value", "knob.bsdf.alpha.value", "ball.bsdf.reflectance.value"} <= set(
         radiator.inputs
     )
-    assert radiator.plan.cautions == ((ETA, f"{said}: left out, and rendered as it is"),)
+    assert radiator.plan.cautions == ((ETA, f"{said}; left out, and rendered as it is"),)
     assert f"caution: {ETA}: {said}" in str(radiator.plan)
     assert radiator.parameters_table()[ETA].problem == said
     assert radiator.parameters_table()[ETA].status == f"not differentiable: {said}"
@@ -214,6 +214,6 @@ def test_an_impossible_index_raises_by_its_exact_name_only(mi):
 def test_results_carry_the_caution(radiator):
     for method in (VanillaSceneGradient, FeatureAblationScene):
         found = method(radiator, mean).attribute(seed=0, replicates=2)
-        assert found.info["cautions"][ETA].startswith("it holds -0.0485")
-        assert f"!  {ETA}: it holds -0.0485" in str(found).replace("\n", " ")
+        assert found.info["left_out"][ETA].startswith("it holds -0.0485")
+        assert f"!  {ETA} is left out: it holds -0.0485" in " ".join(str(found).split())
         assert ETA not in found

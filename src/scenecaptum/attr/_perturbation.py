@@ -196,9 +196,8 @@ class Perturbation:
         value, unbiased = measured.values[index].item(), measured.pseudo[0, :, index]
         count = len(unbiased)
         about = {
-            **(known := getattr(self.renderer, "info", {})),
-            # Those of inputs are about derivatives, and there are none here.
-            "cautions": {n: c for n, c in known.get("cautions", {}).items() if n not in measured.inputs},
+            **getattr(self.renderer, "info", {}),
+            "cautions": {},  # they are about derivatives, and there are none here
             **measured.info,
             "metric": measured.metrics[index].name,
             "spp": measured.budget.total,

@@ -150,7 +150,7 @@ def make_plan(
             )
         )
     cautions = (
-        *((name, f"{p.fault}: left out, and rendered as it is") for name, p in parameters.items() if p.fault),
+        *((name, f"{p.fault}; left out, and rendered as it is") for name, p in parameters.items() if p.fault),
         *((name, caution) for name in inputs if (caution := parameters[name].caution)),
     )
     return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)

@@ -47,8 +47,8 @@ class SceneRenderer(torch.nn.Module):
     torch.Size([3])
 
     Every call is pure: it carries its own values into its backward pass and leaves a scene that was handed in
-    as it found it, but that objects without an id have got one. Any number of renders may live in one graph, and a graph may be differentiated any number
-    of times, but only to first order.
+    as it found it, but that objects without an id have got one. Any number of renders may live in one graph, and
+    a graph may be differentiated any number of times, but only to first order.
 
     Parameters
     ----------
@@ -385,6 +385,7 @@ class SceneRenderer(torch.nn.Module):
             "max_depth": self.plan.max_depth,
             "variant": self._variant,
             "cautions": dict(self.plan.cautions),
+            "left_out": {name: p.fault for name, p in self._table.items() if p.fault},
         }
 
     def parameters_table(self) -> SceneParameters:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -381,12 +380,14 @@ def _labels(labels: Mapping[str, str]) -> dict[str, str]:
 def _label(graph: SceneGraph, name: str, node: Any) -> str:
     """Return a readable name: the object that a parameter belongs to, whose id may have dots, and what it is."""
     path = graph.path(node)
-    # Mitsuba numbers what is held under one name.
-    segments = "".join(rf"({re.escape(held_as)}(?:_\d+)?)\." for held_as, _ in path)
-    found = re.fullmatch(f"{segments}(.+)", name)
-    if not path or found is None:
+    if not path:
         return name
-    owner, *inner = found.groups()
+    segments, rest = [], name
+    for held_as, _ in path:
+        # Mitsuba numbers what is held under one name: this is "" or "_1".
+        number, _, rest = rest.removeprefix(held_as).partition(".")
+        segments.append(held_as + number)
+    owner, *inner = [*segments, rest]
     if lamp_on(owner) in (one.id() for _, one in path):
         owner = lamp_on(owner)
     words = [segment.replace("_", " ") for segment in inner if segment not in _DROPPED_SEGMENTS]

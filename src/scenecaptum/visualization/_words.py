@@ -128,15 +128,13 @@ def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[
 
 
 def scene_cautions(attribution: SceneAttribution) -> list[str]:
-    """Say what is wrong in the scene itself, with parameters that are left out."""
-    members = {name for group in (attribution.info.get("groups") or {}).values() for name in group}
-    groups: dict[str, list[str]] = {}
-    for name, text in (attribution.info.get("cautions") or {}).items():
-        if name not in attribution and name not in members:
-            groups.setdefault(text, []).append(name)
-    said = [f"{', '.join(names)}: {text}" for text, names in groups.items()]
+    """Name the parameters that are left out because of the scene's own value, and say what is wrong with it."""
+    left_out = attribution.info.get("left_out") or {}
+    said = [f"{name} is left out: {fault}" for name, fault in left_out.items()]
     more = len(said) - _MOST_CAUTIONS
-    return said if more <= 0 else [*said[:_MOST_CAUTIONS], f"… and {more} more such; renderer.plan lists all"]
+    return (
+        said if more <= 0 else [*said[:_MOST_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
+    )
 
 
 def doubt_groups(attribution: SceneAttribution) -> dict[str, list[str]]:
