@@ -74,6 +74,7 @@ def make(metric: str = "Glare", factor: float = 1.0, **changes: Any) -> SceneAtt
                 "spp": 64,
                 "passes": 8,
                 "cautions": {"chair.alpha": "its size is off <b>"},
+                "left_out": {"knob.eta": "it holds -0.0485 <i>"},
                 "versions": {"torch": "2.13"},
             },
         ),
@@ -460,6 +461,11 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     assert "unsure by 71 % (all parameters)" in notes.inner_text()
     assert marked.count() == 0
     page.check(path)
+
+
+def test_what_is_left_out_for_its_value_is_named(report):
+    notes = report.page.locator("#notes").inner_text()
+    assert "! knob.eta is left out: it holds -0.0485 <i>" in notes
 
 
 def test_what_is_out_of_sight_says_so(report):

@@ -120,6 +120,16 @@ def test_interruption_is_said() -> None:
     assert "in 3 passes" not in text
 
 
+def test_what_is_left_out_for_its_value_is_named_in_every_form() -> None:
+    said = "knob.eta.value is left out: it holds -0.0485"
+    left_out = make(left_out={"knob.eta.value": "it holds -0.0485"})
+    assert f"! {said}" in " ".join(table_text(left_out).split())
+    assert said in " ".join(table_html(left_out).split())
+    assert f"! {said}" in " ".join(all_text(plot_bars(left_out)).split())
+    many = make(left_out={f"knob{n}": "it holds nan" for n in range(9)})
+    assert "4 more are left out; renderer.plan lists all" in " ".join(table_text(many).split())
+
+
 def test_cautions_are_grouped() -> None:
     text = table_text(make(cautions={"rough": "size is off", "wall": "size is off", "lamp": "sign is off"}))
     assert text.count("size is off") == 1

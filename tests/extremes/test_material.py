@@ -215,5 +215,5 @@ def test_results_carry_the_caution(radiator):
     for method in (VanillaSceneGradient, FeatureAblationScene):
         found = method(radiator, mean).attribute(seed=0, replicates=2)
         assert found.info["left_out"][ETA].startswith("it holds -0.0485")
-        assert f"!  {ETA} is left out: it holds -0.0485" in " ".join(str(found).split())
+        assert f"! {ETA} is left out: it holds -0.0485" in " ".join(str(found).split())
         assert ETA not in found
