@@ -17,10 +17,12 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
+from ._jackknife import is_linear
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
 from ._passes import covariance_of_mean, pictures
 from ._values import summarise
+from ._view import Viewer
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,7 @@ class Perturbation:
         pseudo, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
+            metrics = _through_view(metrics, images, Viewer(settings.denoise, renderer))
             values, first = _pseudo_values(metrics, images, arms[0].what)
             image = torch.stack(images).mean(0)
             pseudo.append(first)
@@ -251,9 +254,26 @@ def _pseudo_values(
     return whole, count * whole - (count - 1) * without
 
 
+def _through_view(
+    metrics: tuple[TargetedMetric, ...], images: Sequence[torch.Tensor], viewer: Viewer
+) -> tuple[TargetedMetric, ...]:
+    """Return the metrics with the view that suits the unchanged scene, where one is not linear.
+
+    All see the same; a metric without derivatives is not linear as far as can be told.
+    """
+    with torch.enable_grad():
+        if all(metric.has_derivative(images[0]) and is_linear(metric, images) for metric in metrics):
+            return metrics
+    view = viewer.choose(images)
+    return tuple(metric.through(view) for metric in metrics)
+
+
 def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
-    """Evaluate the metric once, for all targets."""
+    """Evaluate the metric once, for all targets; through a denoiser for each, which has derivatives of its own."""
     try:
+        if metrics[0].view.denoises:
+            values = [metric.check_value(metric.value(image)) for metric in metrics]
+            return torch.tensor(values, dtype=torch.float64)
         output = metrics[0].output(image)
         return torch.tensor([metric.value_of(output) for metric in metrics], dtype=torch.float64)
     except SceneCaptumError as error:

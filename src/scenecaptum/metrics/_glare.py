@@ -148,7 +148,7 @@ class GlareRating(torch.nn.Module):
         return find_sources(
             luminance,
             self.view,
-            threshold=self._threshold(luminance.detach()),
+            threshold=self._threshold(luminance),
             relaxation=self.relaxation,
             grouping=self.grouping,
             background=self._background(),

@@ -15,6 +15,7 @@ import torch
 from ..backend import device, exclusively
 from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
+from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
 from ..scene._extremes import check_scale, check_values
@@ -157,6 +158,7 @@ class SceneRenderer(torch.nn.Module):
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
         self._surface_maps: dict[Any, SurfaceMap] = {}
+        self._guides: Guides | None = None
         self._engines: Sequence[Engine | CheckpointedEngine] = [
             (StockEngine if plan.integrator in STOCK else Engine)(
                 self._graph,
@@ -413,6 +415,24 @@ class SceneRenderer(torch.nn.Module):
             Of which textures the map tells the texels, as in ``surfaces_with_texels``.
         """
         return None if self._stacked else self._surfaces_seen_by(0, self._textures(names), through=True)
+
+    @property
+    def guides(self) -> Guides:
+        """Albedo and normals without noise, for a denoiser: ``(H, W, 3)``, or ``(cameras, H, W, 3)`` for a list.
+
+        They show the first surface that scatters light, in mirrors and behind glass too, with the scene's own
+        values.
+        """
+        from ._guides import trace_guides
+
+        if self._guides is None:
+            found = []
+            for engine, sensor in zip(self._engines, self._sensors, strict=True):
+                with engine.holding({}):
+                    found.append(trace_guides(self._graph.scene, sensor, self.resolution))
+            stacks = torch.stack([one.albedo for one in found]), torch.stack([one.normal for one in found])
+            self._guides = Guides(*stacks) if self._stacked else found[0]
+        return self._guides
 
     def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
         wanted = self._names if names is None else tuple(names)

@@ -16,6 +16,7 @@ from ..attr._jackknife import Adjoints
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import Budget
+from ..attr._view import Viewer
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
 from ._scalars import Intervals, Scalar, Values, find_scalars, hold, point_at
@@ -215,7 +216,7 @@ def sample_derivatives(
     budget = Budget.split(total, _PASSES * count, seed, count)
     found: list[list[tuple[torch.Tensor, Adjoints]]] = []
     with tqdm(total=2 * sum(budget.passes), disable=not show_progress, desc="DGSM", unit="pass") as bar:
-        gradients = Gradients(renderer, metrics, budget, bar)
+        gradients = Gradients(renderer, metrics, budget, Viewer("auto", renderer), bar)
         for index, place in enumerate(places):
             found.append(slopes(gradients, index, point_at(scalars, values, place), scalars))
     extra = gradients.extra / total if total else 0.0

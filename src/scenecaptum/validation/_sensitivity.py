@@ -18,6 +18,7 @@ from ..attr._gradients import Gradients, Point, input_values
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import DEFAULT_PASSES, Budget
+from ..attr._view import Viewer
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._dgsm import Derivatives, cost, jackknife_points, sample_derivatives, slopes
@@ -268,7 +269,8 @@ def _local(scenes: _Scenes, top: int) -> list[SensitivityIndex]:
     with tqdm(
         total=2 * budget.passes[0], disable=not scenes.show_progress, desc="gradient", unit="pass"
     ) as bar:
-        gradients = Gradients(scenes.renderer, scenes.metrics, budget, bar)
+        viewer = Viewer("auto", scenes.renderer)
+        gradients = Gradients(scenes.renderer, scenes.metrics, budget, viewer, bar)
         point = Point(scenes.values, factors=factors_of(scenes.scalars))
         found = slopes(gradients, 0, point, scenes.scalars)
     seconds = watch.seconds
