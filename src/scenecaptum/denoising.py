@@ -27,6 +27,11 @@ class Guides:
     normal: torch.Tensor
 
 
+def straight_through(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
+    """Return a denoised picture through which gradients pass unchanged: Open Image Denoise has no derivative."""
+    return image + (denoise(image, guides) - image).detach()
+
+
 def is_picture(image: torch.Tensor) -> bool:
     """Whether a tensor has the shape ``(H, W, 3)`` or ``(cameras, H, W, 3)``, so that it can be denoised."""
     return image.ndim in (3, 4) and image.shape[-1] == CHANNELS and image.numel() > 0

@@ -17,7 +17,15 @@ from .._finite import check_gradient, check_image, located
 from ..errors import SceneCaptumError
 from ._jackknife import Adjoints, is_linear, jackknife, still_linear, through_view
 from ._metric import TargetedMetric
-from ._passes import PICTURE_RATIO, Budget, Spread, channel_totals, picture_seeds, pictures
+from ._passes import (
+    NOISY_PICTURE_RATIO,
+    PICTURE_RATIO,
+    Budget,
+    Spread,
+    channel_totals,
+    picture_seeds,
+    pictures,
+)
 from ._view import Viewer
 
 Tensors = Mapping[str, torch.Tensor]
@@ -229,6 +237,7 @@ class Gradients:
         self.viewer = viewer
         self.bar = bar
         self.image = torch.zeros(())  # of the last point
+        self.picture_spp: int | None = None  # of each picture of the last point
         # Samples per pixel that were added to let a metric see enough.
         self.extra = 0
         self._first: list[Adjoints] = []
@@ -334,12 +343,16 @@ class Gradients:
         They cost a third of what a sample of the backward pass costs.
         """
         spp = self.budget.spp[index]
-        ratio = self.budget.picture_ratio or PICTURE_RATIO
+        self.picture_spp = spp
         if spp is None or self.points > 1 or all(is_linear(one, images) for one in self.metrics):
             return images
+        ratio = self.budget.picture_ratio
+        if ratio is None:
+            ratio = NOISY_PICTURE_RATIO if self.viewer.choose(images).denoises else PICTURE_RATIO
         more = math.ceil((ratio - 1) * spp)
         if more == 0:
             return images
+        self.picture_spp = spp + more
         seeds = picture_seeds(self.budget.seeds[index][: len(images)])
         added = pictures(self.renderer, values, seeds, more)
         self.extra += more * len(images)

@@ -13,6 +13,9 @@ import torch
 from ._metric import TargetedMetric
 from ._view import RAW, View, Viewer
 
+# Standard errors by which the metric at half of the samples may differ from that at all.
+CHANCE = 2.0
+
 _SLOWEST = 0.2  # exponent of the slowest fall of a bias that is taken into account
 _NEAR = 0.03  # of the way from the denoised picture to the noisy one: single bright pixels lie far beyond
 
@@ -97,7 +100,11 @@ def jackknife(
     _, near = _at_means(metric, stack, shares + step / 2 * changes)
     bias_adjoint = _trust(bias_adjoint, _excess(near, adjoint, step / 2)) * bias_adjoint
     deviations = torch.tensordot((directions / roots).T.to(moved), (moved - moved.mean(0)) / step, 1)
-    left = _bias_left(drift, sum(map(metric.value, stack)) / count - value, 1 / shares.square().sum().item())
+    left = 1.0
+    if abs(drift) > CHANCE * error:
+        left = _bias_left(
+            drift, sum(map(metric.value, stack)) / count - value, 1 / shares.square().sum().item()
+        )
     return Adjoints(
         value=value,
         standard_error=math.hypot(error, left * drift),
@@ -208,11 +215,14 @@ def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tenso
 
 
 def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
-    """Whether a metric has the same adjoint at two pictures: the first two, or one and another made of it."""
+    """Whether a metric has the same adjoint at two pictures: the first two, or one and another made of it.
+
+    One that has no derivative is not linear, as far as can be told.
+    """
     first = images[0]
     other = images[1] if len(images) > 1 else torch.lerp(first, first.roll(1, 0), 0.5)
-    adjoint, moved = (metric.value_and_adjoint_at(image)[1] for image in (first, other))
-    return _is_rounding(moved - adjoint, adjoint)
+    adjoint, moved = (metric.value_and_derivative(image)[1] for image in (first, other))
+    return adjoint is not None and moved is not None and _is_rounding(moved - adjoint, adjoint)
 
 
 def through_view(

@@ -97,18 +97,20 @@ class TargetedMetric:
         """
         image = image.detach()
         seen = self.view(image)
-        if seen is image:
-            with torch.no_grad():
-                return self._scalar(self.output(image)).item()
-        leaf = seen.requires_grad_()
-        with torch.enable_grad():
+        value, adjoint = self.value_and_derivative(seen, wanted=seen is not image)
+        return value if adjoint is None else value + _product(adjoint, image - seen)
+
+    def value_and_derivative(
+        self, seen: torch.Tensor, *, wanted: bool = True
+    ) -> tuple[float, torch.Tensor | None]:
+        """Return the value at the very picture that is given and its derivative, or None where it has none."""
+        leaf = seen.detach().requires_grad_(wanted)
+        with torch.set_grad_enabled(wanted):
             value = self._scalar(self.output(leaf))
-        if not (value.requires_grad and math.isfinite(value.item())):
-            return value.item()
+        if not (value.requires_grad and torch.isfinite(value)):
+            return value.item(), None
         (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
-        if adjoint is None or not torch.isfinite(adjoint).all():
-            return value.item()
-        return value.item() + _product(adjoint, image - leaf.detach())
+        return value.item(), adjoint if adjoint is not None and torch.isfinite(adjoint).all() else None
 
     def value_of(self, output: Any) -> float:
         """Return the value that is attributed, from an output of the metric.
@@ -119,16 +121,6 @@ class TargetedMetric:
             Where it is not a finite scalar.
         """
         return self.check_value(self._scalar(output).item())
-
-    def has_derivative(self, image: torch.Tensor) -> bool:
-        """Whether the metric depends on an image through differentiable operations, with finite values."""
-        leaf = image.detach().requires_grad_()
-        with torch.enable_grad():
-            value = self._scalar(self.output(leaf))
-        if not (value.requires_grad and torch.isfinite(value)):
-            return False
-        (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
-        return adjoint is not None and bool(torch.isfinite(adjoint).all())
 
     def check_value(self, value: float) -> float:
         """Return a value of the metric, if it is finite; raise otherwise."""

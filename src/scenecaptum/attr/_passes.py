@@ -17,8 +17,10 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 DEFAULT_PASSES = 8
 
 # Samples that a metric which is not linear sees, for each sample of the backward pass. One sample in a picture
-# costs a third of one in a backward pass; where both add as much variance, √3 of them for one is cheapest.
+# costs a third of one in a backward pass; where both add as much variance, √3 of them for one is cheapest. A
+# picture that needs a denoiser is noisier than that.
 PICTURE_RATIO = 2.0
+NOISY_PICTURE_RATIO = 4.0
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class Budget:
         For each point, a seed for each backward pass, independent of the pictures': if a backward pass replayed
         their samples, their common noise would bias the gradient of a non-linear metric.
     picture_ratio
-        How many samples a metric that is not linear sees for each sample of the backward pass, 1 or more; None for
-        ``PICTURE_RATIO`` at a single point, and at several for no more than it must see.
+        How many samples a metric that is not linear sees for each sample of the backward pass, 1 or more. None: at
+        a single point ``PICTURE_RATIO``, or ``NOISY_PICTURE_RATIO``, and at several no more than it must see.
     """
 
     spp: tuple[int | None, ...]

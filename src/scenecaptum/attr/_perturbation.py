@@ -17,7 +17,7 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
-from ._jackknife import is_linear
+from ._jackknife import through_view
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
 from ._passes import covariance_of_mean, pictures
@@ -154,7 +154,7 @@ class Perturbation:
         pseudo, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            metrics = _through_view(metrics, images, Viewer(settings.denoise, renderer))
+            metrics = tuple(through_view(metrics, images, Viewer(settings.denoise, renderer)))
             values, first = _pseudo_values(metrics, images, arms[0].what)
             image = torch.stack(images).mean(0)
             pseudo.append(first)
@@ -254,24 +254,10 @@ def _pseudo_values(
     return whole, count * whole - (count - 1) * without
 
 
-def _through_view(
-    metrics: tuple[TargetedMetric, ...], images: Sequence[torch.Tensor], viewer: Viewer
-) -> tuple[TargetedMetric, ...]:
-    """Return the metrics with the view that suits the unchanged scene, where one is not linear.
-
-    All see the same; a metric without derivatives is not linear as far as can be told.
-    """
-    with torch.enable_grad():
-        if all(metric.has_derivative(images[0]) and is_linear(metric, images) for metric in metrics):
-            return metrics
-    view = viewer.choose(images)
-    return tuple(metric.through(view) for metric in metrics)
-
-
 def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
     """Evaluate the metric once, for all targets; through a denoiser for each, which has derivatives of its own."""
     try:
-        if metrics[0].view.denoises:
+        if any(metric.view.denoises for metric in metrics):
             values = [metric.check_value(metric.value(image)) for metric in metrics]
             return torch.tensor(values, dtype=torch.float64)
         output = metrics[0].output(image)

@@ -189,7 +189,7 @@ class Rounds(Gradients):
     def _seen(
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
     ) -> list[Adjoints]:
-        spp, old = self.budget.spp[index] or 1, len(self._pictures)
+        spp, old = self.picture_spp or 1, len(self._pictures)
         pictures = [*self._pictures, *((image, spp) for image in images)]
         samples = torch.tensor([count for _, count in pictures], dtype=torch.float32)
         shares = (samples / samples.sum()).to(images[0])
@@ -199,11 +199,12 @@ class Rounds(Gradients):
         seen = [jackknife(one, every, counts) for one in metrics]
         # The pseudo-values' mean is the adjoint without its bias.
         propagated = [torch.tensordot(shares, torch.stack(one.passes), 1) for one in seen]
+        *earlier, latest = (p * (s or 1) for p, s in zip(self.budget.passes, self.budget.spp, strict=True))
+        before = sum(earlier) / (sum(earlier) + latest)
         found = []
         for number, one in enumerate(seen):
             new, mean = torch.stack(one.passes[old:]), propagated[number]
             if old:
-                before = shares[:old].sum()
                 mean = (mean - before * self._propagated[number]) / (1 - before)
             found.append(dataclasses.replace(one, passes=tuple(new - new.mean(0) + mean)))
         self._propagated = propagated

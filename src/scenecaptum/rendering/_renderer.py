@@ -585,6 +585,7 @@ class SceneRenderer(torch.nn.Module):
         *,
         seed: int | None = 0,
         bounds: Literal["raise", "reflect"] = "raise",
+        denoise: bool = False,
     ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
         """Return ``(forward, inputs)``, on which Captum's own classes run.
 
@@ -615,6 +616,10 @@ class SceneRenderer(torch.nn.Module):
             What becomes of values beyond the physical bounds: ``"raise"`` refuses them, ``"reflect"`` folds them
             back at the bounds before rendering, differentiably. Noise needs that, and so does a baseline of zero
             where zero is unphysical (a roughness); attributions belong to the values before the fold.
+        denoise
+            Whether the metric sees denoised pictures (Open Image Denoise, with ``guides``). The gradient is taken
+            at what it sees and goes through the denoiser unchanged. There is no ``"auto"`` here: Captum sees one
+            picture at a time, which tells nothing of its own noise.
 
         Returns
         -------
@@ -631,7 +636,7 @@ class SceneRenderer(torch.nn.Module):
         """
         from ._captum import as_captum
 
-        return as_captum(self, metric, seed=seed, bounds=bounds)
+        return as_captum(self, metric, seed=seed, bounds=bounds, denoise=denoise)
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Refuse what can be refused without looking at the numbers, which a transform may hide."""

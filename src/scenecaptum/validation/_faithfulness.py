@@ -314,7 +314,7 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
         "spp": spp,
         "replicates": whole_number("replicates", replicates, 3),
     }
-    scenes = Scenes.split(renderer, metric, target, **options, hold=False)
+    scenes = Scenes.split(renderer, metric, target, **options)
     attribution, absent = contributions(scenes, metric, attribution, target, baselines, **options)
     if len(absent) < 3:
         raise SceneCaptumError(

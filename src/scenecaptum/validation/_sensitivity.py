@@ -22,7 +22,7 @@ from ..attr._view import Viewer
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._dgsm import Derivatives, cost, jackknife_points, sample_derivatives, slopes
-from ._scalars import Intervals, Scalar, Values, factors_of, find_scalars, hold
+from ._scalars import Intervals, Scalar, Values, factors_of, find_scalars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,8 +201,8 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     if len(scalars) < 2:
         raise SceneCaptumError(f"A comparison takes at least 2 parameters to rank, not {len(scalars)}.")
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
-    held = hold(renderer, metric, values, check_seed("seed", seed), spp)
-    metrics = [TargetedMetric(held, one) for one in listed(target)]
+    check_seed("seed", seed)
+    metrics = [TargetedMetric(metric, one) for one in listed(target)]
     top = min(whole_number("top", top), len(scalars) - 1)
     base_samples = _power_of_two(base_samples)
     scenes = _Scenes(renderer, metrics, scalars, values, seed, spp, show_progress)
