@@ -10,14 +10,14 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from .attr import Denoise, VanillaSceneGradient
+from .attr import VanillaSceneGradient
 from .attr._gradients import input_values
 from .attr._jackknife import jackknife, through_view
 from .attr._metric import Metric, TargetedMetric
 from .attr._passes import DEFAULT_PASSES, Budget, channel_totals, pictures
 from .attr._ranges import ranges
 from .attr._values import summarise
-from .attr._view import Viewer
+from .attr._view import Denoise, Viewer
 from .errors import SceneCaptumError, check_seed, whole_number
 
 if TYPE_CHECKING:

@@ -11,4 +11,3 @@ from ._occlusion import OcclusionScene as OcclusionScene
 from ._shapley_value import ShapleyValueScene as ShapleyValueScene
 from ._smooth_grad import SmoothGradScene as SmoothGradScene
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient
-from ._view import Denoise as Denoise

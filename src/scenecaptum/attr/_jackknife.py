@@ -13,8 +13,9 @@ import torch
 from ._metric import TargetedMetric
 from ._view import RAW, View, Viewer
 
-# Standard errors by which the metric at half of the samples may differ from that at all.
-CHANCE = 2.0
+# Standard errors by which the metric at half of the samples may differ from that at all, and from which on the
+# difference tells how fast it falls.
+CHANCE, CLEAR = 2.0, 4.0
 
 _SLOWEST = 0.2  # exponent of the slowest fall of a bias that is taken into account
 _NEAR = 0.03  # of the way from the denoised picture to the noisy one: single bright pixels lie far beyond
@@ -37,6 +38,9 @@ class Adjoints:
     drift
         The metric at half of the samples minus that at all, on average, and the standard error without the bias:
         what is drifting and by how much chance; None where the metric is linear or there is a single pass.
+    denoised
+        The metric at the denoised picture, where that is nearer to the truth and was not wanted; the difference is
+        part of the standard error.
     view
         How the metric saw the pictures.
     """
@@ -47,6 +51,7 @@ class Adjoints:
     passes: tuple[torch.Tensor, ...]
     bias_adjoint: torch.Tensor | None
     drift: tuple[float, float] | None = None
+    denoised: float | None = None
     view: View = RAW
 
     @property
@@ -101,17 +106,20 @@ def jackknife(
     bias_adjoint = _trust(bias_adjoint, _excess(near, adjoint, step / 2)) * bias_adjoint
     deviations = torch.tensordot((directions / roots).T.to(moved), (moved - moved.mean(0)) / step, 1)
     left = 1.0
-    if abs(drift) > CHANCE * error:
+    if abs(drift) > CLEAR * error:
         left = _bias_left(
             drift, sum(map(metric.value, stack)) / count - value, 1 / shares.square().sum().item()
         )
+    nearer = metric.view.nearer
+    moved_by = 0.0 if nearer is None else metric.through(nearer).value(_mean(stack, shares)) - value
     return Adjoints(
         value=value,
-        standard_error=math.hypot(error, left * drift),
+        standard_error=math.hypot(error, left * drift, moved_by),
         bias=left * drift,
         passes=tuple(adjoint - bias_adjoint + deviations),
         bias_adjoint=left * bias_adjoint + _by_denoiser(metric, _mean(stack, shares), adjoint),
         drift=(drift, error),
+        denoised=None if nearer is None else value + moved_by,
         view=metric.view,
     )
 

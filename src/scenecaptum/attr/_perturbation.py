@@ -21,6 +21,7 @@ from ._jackknife import through_view
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
 from ._passes import covariance_of_mean, pictures
+from ._picture_info import describe_picture
 from ._values import summarise
 from ._view import Viewer
 
@@ -198,6 +199,10 @@ class Perturbation:
     ) -> SceneAttribution:
         value, unbiased = measured.values[index].item(), measured.pseudo[0, :, index]
         count = len(unbiased)
+        bias = value - unbiased.mean().item() if count > 1 else None
+        error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
+        drift = None if bias is None or error is None else (bias, error)
+        spp = None if measured.budget.spp is None else count * measured.budget.spp
         about = {
             **getattr(self.renderer, "info", {}),
             "cautions": {},  # they are about derivatives, and there are none here
@@ -206,7 +211,8 @@ class Perturbation:
             "spp": measured.budget.total,
             "passes": count,
             "budget": measured.budget.describe(),
-            "metric_bias": value - unbiased.mean().item() if count > 1 else None,
+            "metric_bias": bias,
+            "picture": describe_picture(measured.metrics[index].view, value, drift, spp),
             "interrupted": measured.interrupted,
             "versions": _versions(),
             **info,
@@ -218,7 +224,7 @@ class Perturbation:
                 {n: None if e.error is None else e.error.float() for n, e in effects.items()}
             ),
             metric_value=value,
-            metric_standard_error=(unbiased.std() / math.sqrt(count)).item() if count > 1 else None,
+            metric_standard_error=None if drift is None else math.hypot(*drift),
             convergence_delta=delta,
             replicates=_all({name: effect.totals for name, effect in effects.items()}) or {},
             covariance=_all({name: effect.covariance for name, effect in effects.items()}),

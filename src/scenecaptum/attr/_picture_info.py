@@ -4,32 +4,51 @@ from __future__ import annotations
 
 from typing import Any
 
-from ._jackknife import Adjoints
+from ._jackknife import CHANCE
+from ._view import View
 
-CHANCE = 2.0  # standard errors by which the metric at half of the samples may differ from that at all
+ROUNDING = 1e-6
 
 
-def describe_picture(seen: Adjoints, samples: int | None) -> dict[str, Any]:
-    """Return in plain values how a metric saw a picture of so many samples per pixel."""
-    view = seen.view
+def describe_picture(
+    view: View,
+    value: float,
+    drift: tuple[float, float] | None,
+    samples: int | None,
+    denoised: float | None = None,
+) -> dict[str, Any]:
+    """Return in plain values how a metric saw a picture of so many samples per pixel.
+
+    Parameters
+    ----------
+    view, value, drift, denoised
+        As in ``Adjoints``.
+    samples
+        Per pixel of the picture, or None where that is not known.
+    """
     return {
         "spp": samples,
         "denoised": view.denoises,
         "relative_error": None if view.raw_error is None else view.raw_error**0.5,
         "relative_error_denoised": None if view.denoised_error is None else view.denoised_error**0.5,
-        "caution": _caution(seen, samples),
+        "caution": _caution(value, drift, samples, denoised),
     }
 
 
-def _caution(seen: Adjoints, samples: int | None) -> str | None:
-    """Say that the picture is too noisy, where the metric is another at half of the samples, beyond chance."""
-    if seen.drift is None:
+def _caution(
+    value: float, drift: tuple[float, float] | None, samples: int | None, denoised: float | None
+) -> str | None:
+    """Say that the picture is too noisy, where the metric is another at half of the samples, or denoised."""
+    if drift is None:
         return None
-    drift, chance = seen.drift
-    if abs(drift) <= CHANCE * chance or abs(drift) <= 1e-6 * abs(seen.value):
-        return None
-    half, every = f"{seen.value + drift:.4g}", f"{seen.value:.4g}"
-    counted = (
-        ("half of the samples", "all") if samples is None else (f"{samples / 2:g} spp", f"{samples} spp")
-    )
-    return f"the picture is too noisy for this metric: {half} at {counted[0]}, {every} at {counted[1]}"
+    more, chance = drift
+    least = max(CHANCE * chance, ROUNDING * abs(value))
+    noisy = "the picture is too noisy for this metric"
+    if abs(more) > least:
+        counted = (
+            ("half of the samples", "all") if samples is None else (f"{samples / 2:g} spp", f"{samples} spp")
+        )
+        return f"{noisy}: {value + more:.4g} at {counted[0]}, {value:.4g} at {counted[1]}"
+    if denoised is not None and abs(denoised - value) > least:
+        return f"{noisy}: {value:.4g} as it is, {denoised:.4g} denoised"
+    return None

@@ -28,12 +28,15 @@ class View:
         For the denoiser, where they are known.
     raw_error, denoised_error
         Mean squared relative errors of half of the samples, as they are and denoised, where they were measured.
+    nearer
+        Another view that is nearer to the truth, where it was not wanted.
     """
 
     denoises: bool = False
     guides: Guides | None = None
     raw_error: float | None = None
     denoised_error: float | None = None
+    nearer: View | None = None
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         """Return the picture as the metric sees it."""
@@ -52,7 +55,7 @@ def check_denoise(mode: Any) -> None:
 def choose_view(
     mode: Denoise, images: Sequence[torch.Tensor], samples: Sequence[float] | None, guides: Guides | None
 ) -> View:
-    """Choose whether pictures are denoised; ``"auto"`` measures what brings them nearer to the truth.
+    """Choose whether pictures are denoised; ``"auto"`` by what brings them nearer to the truth.
 
     Let A and B be the means of two halves of the pictures, independent and unbiased, and D the denoiser. Then
     ``E‖D(A) − B‖² = E‖D(A) − truth‖² + E‖B − truth‖²``: of the denoised half the squared error is
@@ -64,7 +67,7 @@ def choose_view(
     Lehtinen and others, "Noise2Noise: Learning Image Restoration without Clean Data", 2018, for errors measured
     against an independent noisy picture.
     """
-    if mode is False or not is_picture(images[0]):
+    if not is_picture(images[0]):
         if mode is True:
             raise SceneCaptumError(
                 f"denoise=True takes a picture (H, W, 3), and this sensor gives {tuple(images[0].shape)}. Leave "
@@ -87,7 +90,11 @@ def choose_view(
     raw_error = distance(*halves) / 2
     crossed = (distance(denoised[0], halves[1]) + distance(denoised[1], halves[0])) / 2
     denoised_error = max(0.0, crossed - raw_error)
-    return View(mode is True or denoised_error < raw_error, guides, raw_error, denoised_error)
+    denoises = denoised_error < raw_error
+    found = View(denoises or mode is True, guides, raw_error, denoised_error)
+    if mode is False:
+        return View(False, None, raw_error, denoised_error, nearer=found if denoises else None)
+    return found
 
 
 def _halves(
@@ -127,8 +134,6 @@ class Viewer:
 
     def choose(self, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None) -> View:
         """Choose by independent pictures of a scene; a single one is seen like those before."""
-        if self.mode is False:
-            return RAW
         if len(images) > 1 or self._last is RAW:
             guides = getattr(self._renderer, "guides", None) if is_picture(images[0]) else None
             self._last = choose_view(self.mode, images, samples, guides)

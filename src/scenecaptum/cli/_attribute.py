@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..attr import AttributionInterrupted, Denoise, SceneAttribution, VanillaSceneGradient
+from ..attr import AttributionInterrupted, SceneAttribution, VanillaSceneGradient
+from ..attr._view import Denoise
 from . import _arguments
 from ._files import writable, write_each
 

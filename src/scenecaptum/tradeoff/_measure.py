@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr import Denoise, SceneAttribution, VanillaSceneGradient
+from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._gradients import input_values, require_memory
 from ..attr._metric import Metric, Target
 from ..attr._passes import channel_totals
+from ..attr._view import Denoise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._result import TOP, Measured, Reference, Tradeoff
