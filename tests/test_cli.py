@@ -35,6 +35,22 @@ not_a_function = 3
 """
 
 
+# As the thin-lens and orthographic scenes of Mitsuba's own data leave $spp to the command line.
+OPEN = """<scene version="2.0.0">
+    <default name="distance" value="4"/>
+    <sensor type="thinlens">
+        <float name="aperture_radius" value="0.1"/><float name="focus_distance" value="$distance"/>
+        <transform name="to_world"><lookat origin="0, -$distance, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
+        <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$size"/><integer name="height" value="$size"/>
+        </film>
+    </sensor>
+    <shape type="sphere"/>
+    <emitter type="constant"/>
+</scene>"""
+
+
 @pytest.fixture
 def user_metrics(tmp_path) -> Path:
     path = tmp_path / "my_metrics.py"
@@ -87,6 +103,17 @@ def test_json_is_all_that_is_printed(tmp_path, capsys, user_metrics):
     assert [row["name"] for row in numbers["ranking"]] == ["light.emitter.radiance.value"]
 
 
+def test_values_of_dollar_names_reach_the_scene(tmp_path, capsys):
+    (tmp_path / "open.xml").write_text(OPEN)
+    scene, out = str(tmp_path / "open.xml"), str(tmp_path / "out")
+    given = ["-D", "spp=4", "-D", "size=8", "--define", "distance=6.5"]
+    command = ["attribute", scene, *given, "--replicates", "2", "--json", "--no-progress"]
+    assert cli.main([*command, "--max-depth", "2", "--out", out]) == 0
+    info = json.loads(capsys.readouterr().out)["info"]
+    assert (info["spp"], info["resolution"]) == (4, [8, 8])
+    assert info["parameters"] == {"spp": "4", "size": "8", "distance": "6.5"}
+
+
 @pytest.mark.parametrize("sensor", ["0", "fisheye"])
 def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
     out = tmp_path / "out"
@@ -103,6 +130,10 @@ def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
         (["ofice"], ["'ofice'", "Did you mean 'office'"]),
         (["broken.xml"], ["broken.xml", "cannot be loaded"]),
         (["blind.xml"], ["blind.xml", "no sensor"]),
+        (["open.xml"], ["no value for $size, $spp", "-D size=… -D spp=…"]),
+        (["open.xml", "-D", "spp=4"], ["no value for $size:", "parameters={'size': …}"]),
+        (["open.xml", "-D", "spp=4", "-D", "size=8", "-D", "siz=8"], ["no $siz", "Did you mean 'size'"]),
+        (["cornell-box", "-D", "spp=4"], ["parameters=", "cornell-box is none"]),
         (["cornell-box", "--inputs", "reflectence"], ["'reflectence'", "Did you mean 'reflectance'"]),
         (["cornell-box", "--inputs", "light.to_world"], ["'light.to_world'", "moves visibility"]),
         (["cornell-box", "--metric", "luminence"], ["'luminence'", "Did you mean 'luminance'"]),
@@ -130,6 +161,7 @@ def test_bad_input_is_one_clear_line_and_leaves_nothing(
     monkeypatch.chdir(tmp_path)
     Path("broken.xml").write_text("<scene version='3.0.0'><shape></scene>")
     Path("blind.xml").write_text("<scene version='3.0.0'><shape type='sphere'/></scene>")
+    Path("open.xml").write_text(OPEN)
     before = sorted(tmp_path.iterdir())
     scene, *options = arguments
     status = cli.main(["attribute", scene, *SMALL, *options, "--out", "out"])
@@ -152,6 +184,8 @@ def test_bad_input_is_one_clear_line_and_leaves_nothing(
         ["fly"],
         ["attribute", "office", "--resolution", "big"],
         ["tradeoff", "office", "--vary", "spp"],
+        ["attribute", "office", "-D", "spp"],
+        ["attribute", "office", "-D", "=4"],
     ],
 )
 def test_bad_usage_exits_with_2(arguments, capsys):

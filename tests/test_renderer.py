@@ -904,6 +904,31 @@ def test_the_plan_says_what_was_chosen_and_why(cornell: SceneRenderer) -> None:
     assert "caution" not in str(cornell.plan)
 
 
+PATH = {"type": "path", "max_depth": 3}
+INTEGRATORS = {
+    "aov": {"type": "aov", "aovs": "z:depth", "image": PATH},
+    "moment": {"type": "moment", "image": PATH},
+    "depth": {"type": "depth"},
+    "ptracer": {"type": "ptracer", "max_depth": 3},
+    "volpath": {"type": "volpath", "max_depth": 3},
+    "volpathmis": {"type": "volpathmis", "max_depth": 3},
+    "prbvolpath": {"type": "prbvolpath", "max_depth": 3},
+    "prb_projective": {"type": "prb_projective", "max_depth": 3},
+    "path": PATH,
+    "direct": {"type": "direct"},
+    "prb": {"type": "prb", "max_depth": 3},
+}
+
+
+@pytest.mark.parametrize("own", INTEGRATORS)
+def test_the_plan_says_that_the_scenes_integrator_is_not_used(mi: Any, own: str) -> None:
+    plan = SceneRenderer(small_cornell(integrator=INTEGRATORS[own])).plan
+    said = f"the scene's integrator '{own}' is not used" in str(plan)
+    assert said == (own not in ("path", "direct", "prb"))
+    depths = {"depth": 6, "direct": 2}
+    assert plan.max_depth == depths.get(own, 3)
+
+
 def test_a_scene_without_an_integrator_gets_a_default_depth(mi: Any) -> None:
     scene = small_cornell()
     del scene["integrator"]

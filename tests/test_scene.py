@@ -151,6 +151,78 @@ def test_a_broken_file_is_named_with_the_reason(mi: Any, tmp_path: Path, text: s
     assert "\n" not in said
 
 
+OPEN = XML.replace('name="width" value="8"', 'name="width" value="$size"').replace(
+    '<shape type="sphere" id="ball">',
+    '<default name="r" value="2"/><shape type="sphere" id="ball">'
+    '<float name="radius" value="$r"/><boolean name="flip_normals" value="$flip"/>',
+)
+
+
+@pytest.fixture
+def open_scene(painted: Path) -> Path:
+    """A scene file with two placeholders that have no default, and one that has."""
+    painted.write_text(OPEN)
+    return painted
+
+
+@pytest.mark.parametrize(
+    ("given", "radius"),
+    [
+        ({"size": 8, "flip": True}, 2.0),
+        ({"size": "8", "flip": "false", "r": 0.5}, 0.5),
+        ({"size": np.int64(8), "flip": False, "r": np.float32(0.25)}, 0.25),
+    ],
+)
+def test_placeholders_get_their_values(
+    mi: Any, open_scene: Path, given: dict[str, Any], radius: float
+) -> None:
+    scene = load_scene(open_scene, given)
+    assert tuple(scene.sensors()[0].film().size()) == (8, 8)
+    assert float(scene.shapes()[0].bbox().max.x) == pytest.approx(radius)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (None, "no value for $flip, $size: give parameters={'flip': …, 'size': …}, or -D flip=… -D size=…"),
+        ({"flip": True}, "no value for $size: give parameters={'size': …}, or -D size=…"),
+        (
+            {"flip": True, "size": 8, "sizes": 3},
+            "no $sizes that a value could be given to. Did you mean 'size'?",
+        ),
+        ({"flip": True, "size": 8, "zzz": 3}, "It has $flip, $r, $size."),
+        ({"$flip": True, "size": 8}, "the key '$flip'; keys are the $names of the file without $"),
+        ({"flip": None, "size": 8}, "gives $flip a NoneType; values are numbers and strings"),
+        ([("size", 8)], "must be a mapping such as {'spp': 64}, not list"),
+        ({"flip": True, "size": "wide"}, 'could not parse integer value "wide"'),
+    ],
+)
+def test_placeholders_and_values_that_do_not_match_are_named(
+    mi: Any, open_scene: Path, given: Any, words: str
+) -> None:
+    assert words in message(lambda: load_scene(open_scene, given))
+
+
+def test_placeholders_of_included_files_count(mi: Any, open_scene: Path) -> None:
+    whole = open_scene.parent / "whole.xml"
+    whole.write_text('<scene version="3.0.0"><include filename="$room.xml"/></scene>')
+    said = message(lambda: load_scene(whole, {"room": "scene", "flip": True}))
+    assert "no value for $size:" in said
+    load_scene(whole, {"room": "scene", "flip": True, "size": 8})
+    assert "It has $flip, $r, $room, $size." in message(
+        lambda: load_scene(whole, {"room": "scene", "flip": True, "size": 8, "w": 1})
+    )
+
+
+def test_values_beside_anything_but_a_file_are_refused(mi: Any) -> None:
+    scene = small(ball=ball({"type": "diffuse"}))
+    for one in (scene, mi.load_dict(scene), "office"):
+        assert "parameters= gives values to the $names of an XML file" in message(
+            lambda one=one: load_scene(one, {"spp": 4})
+        )
+    assert "There is no scene file 'nowhere.xml'" in message(lambda: load_scene("nowhere.xml", {"spp": 4}))
+
+
 def test_a_scene_dict_without_a_sensor_is_refused(mi: Any) -> None:
     assert "the scene dict has no sensor" in message(
         lambda: load_scene({"type": "scene", "a": {"type": "sphere"}})

@@ -74,8 +74,7 @@ def test_shortened_names_stay_different() -> None:
     short = shorten(names, 15)
     assert len(set(short)) == 3
     assert max(map(len, short)) <= 15
-    assert short[0].startswith("lumi")
-    assert short[0].endswith("ce")
+    assert all(one.startswith("lum") and one.endswith("nce") for one in short[:2])
     assert "…" in short[0]
     assert short[2] == "sky"
     assert shorten(["a\nb\x1b[2J"], 20) == ["a�b�[2J"]

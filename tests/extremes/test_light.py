@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import torch
@@ -178,19 +180,51 @@ def test_single_hot_texel(mi):
     assert slope(renderer, "sky.scale", 0.01) == pytest.approx(truth.mean().item(), rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("value", "words"), [(-5.0, "outside the physical range"), (np.nan, "finite"), (np.inf, "finite")]
-)
-def test_impossible_light_is_refused_at_loading(mi, tmp_path, value, words):
-    """Also where it is no input, and in a file."""
+BAD = [(-5.0, "outside the physical range"), (np.nan, "not finite"), (np.inf, "not finite")]
+
+
+@pytest.mark.parametrize(("value", "words"), BAD)
+def test_impossible_light_raises_where_it_is_asked_for_by_name(mi, tmp_path, value, words):
+    """With its texel and channel; kinds and globs leave it out, and the plan says so."""
     texels = np.full((8, 16, 3), 1.0, np.float32)
     texels[2, 4, 1] = value
     path = tmp_path / "sky.exr"
     mi.Bitmap(texels).write(str(path))
     scene = room(mi, sky={"type": "envmap", "filename": str(path)})
+    said = rf"it holds {value:g} at row 2, columns? \d.*channel 1.*{words}"
+    for inputs in ("sky.data", ["emitters", "sky.data"]):
+        with pytest.raises(SceneCaptumError, match=rf"'sky.data' cannot be differentiated: {said}"):
+            SceneRenderer(scene, inputs=inputs)
+    for inputs in ("emitters", "*"):
+        renderer = SceneRenderer(scene, inputs=inputs)
+        assert "sky.data" not in renderer.inputs
+        assert {"sky.scale", RADIANCE} <= set(renderer.inputs)
+        assert re.match(said, dict(renderer.plan.cautions)["sky.data"])
+        assert re.match(said, renderer.parameters_table()["sky.data"].problem)
     with pytest.raises(
-        SceneCaptumError, match=rf"'sky.data' holds {value:g} at row 2, columns? \d.*channel 1.*{words}"
+        SceneCaptumError, match=rf"{RADIANCE!r} cannot be differentiated: it holds {value:g}.*{words}"
     ):
-        SceneRenderer(scene, inputs="reflectance")
-    with pytest.raises(SceneCaptumError, match=rf"{RADIANCE!r} holds {value:g}.*{words}"):
-        SceneRenderer(room(mi, lamp=value), inputs="reflectance")
+        SceneRenderer(room(mi, lamp=value), inputs=RADIANCE)
+    with pytest.raises(SceneCaptumError, match=f"none of which can be differentiated; {RADIANCE}"):
+        SceneRenderer(room(mi, lamp=value), inputs="*radiance*")
+
+
+def test_impossible_light_that_nobody_asked_for_is_rendered_as_mitsuba_renders_it(mi):
+    scene = room(mi, lamp=-5.0)
+    renderer = SceneRenderer(scene, inputs="reflectance", resolution=(8, 8))
+    ours = torch.stack([renderer(seed=seed, spp=64) for seed in range(8)]).double()
+    loaded = mi.load_dict(scene, optimize=False)
+    theirs = torch.stack([mi.render(loaded, seed=seed, spp=64).torch() for seed in range(8, 16)]).double()
+    assert float(ours.mean()) < 0
+    means = [pictures.mean((1, 2, 3)) for pictures in (ours, theirs)]
+    error = sum(float(one.var()) / len(one) for one in means) ** 0.5
+    assert abs(float(means[0].mean() - means[1].mean())) < 4 * error
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_light_that_is_not_finite_is_named_where_it_reaches_the_picture(mi, value):
+    renderer = SceneRenderer(room(mi, lamp=value), inputs="reflectance")
+    with pytest.raises(
+        SceneCaptumError, match=rf"on \d+ of 64 pixels.*{RADIANCE!r} may be why: it holds {value:g}"
+    ):
+        renderer(seed=1)

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient
+from scenecaptum import FeatureAblationScene, SceneCaptumError, SceneRenderer, VanillaSceneGradient
 
 from .scenes import GREY, attribute, coverage, furnace, in_the_sky, mean, rgb, room, texture, total, z
 
@@ -174,3 +174,46 @@ def test_odd_textures(mi, shape, value):
     assert torch.isfinite(found[name]).all()
     assert torch.isfinite(found.standard_error[name]).all()
     assert abs(z(total(found, name), coverage(renderer), COVERED)) < 4
+
+
+KNOB = {
+    "type": "roughconductor",
+    "alpha": 0.2,
+    "eta": {"type": "rgb", "value": [1.5, -0.0485, 1.5]},
+    "k": 3.0,
+}
+ETA = "knob.bsdf.eta.value"
+
+
+@pytest.fixture(scope="module")
+def radiator(mi):
+    """A room with a ball of an impossible metal, as one that is published has it on the knob of a radiator."""
+    knob = {"type": "sphere", "center": [1.2, 0, 0], "radius": 0.4, "bsdf": KNOB}
+    return SceneRenderer(room(mi, knob=knob), inputs=["materials", "knob.*"])
+
+
+def test_an_impossible_index_is_left_out_by_kinds_and_globs_and_a_caution_names_it(radiator):
+    said = "it holds -0.0485 at channel 1, outside the physical range [0, ∞) of its kind (ior)"
+    assert ETA not in radiator.inputs
+    assert {"knob.bsdf.k.value", "knob.bsdf.alpha.value", "ball.bsdf.reflectance.value"} <= set(
+        radiator.inputs
+    )
+    assert radiator.plan.cautions == ((ETA, f"{said}; left out, and rendered as it is"),)
+    assert f"caution: {ETA}: {said}" in str(radiator.plan)
+    assert radiator.parameters_table()[ETA].problem == said
+    assert radiator.parameters_table()[ETA].status == f"not differentiable: {said}"
+
+
+def test_an_impossible_index_raises_by_its_exact_name_only(mi):
+    knob = {"type": "sphere", "bsdf": KNOB}
+    for inputs in (ETA, ["materials", ETA]):
+        with pytest.raises(SceneCaptumError, match=f"'{ETA}' cannot be differentiated: it holds -0.0485"):
+            SceneRenderer(room(mi, knob=knob), inputs=inputs)
+
+
+def test_results_carry_the_caution(radiator):
+    for method in (VanillaSceneGradient, FeatureAblationScene):
+        found = method(radiator, mean).attribute(seed=0, replicates=2)
+        assert found.info["left_out"][ETA].startswith("it holds -0.0485")
+        assert f"!  {ETA} is left out: it holds -0.0485" in " ".join(str(found).split())
+        assert ETA not in found

@@ -28,6 +28,15 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     """Add the scene, and how it is rendered."""
     parser.add_argument("scene", help="a Mitsuba XML file, or a bundled scene: office, cornell-box")
     parser.add_argument(
+        "-D",
+        "--define",
+        action="append",
+        type=definition,
+        dest="parameters",
+        metavar="NAME=VALUE",
+        help="value of a $NAME in the scene file, such as -D spp=64; may be repeated",
+    )
+    parser.add_argument(
         "--inputs",
         action="append",
         metavar="SELECTION",
@@ -108,6 +117,14 @@ def resolution(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def definition(text: str) -> tuple[str, str]:
+    """Read ``spp=64``."""
+    name, separator, value = text.partition("=")
+    if not (name and separator):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE, such as spp=64")
+    return name, value
+
+
 def shows_progress(options: argparse.Namespace) -> bool:
     """Whether there is somebody to watch a progress bar."""
     return sys.stderr.isatty() and not options.no_progress
@@ -122,6 +139,7 @@ def make_renderer(options: argparse.Namespace) -> SceneRenderer:
         spp=options.spp,
         max_depth=options.max_depth,
         sensor=int(options.sensor) if options.sensor.isdigit() else options.sensor,
+        parameters=dict(options.parameters or ()),
     ).with_checkpoint(options.checkpoint)
 
 

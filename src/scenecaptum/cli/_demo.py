@@ -18,6 +18,7 @@ def add(commands: Any) -> None:
     parser.set_defaults(
         run=attribute,
         scene="office",
+        parameters=None,
         metrics=None,
         inputs=None,
         threshold_factor=None,

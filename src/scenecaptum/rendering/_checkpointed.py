@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ..checkpoint import Checkpoint, digest
+from ..scene._naming import without_addresses
 from ._engine import Engine, Values
 
 
@@ -81,14 +82,16 @@ class CheckpointedEngine:
 def scene_contents(scene: Any) -> str:
     """Return a hash of all that Mitsuba tells of a scene: its plugins and their settings, and every array."""
     parameters = mi.traverse(scene)
-    return digest((str(scene), {name: _plain(parameters[name]) for name in parameters.keys()}))  # noqa: SIM118
+    numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
+    return digest((without_addresses(str(scene)), numbers))
 
 
 def fingerprint(scene: str, sensor: Any, settings: Mapping[str, Any]) -> str:
     """Return a hash of a scene's contents, a sensor, how they are rendered and by which versions."""
     versions = [version(package) for package in ("scenecaptum", "mitsuba", "drjit")]
     parameters = mi.traverse(sensor)
-    camera = str(sensor), {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
+    numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
+    camera = without_addresses(str(sensor)), numbers
     return digest((scene, camera, dict(settings), versions, mi.variant()))
 
 
@@ -96,7 +99,7 @@ def _plain(value: Any) -> Any:
     """Return a value of Mitsuba's as numbers, or as the text that it prints."""
     value = getattr(value, "matrix", value)
     if not dr.is_array_v(value):
-        return value if isinstance(value, (int, float, str)) else str(value)
+        return value if isinstance(value, (int, float, str)) else without_addresses(str(value))
     value = dr.detach(value)
     array = value.array if dr.is_tensor_v(value) else dr.ravel(value) if dr.depth_v(value) > 1 else value
     return np.array(array)

@@ -45,7 +45,8 @@ class RenderPlan:
         The inputs whose derivative is a finite difference with a shared seed, each with the reason why path
         replay does not serve; at the scene's own values, since at others it may.
     cautions
-        ``(parameter, what is known to be wrong with its derivative)`` pairs.
+        ``(parameter, caution)`` pairs: of inputs, what is known to be wrong with their derivatives; of others,
+        that the scene's own value is not finite or physically impossible.
     memory
         Bytes that a picture and its backward pass take at most, of the renderer's own samples.
     """
@@ -127,6 +128,7 @@ def make_plan(
     hide_emitters = bool(getattr(own, "hide_emitters", False))
     if hide_emitters:
         reasons.append(("lights hidden from the camera", "as the scene's integrator says"))
+    reasons += _not_used(own)
 
     left_out = sum(not p.problem for p in parameters.values()) - len(inputs)
     reasons.append(
@@ -147,8 +149,41 @@ def make_plan(
                 "low roughness (pinhole and lens cameras, no bump maps)",
             )
         )
-    cautions = tuple((n, caution) for n in inputs if (caution := parameters[n].caution) is not None)
+    cautions = (
+        *((name, f"{p.fault}; left out, and rendered as it is") for name, p in parameters.items() if p.fault),
+        *((name, caution) for name in inputs if (caution := parameters[name].caution)),
+    )
     return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)
+
+
+# The scene's own integrators that do not render what path replay does, or not in its way, by their classes.
+_OTHERS = {
+    "AOVIntegrator": ("aov", "its channels beside radiance are not rendered"),
+    "DepthIntegrator": ("depth", "it shows distances, and radiance is rendered"),
+    "MomentIntegrator": ("moment", "squares of radiance are not rendered"),
+    "StokesIntegrator": ("stokes", "polarization is not rendered"),
+    "ParticleTracerIntegrator": ("ptracer", "the same light is found from the camera, with other noise"),
+    "VolumetricPathIntegrator": ("volpath", "the same light is found by path replay"),
+    "VolpathMisIntegratorImpl": ("volpathmis", "the same light is found by path replay"),
+    "PRBVolpathIntegrator": ("prbvolpath", "the same light is found by path replay"),
+    "DirectProjectiveIntegrator": ("direct_projective", "visibility is not differentiated"),
+    "PathProjectiveIntegrator": ("prb_projective", "visibility is not differentiated"),
+}
+# Those that path replay stands in for.
+_ALIKE = {"PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator"}
+_ALIKE |= {"ReplayIntegrator", "VolumetricReplayIntegrator"}
+
+
+def _not_used(own: Any) -> list[tuple[str, str]]:
+    """Say that the scene's own integrator is not used, where pictures or derivatives could be expected of it."""
+    if own is None:
+        return []
+    # Mitsuba knows a plugin in Python by the class of its base.
+    name = type(own).__name__ if own.class_name() == "SamplingIntegrator" else str(own.class_name())
+    if name in _ALIKE:
+        return []
+    plugin, reason = _OTHERS.get(name, (name, "radiance is found by path replay"))
+    return [(f"the scene's integrator {plugin!r} is not used", reason)]
 
 
 def stock_plan(plan: RenderPlan) -> RenderPlan:

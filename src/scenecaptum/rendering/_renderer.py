@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 import numpy as np
 import torch
 
+from .._finite import NotFiniteError
 from ..backend import device, exclusively
 from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
 from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
-from ..scene._extremes import check_scale, check_values
+from ..scene._extremes import check_scale
 from ..scene._graph import SceneGraph
-from ..scene._loading import SceneLike, describe, source_of
+from ..scene._loading import SceneLike, XmlParameters, as_text, describe, source_of
 from ..scene._selection import Selection
 from ._function import RenderCall, render
 from ._memory import available, predict, require
@@ -47,8 +48,8 @@ class SceneRenderer(torch.nn.Module):
     torch.Size([3])
 
     Every call is pure: it carries its own values into its backward pass and leaves a scene that was handed in
-    as it found it. Any number of renders may live in one graph, and a graph may be differentiated any number
-    of times, but only to first order.
+    as it found it, but that objects without an id have got one. Any number of renders may live in one graph, and
+    a graph may be differentiated any number of times, but only to first order.
 
     Parameters
     ----------
@@ -68,6 +69,8 @@ class SceneRenderer(torch.nn.Module):
         Index of the sensor, or ``"fisheye"``: a 180° equidistant fisheye in place of the first one, square unless
         ``resolution`` says otherwise. A list of these renders a stack ``(cameras, H, W, 3)``, which the metric
         reduces; such a result has no heatmap.
+    parameters
+        Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
 
     Attributes
     ----------
@@ -88,7 +91,8 @@ class SceneRenderer(torch.nn.Module):
     Raises
     ------
     SceneCaptumError
-        Where the scene cannot be loaded, or ``inputs`` selects nothing that can be differentiated.
+        Where the scene cannot be loaded, ``inputs`` selects nothing that can be differentiated, or ``parameters``
+        are not those of the file.
     """
 
     def __init__(
@@ -100,6 +104,7 @@ class SceneRenderer(torch.nn.Module):
         spp: int | None = None,
         max_depth: int | None = None,
         sensor: int | str | list[int | str] = 0,
+        parameters: XmlParameters | None = None,
     ) -> None:
         super().__init__()
         with exclusively(_variant_of(scene)) as mi:
@@ -108,7 +113,7 @@ class SceneRenderer(torch.nn.Module):
             self.checkpoint: Checkpoint | None = None
             self._granted = 0  # bytes that were found to be available
             try:
-                size = self._load(scene, inputs, sensor, resolution, spp)
+                size = self._load(scene, parameters, inputs, sensor, resolution, spp)
                 self._prepare(size, self._plan_for(max_depth))
             except SceneCaptumError as error:
                 # What was loaded goes now: let go with the error, it would go while another thread renders.
@@ -119,6 +124,7 @@ class SceneRenderer(torch.nn.Module):
     def _load(
         self,
         scene: SceneLike,
+        parameters: XmlParameters | None,
         inputs: Selection,
         sensor: int | str | list[int | str],
         resolution: tuple[int, int] | None,
@@ -128,8 +134,9 @@ class SceneRenderer(torch.nn.Module):
         from ._state import SceneState  # which needs an active variant
 
         self.name = describe(scene)
-        loaded = load_scene(scene)
-        self._source = digest(source_of(scene))
+        loaded = load_scene(scene, parameters)
+        self._placeholders = as_text(parameters)
+        self._source = digest((source_of(scene), self._placeholders))
         check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
@@ -140,7 +147,6 @@ class SceneRenderer(torch.nn.Module):
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
-        check_values(self.name, self._state.original, self._table)
         return size
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
@@ -375,11 +381,13 @@ class SceneRenderer(torch.nn.Module):
         """How this renderer renders, in plain values, for the record of a result."""
         return {
             "scene": self.name,
+            **({"parameters": self._placeholders.copy()} if self._placeholders else {}),
             "resolution": list(self.resolution),
             "integrator": self.plan.integrator,
             "max_depth": self.plan.max_depth,
             "variant": self._variant,
             "cautions": dict(self.plan.cautions),
+            "left_out": {name: p.fault for name, p in self._table.items() if p.fault},
         }
 
     def parameters_table(self) -> SceneParameters:
@@ -507,22 +515,30 @@ class SceneRenderer(torch.nn.Module):
         spp_grad = spp if spp_grad is None else whole_number("spp_grad", spp_grad)
         self.require_memory(spp=max(spp, spp_grad))
         tensors = [value.to(self._device, torch.float32) for value in given.values()]
-        images = [
-            render(
-                RenderCall(
-                    engine=engine,
-                    names=tuple(given),
-                    seed=_seed_of_camera(seed, number),
-                    seed_grad=_seed_of_camera(seed_grad, number),
-                    spp=spp,
-                    spp_grad=spp_grad,
-                    check=self._check_values,
-                ),
-                *tensors,
-            )
-            for number, engine in enumerate(self._engines)
-        ]
+        try:
+            images = [
+                render(
+                    RenderCall(
+                        engine=engine,
+                        names=tuple(given),
+                        seed=_seed_of_camera(seed, number),
+                        seed_grad=_seed_of_camera(seed_grad, number),
+                        spp=spp,
+                        spp_grad=spp_grad,
+                        check=self._check_values,
+                    ),
+                    *tensors,
+                )
+                for number, engine in enumerate(self._engines)
+            ]
+        except NotFiniteError as error:
+            raise NotFiniteError(f"{error}{self._suspects()}") from error
         return torch.stack(images) if self._stacked else images[0]
+
+    def _suspects(self) -> str:
+        """Name the scene's own values that are not finite or impossible, in sentences."""
+        faults = [f" {name!r} may be why: {p.fault}." for name, p in self._table.items() if p.fault]
+        return "".join(faults[:3])
 
     def derivative_image(
         self,

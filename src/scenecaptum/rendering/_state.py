@@ -24,7 +24,9 @@ class SceneState:
     scene
         The live ``mi.Scene``.
     shapes
-        The parameters that may be written, and their shapes in torch.
+        The parameters that may be written, and their shapes in torch. Where that has one number and the scene a
+        colour, which a material looks up as one number, it is the mean of its channels, or a bitmap's luminance,
+        as Mitsuba takes it; what is written goes to all channels alike.
     """
 
     def __init__(self, scene: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -32,6 +34,11 @@ class SceneState:
         self._params.properties = {n: p for n, p in self._params.properties.items() if n in shapes}
         self._shapes = shapes
         self._types = {name: type(self._params[name]) for name in shapes}
+        self._grey = {
+            name
+            for name, shape in shapes.items()
+            if shape[2:] in ((), (1,)) and flat(self._params[name]).shape == (*shape[:2], 3)
+        }
         self._found: dict[str, Any] = {}
         self.leaves: dict[str, Any] = {}
         self.original = {name: self._to_torch(name, self._params[name]) for name in shapes}
@@ -67,13 +74,13 @@ class SceneState:
         for name, array in zip(stale, arrays, strict=True):
             # Until the write has gone through, nothing is known of what the scene holds.
             self._held.pop(name, None)
-            value = _from_tensor(self._types[name], array)
+            value = _from_tensor(self._leaf_type(name), array)
             if name in tracked:
                 dr.enable_grad(value)
                 # The scene may derive its own array from this one (a padded environment map), so the gradient
                 # is read here, not from the scene.
                 leaves[name] = value
-            self._params[name] = value
+            self._params[name] = self._in_scene(name, value)
         if stale:
             self._params.update()
         self._held.update(stale)
@@ -96,7 +103,7 @@ class SceneState:
 
     def release(self) -> None:
         """Stop tracking: what remains of this scene's graph must not reach another's."""
-        self._assign({name: dr.detach(leaf) for name, leaf in self.leaves.items()})
+        self._assign({name: self._in_scene(name, dr.detach(leaf)) for name, leaf in self.leaves.items()})
 
     def restore(self) -> None:
         """Put back what ``look`` found, where anything has changed."""
@@ -116,13 +123,35 @@ class SceneState:
 
     def _to_torch(self, name: str, value: Any) -> torch.Tensor:
         tensor: torch.Tensor = flat(dr.detach(value)).torch()
+        if name in self._grey:
+            weights = torch.tensor(_LUMINANCE if self._shapes[name] else _MEAN).to(tensor)
+            tensor = (tensor * weights).sum(-1, keepdim=bool(self._shapes[name]))
         # The attributes of a mesh are rows; a texture may have got another size since it was loaded.
         rows = (-1, *self._shapes[name][1:]) if len(self._shapes[name]) == 2 else tensor.shape
         return tensor.to(torch.float32).clone().reshape(rows)
 
+    def _leaf_type(self, name: str) -> type:
+        """Return what a parameter is tracked as."""
+        if name not in self._grey:
+            return self._types[name]
+        kind: type = mi.TensorXf if self._shapes[name] else mi.Float
+        return kind
+
+    def _in_scene(self, name: str, leaf: Any) -> Any:
+        """Return what the scene is to hold for a leaf."""
+        if name not in self._grey:
+            return leaf
+        if dr.is_tensor_v(leaf):
+            return self._types[name](dr.repeat(leaf.array, 3), shape=(*leaf.shape[:2], 3))
+        return self._types[name](leaf)
+
     def _holds(self, name: str, tensor: torch.Tensor) -> bool:
         held = self._held.get(name)
         return held is not None and torch.equal(held, tensor)
+
+
+_MEAN = (1 / 3, 1 / 3, 1 / 3)
+_LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
 def flat(value: Any) -> Any:

@@ -1,15 +1,14 @@
-"""Refusing scenes that a renderer would show without complaint, and wrongly."""
+"""What a renderer would show without complaint, and wrongly: impossible values, and sizes too small for rays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch
 
 from .._finite import place
 from ..errors import SceneCaptumError
-from ._parameters import Parameter
+from ._bounds import Bounds
 
 # Where a value outside its range means light or matter that cannot be. Elsewhere Mitsuba has conventions of its
 # own (a principled roughness of 0).
@@ -25,30 +24,26 @@ _OFF = 1500 * 2.0**-24
 _MOST_OFF = 0.01
 
 
-def check_values(scene: str, values: Mapping[str, torch.Tensor], table: Mapping[str, Parameter]) -> None:
-    """Refuse a scene whose own values are not finite, or whose light or matter is unphysical.
+def fault_of(value: torch.Tensor, kind: str, bounds: Bounds) -> str | None:
+    """Say what is wrong with a value that is not finite, or that is light or matter that cannot be; else None.
 
-    Raises
-    ------
-    SceneCaptumError
-        Naming the parameter, the value and where it is.
+    Example
+    -------
+    >>> fault_of(torch.tensor([1.5, -0.0485, 1.5]), "ior", Bounds(0.0, open_low=True))
+    'it holds -0.0485 at channel 1, outside the physical range (0, ∞) of its kind (ior)'
     """
-    for name, value in values.items():
-        low, high = value.aminmax() if value.numel() else (value.new_zeros(()),) * 2
-        if not (low.isfinite() and high.isfinite()):
-            _refuse(scene, name, value, ~torch.isfinite(value), "which is not finite")
-        bounds, kind = table[name].bounds, table[name].kind
-        if kind in _PHYSICAL and (low < bounds.low or high > bounds.high + _SLACK):
-            outside = (value < bounds.low) | (value > bounds.high + _SLACK)
-            _refuse(scene, name, value, outside, f"outside the physical range {bounds} of its kind ({kind})")
+    low, high = value.aminmax() if value.numel() else (value.new_zeros(()),) * 2
+    if not (low.isfinite() and high.isfinite()):
+        return _say(value, ~torch.isfinite(value), "which is not finite")
+    if kind in _PHYSICAL and (low < bounds.low or high > bounds.high + _SLACK):
+        outside = (value < bounds.low) | (value > bounds.high + _SLACK)
+        return _say(value, outside, f"outside the physical range {bounds} of its kind ({kind})")
+    return None
 
 
-def _refuse(scene: str, name: str, value: torch.Tensor, bad: torch.Tensor, why: str) -> None:
+def _say(value: torch.Tensor, bad: torch.Tensor, why: str) -> str:
     where = f" at {place(bad)}" if bad.ndim else ""
-    raise SceneCaptumError(
-        f"{scene}: {name!r} holds {value[bad][0].item():g}{where}, {why}. Mend it in the scene, or in the file "
-        "that it comes from."
-    )
+    return f"it holds {value[bad][0].item():g}{where}, {why}"
 
 
 def check_scale(scene: str, loaded: Any) -> None:

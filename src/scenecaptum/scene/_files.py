@@ -9,7 +9,8 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,33 +26,66 @@ DENSEST = 2.0**24  # beyond it a mean free path is shorter than float32 can step
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _TAG = re.compile(r"</|/>|<(?=\w)")
 _DEFAULT = re.compile(r'<default\s+name="([^"]*)"\s+value="([^"]*)"')
+_PLACEHOLDER = re.compile(r"(?<!\\)\$(\w+)")
 _FILE_NAME = re.compile(r'filename="([^"]*)"')
 
 
-def check_xml(path: Path, seen: frozenset[Path] = frozenset()) -> None:
+def check_xml(path: Path, values: Mapping[str, str]) -> None:
     """Raise where a scene file, or one that it includes, is nested too deep or grows without end.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    values
+        Those of its ``$names``.
 
     Raises
     ------
     SceneCaptumError
         With the file and its fault.
     """
+    for file, text in _texts(path, values):
+        depth = deepest = 0
+        for tag in _TAG.finditer(text):
+            depth += 1 if tag.group() == "<" else -1
+            deepest = max(deepest, depth)
+        if deepest > DEEPEST:
+            raise SceneCaptumError(
+                f"{file} cannot be loaded: its tags are nested {deepest} deep; {DEEPEST} is the most that is "
+                "read. Close each tag, or take out what holds only one thing."
+            )
+        _check_defaults(file, text)
+
+
+def _texts(
+    path: Path, values: Mapping[str, str], seen: frozenset[Path] = frozenset()
+) -> Iterator[tuple[Path, str]]:
+    """Read a scene file and those that it includes, without their comments."""
     text = _COMMENT.sub("", path.read_text(encoding="utf-8", errors="replace"))
-    depth = deepest = 0
-    for tag in _TAG.finditer(text):
-        depth += 1 if tag.group() == "<" else -1
-        deepest = max(deepest, depth)
-    if deepest > DEEPEST:
-        raise SceneCaptumError(
-            f"{path} cannot be loaded: its tags are nested {deepest} deep; {DEEPEST} is the most that is read. "
-            "Close each tag, or take out what holds only one thing."
-        )
-    _check_defaults(path, text)
+    yield path, text
+    values = {**dict(_DEFAULT.findall(text)), **values}
     for name in _FILE_NAME.findall(text):
-        other = path.parent / name
+        other = path.parent / _PLACEHOLDER.sub(lambda found: values.get(found[1], found[0]), name)
         check_kind(other)
         if other.suffix == ".xml" and is_file(other) and other.resolve() not in seen:
-            check_xml(other, seen | {path.resolve()})
+            yield from _texts(other, values, seen | {path.resolve()})
+
+
+@dataclass(frozen=True)
+class Placeholders:
+    """The ``$names`` of a scene file and of those that it includes: all, and those with a ``<default>``."""
+
+    used: frozenset[str]
+    defaults: frozenset[str]
+
+    @classmethod
+    def of(cls, path: Path, values: Mapping[str, str]) -> Placeholders:
+        """Look for them, where some have got values."""
+        texts = [text for _, text in _texts(path, values)]
+        used = (name for text in texts for name in _PLACEHOLDER.findall(text))
+        defaults = (name for text in texts for name, _ in _DEFAULT.findall(text))
+        return cls(frozenset(used), frozenset(defaults))
 
 
 def _check_defaults(path: Path, text: str) -> None:

@@ -25,8 +25,8 @@ class SceneGraph:
         self._link_instances()
 
     def _walk(self, node: Any) -> None:
-        children = self._children[node] = _children(node)
-        for name, child in children:
+        held = self._children[node] = children(node)
+        for name, child in held:
             self._holders.setdefault(child, []).append((node, name))
             if child not in self._children:
                 self._walk(child)
@@ -55,6 +55,27 @@ class SceneGraph:
         while isinstance(node, (mi.Texture, mi.Volume)) and self._holders.get(node):
             node, attribute = self._holders[node][0]
         return node, attribute
+
+    def uses(self, texture: Any) -> list[tuple[Any, str]]:
+        """Return all that look a texture up, through other textures too, each with what it uses it as."""
+        mi = activate()
+        found, pending = [], [texture]
+        while pending:
+            for holder, held_as in self._holders.get(pending.pop(), []):
+                if isinstance(holder, (mi.Texture, mi.Volume)):
+                    pending.append(holder)
+                else:
+                    found.append((holder, held_as))
+        return found
+
+    def path(self, node: Any) -> list[tuple[str, Any]]:
+        """Return the objects from below the scene down to one, each with what ``mi.traverse`` finds it held as."""
+        found: list[tuple[str, Any]] = []
+        while node is not self.scene:
+            holder, held_as = self._holders[node][0]
+            found.insert(0, (held_as, node))
+            node = holder
+        return found
 
     def owners(self, node: Any) -> tuple[str, ...]:
         """Names of the outermost materials, lights and media through which a value reaches the picture."""
@@ -130,7 +151,12 @@ def mesh_places(node: Any, name: str) -> int | None:
 _GEOMETRY = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 
 
-def _children(node: Any) -> list[tuple[str, Any]]:
+def is_nameless(identifier: str) -> bool:
+    """Whether an id is none: empty, or one that Mitsuba made up when it wrote the file."""
+    return not identifier or identifier.startswith("_unnamed_")
+
+
+def children(node: Any) -> list[tuple[str, Any]]:
     """Objects that a Mitsuba object reports when it is traversed, by the name it gives them."""
     found: list[tuple[str, Any]] = []
     node.traverse(_collector()(found))
@@ -171,7 +197,7 @@ def _held_by_material(holders: list[tuple[Any, str]]) -> bool:
 def _name(node: Any, wearers: list[Any]) -> str:
     """Return an object's id; a material written inside its only shape goes by the shape's name."""
     identifier = node.id()
-    if wearers and identifier in ("", "bsdf"):
+    if wearers and (is_nameless(identifier) or identifier == "bsdf"):
         identifier = wearers[0].id()
     return str(identifier or node.class_name())
 

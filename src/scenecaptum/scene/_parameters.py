@@ -8,24 +8,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
 from ..backend import activate
 from ..errors import UnknownNameError, near_misses
+from ._bounds import Bounds
+from ._extremes import fault_of
 from ._graph import SceneGraph, mesh_places
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """The physically meaningful interval of a parameter; ``open_low`` leaves its lower end out."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
-
-    def __str__(self) -> str:
-        """Write the interval as mathematics does: ``(0, 1]``."""
-        left = "(" if self.open_low or math.isinf(self.low) else "["
-        right = ")" if math.isinf(self.high) else "]"
-        return f"{left}{_number(self.low)}, {_number(self.high)}{right}"
+from ._naming import lamp_on
 
 
 @dataclass(frozen=True)
@@ -46,7 +36,8 @@ class Parameter:
     role
         What that uses it as, in Mitsuba's words: ``"diffuse_reflectance"``, ``"eta"``, …
     shape
-        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture.
+        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture. A colour that
+        is looked up as one number, such as an opacity, is a scalar, and a texture of such ``(H, W, 1)``.
     bounds
         The values that are physically meaningful.
     owners
@@ -55,6 +46,8 @@ class Parameter:
         Whether Mitsuba lets Dr.Jit track it; where not, a finite difference still can be taken.
     specular_inside
         Whether it belongs to a material with a perfectly specular lobe.
+    fault
+        What is wrong with the scene's own value, where it is not finite or physically impossible, or None.
     problem
         Why it cannot be differentiated, or None.
     caution
@@ -71,6 +64,7 @@ class Parameter:
     owners: tuple[str, ...]
     tracked: bool = True
     specular_inside: bool = False
+    fault: str | None = None
     problem: str | None = None
     caution: str | None = None
 
@@ -178,6 +172,12 @@ _SURFACE_ROLES: dict[str, tuple[str, Bounds]] = {
     ),
 }
 
+# Properties that Mitsuba's materials look up as one number, whatever they are given as: of a colour they take the
+# mean of its channels, of a bitmap the luminance.
+_ONE_NUMBER = {"opacity", "weight", "alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic"}
+_ONE_NUMBER |= {"sheen", "sheen_tint", "spec_tint", "clearcoat", "clearcoat_gloss", "spec_trans", "flatness"}
+_ONE_NUMBER |= {"diff_trans"}
+
 _EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width"), Bounds(0.0, 180.0))
 
 _MEDIUM_ROLES: dict[str, Bounds] = {"albedo": _UNIT, "g": Bounds(-1.0, 1.0)}
@@ -208,7 +208,7 @@ def discover(graph: SceneGraph) -> SceneParameters:
     mi = activate()
     # Writing is none of its business, but reading through mi.traverse is what fixes the names.
     properties = mi.traverse(graph.scene).properties
-    labels = _labels(properties)
+    labels = _labels({name: _label(graph, name, node) for name, (_, _, node, _) in properties.items()})
     return SceneParameters(
         _describe(graph, name, labels[name], node, _value(pointer, cpptype, node), flags)
         for name, (pointer, cpptype, node, flags) in properties.items()
@@ -224,9 +224,11 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     own_name = name.rsplit(".", 1)[-1]
     holder, role = graph.role(node, own_name)
     kind, bounds = _kind_and_bounds(holder, role)
-    shape = _shape(value, mesh_places(node, own_name))
+    found = _shape(value, mesh_places(node, own_name))
+    shape = _grey(found) if _is_one_number(graph, node, found) else found
     tracked = _is_array(value) and not flags & _untracked_flags() and not _leaves_tables(holder, role)
     problem = _problem(kind, role, holder, shape, value, tracked)
+    fault = None if problem else fault_of(_numbers(value, found), kind, bounds)
     return Parameter(
         name=name,
         label=label,
@@ -238,7 +240,8 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         owners=graph.owners(node),
         tracked=tracked,
         specular_inside=_is_specular(holder),
-        problem=problem,
+        fault=fault,
+        problem=problem or fault,
         caution=None if problem else _caution(role, holder, shape, value),
     )
 
@@ -330,6 +333,31 @@ def _is_array(value: Any) -> bool:
     return value is not None and bool(dr.is_jit_v(value) and dr.is_float_v(value))
 
 
+def _is_one_number(graph: SceneGraph, node: Any, shape: tuple[int, ...]) -> bool:
+    """Whether a colour, or a coloured picture, is looked up as one number by every material that uses it."""
+    mi = activate()
+    if not isinstance(node, mi.Texture) or len(shape) not in (1, 3) or shape[-1] != 3:
+        return False
+    uses = graph.uses(node)
+    return bool(uses) and all(isinstance(one, mi.BSDF) and role in _ONE_NUMBER for one, role in uses)
+
+
+def _grey(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape of a colour, or of a coloured picture, that counts as one number."""
+    return (*shape[:-1], 1) if len(shape) > 1 else ()
+
+
+def _numbers(value: Any, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return a float, or an array of Dr.Jit, as a tensor of that shape."""
+    import drjit as dr
+
+    if isinstance(value, float):
+        return torch.tensor(value)
+    value = dr.detach(value)
+    flat: torch.Tensor = (value.array if dr.is_tensor_v(value) else dr.ravel(value)).torch()
+    return flat.cpu().reshape(shape)
+
+
 def _shape(value: Any, places: int | None) -> tuple[int, ...]:
     """Shape as a torch tensor: Dr.Jit gives a scalar shape (1,) and a uniform colour (3, 1).
 
@@ -343,21 +371,26 @@ def _shape(value: Any, places: int | None) -> tuple[int, ...]:
     return shape if "Tensor" in type(value).__name__ or shape[-1:] != (1,) else shape[:-1]
 
 
-def _labels(names: Iterable[str]) -> dict[str, str]:
-    """Readable names: the owner, then what it is; the full name where two would read the same."""
-    names = list(names)
-    labels = {name: _label(name) for name in names}
+def _labels(labels: Mapping[str, str]) -> dict[str, str]:
+    """Keep the labels that are the only ones of their kind; of others the full name tells more."""
     counts = Counter(labels.values())
     return {name: label if counts[label] == 1 else name for name, label in labels.items()}
 
 
-def _label(name: str) -> str:
-    owner, *rest = name.split(".")
-    words = [segment.replace("_", " ") for segment in rest if segment not in _DROPPED_SEGMENTS]
-    if rest and rest[-1] == "data":
+def _label(graph: SceneGraph, name: str, node: Any) -> str:
+    """Return a readable name: the object that a parameter belongs to, whose id may have dots, and what it is."""
+    path = graph.path(node)
+    if not path:
+        return name
+    segments, rest = [], name
+    for held_as, _ in path:
+        # Mitsuba numbers what is held under one name: this is "" or "_1".
+        number, _, rest = rest.removeprefix(held_as).partition(".")
+        segments.append(held_as + number)
+    owner, *inner = [*segments, rest]
+    if lamp_on(owner) in (one.id() for _, one in path):
+        owner = lamp_on(owner)
+    words = [segment.replace("_", " ") for segment in inner if segment not in _DROPPED_SEGMENTS]
+    if inner[-1] == "data":
         words.append("texture" if words else "map")
     return f"{owner}: {' '.join(words)}" if words else owner
-
-
-def _number(value: float) -> str:
-    return "∞" if value == math.inf else "−∞" if value == -math.inf else f"{value:g}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import TypeAlias
@@ -23,7 +24,8 @@ def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
         The scene's parameters.
     inputs
         A kind (``"materials"``, ``"reflectance"``, …, ``"all"``), a glob (``"*.reflectance.*"``), an exact
-        name, or a list of these. Kinds and globs pass over what cannot be differentiated.
+        name, or a list of these. Kinds and globs pass over what cannot be differentiated, and over values that
+        are not finite or physically impossible.
 
     Raises
     ------
@@ -42,7 +44,8 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
         raise SceneCaptumError(f"inputs must hold names, globs or kinds, not {type(item).__name__}.")
     if item in parameters:
         if parameters[item].problem:
-            raise SceneCaptumError(f"{item!r} cannot be differentiated: {parameters[item].problem}.")
+            fix = ". Correct it in the scene, or in its file" if parameters[item].fault else ""
+            raise SceneCaptumError(f"{item!r} cannot be differentiated: {parameters[item].problem}{fix}.")
         return [item]
     if item in KINDS:
         matched = [p for p in parameters.values() if _is_of_kind(p, item)]
@@ -71,6 +74,8 @@ def _nothing(parameters: SceneParameters, item: str, matched: list[Parameter]) -
         )
     known = [*KINDS, *(name for name, p in parameters.items() if not p.problem)]
     hint = "" if item in KINDS else near_misses(item, known)
+    if re.match(r"object_\d", item):
+        hint = " Names object_… were addresses in memory: objects without an id have names of their own here."
     return (
         f"inputs={item!r} matches no parameter of the scene.{hint} "
         f"Kinds are {', '.join(KINDS)}; parameters_table() lists every name."

@@ -24,7 +24,7 @@ from ._figures import (
     title_of,
 )
 from ._numbers import shorten
-from ._words import axis_words, caution_groups, count_words, pack, sampling_words, sign_words
+from ._words import axis_words, caution_groups, count_words, pack, sampling_words, scene_cautions, sign_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -181,6 +181,7 @@ def _wrap(
         labels = shorten([attribution.labels.get(name, name) for name in names[:_MOST_NAMED]], _NAME_WIDTH)
         more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
         lines.append(f"! {text} ({', '.join([*labels, *more])})")
+    lines += [f"! {text}" for text in scene_cautions(attribution)]
     return [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]
 
 

@@ -6,11 +6,13 @@ import math
 import re
 import unicodedata
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 # Plain decimals compare best down a column, but not when most of them are zeros.
 _MOST_DECIMALS = 6
 _LEAST_SCIENTIFIC = 1e6
+_LEAST_OBJECT = 9  # columns that are left to the object's name in a label
 _MOST_DIGITS = 8  # all that single precision has
 
 
@@ -89,22 +91,52 @@ def align_decimals(numbers: Sequence[str]) -> list[str]:
 def shorten(names: Sequence[str], width: int) -> list[str]:
     """Shorten names in the middle, where they say least, and replace what cannot be printed.
 
-    Where two different names would then read alike, they are cut elsewhere.
+    Of a label, ``object: property``, both are kept: it is the object's name that loses its middle, as long as a
+    few columns are left to it. Where two different names would then read alike, they are cut elsewhere.
+
+    Example
+    -------
+    >>> shorten(["mat-Wall White painted.001: diffuse reflectance", "lamp: radiance"], 36)
+    ['mat-Wal…ted.001: diffuse reflectance', 'lamp: radiance']
     """
     names = ["".join(c if c.isprintable() else "�" for c in name) for name in names]
     middle = max(width - 1, 0) // 2
-    shortened = [cut(name, width, middle) for name in names]
-    for tail in sorted(range(width), key=lambda tail: abs(tail - middle)):
-        meant: dict[str, set[str]] = {}
-        for name, short in zip(names, shortened, strict=True):
-            meant.setdefault(short, set()).add(name)
-        if all(len(candidates) == 1 for candidates in meant.values()):
-            break
+    shortened = [_cut_label(name, width, 0) for name in names]
+    # Off the middle of the object's name, nearest first; as the last resort, off the middle of all.
+    shifts = sorted(range(-middle, middle + 1), key=abs)
+    cuts = [partial(_cut_label, width=width, shift=shift) for shift in shifts]
+    cuts += [partial(cut, width=width, tail=middle + shift) for shift in shifts]
+    for cut_elsewhere in cuts:
+        doubtful = _alike(names, shortened)
+        if not doubtful:
+            return shortened
         shortened = [
-            short if len(meant[short]) == 1 else cut(name, width, tail)
+            cut_elsewhere(name) if short in doubtful else short
             for name, short in zip(names, shortened, strict=True)
         ]
     return shortened
+
+
+def _alike(names: Sequence[str], shortened: Sequence[str]) -> set[str]:
+    """Return what stands for several different names."""
+    meant: dict[str, set[str]] = {}
+    for name, short in zip(names, shortened, strict=True):
+        meant.setdefault(short, set()).add(name)
+    return {short for short, candidates in meant.items() if len(candidates) > 1}
+
+
+def _cut_label(label: str, width: int, shift: int) -> str:
+    """Cut a label to a width, so many columns off the middle of the object's name, and its property if it must."""
+    if columns(label) <= width:
+        return label
+    thing, separator, what = label.rpartition(": ")
+    if separator:
+        left = width - len(separator) - min(columns(thing), _LEAST_OBJECT, width // 2)
+        what = separator + cut(what, left, left // 2) if left > 0 else ""
+    else:
+        thing, what = label, ""
+    room = width - columns(what)
+    return cut(thing, room, min(max((room - 1) // 2 + shift, 0), max(room - 1, 0))) + what
 
 
 def cut(name: str, width: int, tail: int) -> str:

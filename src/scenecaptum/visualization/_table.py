@@ -19,6 +19,7 @@ from ._words import (
     pack,
     quantity,
     sampling_words,
+    scene_cautions,
 )
 
 if TYPE_CHECKING:
@@ -150,6 +151,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
             *(["Σ totals over the texels, vertices or faces"] if textures else []),
             *(_caution(markers[text], text, names) for text, names in groups.items()),
             *(_doubt(reason, names, len(attribution)) for reason, names in doubts.items()),
+            *(f"!  {text}" for text in scene_cautions(attribution)),
         ],
     )
 

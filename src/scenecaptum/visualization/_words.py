@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ..attr import SceneAttribution
 
 
+_MOST_CAUTIONS = 5
 METRIC_WIDTH = 36  # letters of a metric's name in a figure
 
 
@@ -137,6 +138,16 @@ def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[
         if name in cautions:
             groups.setdefault(cautions[name], []).append(name)
     return groups
+
+
+def scene_cautions(attribution: SceneAttribution) -> list[str]:
+    """Name the parameters that are left out because of the scene's own value, and say what is wrong with it."""
+    left_out = attribution.info.get("left_out") or {}
+    said = [f"{name} is left out: {fault}" for name, fault in left_out.items()]
+    more = len(said) - _MOST_CAUTIONS
+    return (
+        said if more <= 0 else [*said[:_MOST_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
+    )
 
 
 def doubt_groups(attribution: SceneAttribution) -> dict[str, list[str]]:

@@ -21,6 +21,7 @@ from .._words import (
     metric_name,
     quantity,
     sampling_words,
+    scene_cautions,
     sign_words,
 )
 from ._pixels import colour_maps, encode_map, encode_picture, encode_surfaces
@@ -94,6 +95,7 @@ def _result(
         "method": method_name(attribution),
         "sampling": sampling_words(attribution),
         "cautions": list(cautions),
+        "sceneCautions": scene_cautions(attribution),
         "doubts": list(doubts),
         "rows": [
             {
