@@ -217,7 +217,6 @@ def test_a_threshold_may_be_held_where_it_is():
     assert relative.threshold_factor == 5
 
 
-
 # Derivatives
 
 

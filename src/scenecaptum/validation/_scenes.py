@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..attr import SceneAttribution
 from ..attr._gradients import input_values, require_memory
 from ..attr._jackknife import through_view
 from ..attr._metric import Metric, Target, TargetedMetric
@@ -97,6 +98,12 @@ class Scenes:
         whole = self.metric.value(total / count)
         without = [self.metric.value((total - image) / (count - 1)) for image in images]
         return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
+
+
+def view_of(attribution: SceneAttribution) -> Denoise:
+    """Return ``denoise=`` for scenes that a metric shall see as it saw that of an attribution."""
+    picture = attribution.info.get("picture")
+    return "auto" if picture is None else bool(picture["denoised"])
 
 
 def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
