@@ -37,7 +37,7 @@ MODULES = sorted(
 )
 
 # Modules that are imported by their names; what a package re-exports is public beside it.
-NAMED = ("scenecaptum.optimize", "scenecaptum.projection")
+NAMED = ("scenecaptum.denoising", "scenecaptum.optimize", "scenecaptum.projection")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:

@@ -192,14 +192,26 @@ def test_the_threshold_may_follow_the_mean_of_the_picture_or_of_a_task_zone():
     assert bright == int((image > 10 * image[7].mean()).sum())
 
 
-def test_the_relative_threshold_is_held_fixed_while_differentiating():
+def test_a_relative_threshold_is_differentiated_with_the_picture():
+    """A finite difference of the very rating judges it: in pixels that are source, and in those that are none."""
+    image = picture(ordinary())
+    rating = UnifiedGlareRating(CAMERA, threshold_factor=5)
+    slope = gradient(rating, image)
+    for row, column in ((2, 3), (7, 0), (0, 11), (4, 6)):
+        step = torch.zeros_like(image)
+        step[row, column] = 1e-3 * image.mean()
+        exact = (rating(image + step) - rating(image - step)) / (2e-3 * image.mean())
+        assert slope[row, column].sum().item() == pytest.approx(exact.item(), rel=1e-2, abs=1e-6)
+
+
+def test_a_threshold_may_be_held_where_it_is():
     image = picture(ordinary())
     omega = CAMERA.solid_angles
     mean = (omega * ordinary()).sum() / omega.sum()
     relative = UnifiedGlareRating(CAMERA, threshold_factor=5)
     fixed = UnifiedGlareRating(CAMERA, threshold=5 * mean.item())
-    torch.testing.assert_close(gradient(relative, image), gradient(fixed, image), rtol=1e-3, atol=1e-9)
     held = relative.held_at(image)
+    torch.testing.assert_close(gradient(held, image), gradient(fixed, image), rtol=1e-3, atol=1e-9)
     assert held(image).item() == pytest.approx(relative(image).item())
     assert held(2 * image).item() == pytest.approx(fixed(2 * image).item(), rel=1e-4)
     assert relative.threshold_factor == 5

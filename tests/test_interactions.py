@@ -220,26 +220,6 @@ def test_what_is_at_both_bounds_is_left_out():
     assert "left out, being at both bounds: texture" in str(found)
 
 
-def test_a_metric_holds_its_threshold_where_the_scene_is():
-    class AboveMean(torch.nn.Module):
-        def __init__(self, threshold=None):
-            super().__init__()
-            self.threshold = threshold
-
-        def held_at(self, image):
-            return AboveMean(image.mean().item())
-
-        def forward(self, image):
-            threshold = image.detach().mean() if self.threshold is None else self.threshold
-            return torch.sigmoid(image / threshold - 1).mean()
-
-    renderer, direction = Bouncing(noise=0.0), DIRECTIONS[0]
-    held = AboveMean(renderer.exact(renderer.inputs).mean().item())
-    product = hessian_vector_product(renderer, AboveMean(), direction)
-    for name, exact in exact_product(renderer, held, direction).items():
-        torch.testing.assert_close(product[name].double(), exact, rtol=5e-3, atol=1e-3)
-
-
 def test_what_does_not_fit_is_said():
     renderer = Bouncing()
     with pytest.raises(SceneCaptumError, match=r"'wal'.*Did you mean 'wall'"):

@@ -295,28 +295,6 @@ def test_without_salib_the_extra_is_named(monkeypatch):
     assert dgsm(Product(), torch.mean, points=4).points == 4
 
 
-def test_a_threshold_is_held_where_the_scene_is():
-    """Otherwise a glare rating's gradients and differences would be those of two functions."""
-
-    class Threshold(torch.nn.Module):
-        factor = None
-
-        def held_at(self, image):
-            held = Threshold()
-            held.factor = image.mean().item()
-            return held
-
-        def forward(self, image):
-            return image.mean() * (image.mean().detach() if self.factor is None else self.factor)
-
-    renderer = Product()
-    scene = renderer(renderer.inputs, seed=0, spp=1).mean().item()
-    plain, held = (dgsm(renderer, metric, points=8) for metric in (torch.mean, Threshold()))
-    for one, other in zip(plain.rows, held.rows, strict=True):
-        assert other.nu == pytest.approx(scene**2 * one.nu, rel=1e-5)
-        assert other.bound == pytest.approx(one.bound, rel=1e-5)
-
-
 def test_on_the_cornell_box_finite_differences_agree(mi):
     """The mean squared slope over a wall's interval, by differences at Gauss–Legendre's nodes."""
     renderer = SceneRenderer(

@@ -12,11 +12,12 @@ from tqdm import tqdm
 
 from .attr import VanillaSceneGradient
 from .attr._gradients import input_values
-from .attr._jackknife import jackknife
+from .attr._jackknife import jackknife, through_view
 from .attr._metric import Metric, TargetedMetric
-from .attr._passes import DEFAULT_PASSES, Budget, channel_totals
+from .attr._passes import DEFAULT_PASSES, Budget, channel_totals, pictures
 from .attr._ranges import ranges
 from .attr._values import summarise
+from .attr._view import Denoise, Viewer
 from .errors import SceneCaptumError, check_seed, whole_number
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class Optimisation:
     __repr__ = __str__
 
 
-def minimize(
+def minimize(  # noqa: PLR0913 -- those of every method, and its own
     renderer: Any,
     metric: Metric,
     below: float,
@@ -122,6 +123,7 @@ def minimize(
     steps: int = 60,
     seed: int = 0,
     spp: int | None = None,
+    denoise: Denoise = "auto",
     show_progress: bool = False,
 ) -> Optimisation:
     """Lower a metric below a goal by torch's Adam, moving only the parameters that can move it most.
@@ -155,6 +157,9 @@ def minimize(
         Seed from which all others are drawn.
     spp
         Samples per pixel of each step, and of each measurement; the renderer's by default.
+    denoise
+        Whether a metric that is not linear sees denoised pictures, as for ``VanillaSceneGradient``; the scene as
+        it is decides for all steps.
     show_progress
         Whether to show a progress bar.
 
@@ -182,16 +187,21 @@ def minimize(
     first, last, *each = (
         np.random.SeedSequence([check_seed("seed", seed), 6]).generate_state(2 + count).tolist()
     )
-    ranked = VanillaSceneGradient(renderer, metric).attribute(scale="range", seed=first, spp=spp)
+    ranked = VanillaSceneGradient(renderer, metric).attribute(
+        scale="range", seed=first, spp=spp, denoise=denoise
+    )
     leading = [row for row in ranked.ranking(whole_number("top", top)) if row.saliency > 0]
     if not leading:
         raise SceneCaptumError(f"No parameter moves {ranked.info['metric']}: all its gradients are 0.")
-    seen = TargetedMetric(metric)
+    budget = Budget.split(spp, DEFAULT_PASSES, last)
+
+    def render(changed: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
+        return pictures(renderer, changed, budget.seeds[0], budget.spp[0])
+
+    (seen,) = through_view([TargetedMetric(metric)], render(values), Viewer(denoise, renderer))
 
     def measure(changed: Mapping[str, torch.Tensor]) -> Measured:
-        budget = Budget.split(spp, DEFAULT_PASSES, last)
-        with torch.no_grad():
-            images = [renderer(changed, seed=one, spp=budget.spp[0]) for one in budget.seeds[0]]
+        images = render(changed)
         found = jackknife(seen, images)
         return Measured(found.value, found.standard_error or 0.0, torch.stack(images).mean(0))
 

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from ._gradients import Gradients, GradientSum, Point, sum_gradients
 from ._metric import TargetedMetric
 from ._passes import Budget
+from ._view import Viewer
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -60,7 +61,9 @@ def differences(
         Where it was not finished.
     """
     both = _Both(renderer, other)
-    gradients = Gradients(both, [both.difference(one) for one in metrics], budget, bar)
+    # Two pictures in one vector: what their noise puts into the two metrics is much the same.
+    viewer = Viewer(False, both)
+    gradients = Gradients(both, [both.difference(one) for one in metrics], budget, viewer, bar)
     found, interrupted = sum_gradients(gradients, [point])
     if interrupted:
         raise KeyboardInterrupt

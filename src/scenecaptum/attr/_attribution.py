@@ -62,16 +62,18 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         The tensors by name; ``attribution[name]`` is the same.
     standard_error
         Standard errors of the same shapes, or None where there were fewer than two passes: the spread of the
-        passes and, as an error of its own size, the ``bias`` that was taken out.
+        passes and, as an error of its own size, the ``bias``.
     bias
-        The jackknife's estimate of what the image's noise put into each gradient by way of a non-linear metric;
-        the attributions are free of it (to first order). None where there were fewer than two passes.
+        By how much each gradient may be off for want of samples in the picture that a non-linear metric saw, and
+        by what a denoiser changed there: an error of its own size, to first order. None where there were fewer
+        than two passes.
     replicates
         For each parameter a ``(passes, C)`` tensor: its channel totals in every pass.
     covariance
         For each parameter a ``(C, C)`` tensor: the covariance of its channel totals, or None like the errors.
     metric_value, metric_standard_error
-        The metric at the rendered image, and its standard error where there is one.
+        The metric at the rendered image, or at what a denoiser makes of it corrected for what that changed, and
+        its standard error where there is one.
     convergence_delta, convergence_delta_error
         For methods that have one: by how much the sum of the attributions exceeds the difference that they
         explain, and its standard error.
@@ -178,6 +180,13 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
             name: (value - width * self.standard_error[name], value + width * self.standard_error[name])
             for name, value in self.items()
         }
+
+    def metric_interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Return the ends of a confidence interval of the metric (Student's t), or None without an error bar."""
+        if self.metric_standard_error is None:
+            return None
+        width = student_t(level, max(1, self.info["passes"] - 1)) * self.metric_standard_error
+        return self.metric_value - width, self.metric_value + width
 
     def untrusted_errors(self) -> dict[str, str]:
         """Return the parameters whose standard error cannot be trusted, each with the reason; ``?`` in tables.

@@ -17,6 +17,7 @@ from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 from ._ranges import Noise
+from ._view import Denoise
 
 
 class GradientShapScene(GradientMethod):
@@ -57,7 +58,9 @@ class GradientShapScene(GradientMethod):
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
+        picture_spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
@@ -79,7 +82,7 @@ class GradientShapScene(GradientMethod):
             Noise on the inputs, as in ``SmoothGradScene``.
         return_convergence_delta
             Return ``(attribution, delta)``.
-        groups, seed, spp, replicates, checkpoint, show_progress
+        groups, seed, spp, picture_spp, replicates, denoise, checkpoint, show_progress
             As in ``SmoothGradScene``.
 
         Returns
@@ -96,7 +99,11 @@ class GradientShapScene(GradientMethod):
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
         count = whole_number("n_samples", n_samples)
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
+        run = self._start(
+            inputs,
+            target,
+            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
+        )
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")
@@ -108,7 +115,7 @@ class GradientShapScene(GradientMethod):
         results = [
             completed(
                 run.result(metric, one, own, budget, gradients, interrupted=interrupted),
-                difference(metric, images, references),
+                difference(own.metric, images, references),
             )
             for metric, one, own in zip(run.metrics, sums, run.own(images), strict=True)
         ]

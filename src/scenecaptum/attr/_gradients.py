@@ -15,9 +15,18 @@ from tqdm import tqdm
 
 from .._finite import check_gradient, check_image, located
 from ..errors import SceneCaptumError
-from ._jackknife import Adjoints, jackknife, still_linear
+from ._jackknife import Adjoints, is_linear, jackknife, still_linear, through_view
 from ._metric import TargetedMetric
-from ._passes import Budget, Spread, channel_totals, pictures
+from ._passes import (
+    NOISY_PICTURE_RATIO,
+    PICTURE_RATIO,
+    Budget,
+    Spread,
+    channel_totals,
+    picture_seeds,
+    pictures,
+)
+from ._view import Viewer
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -208,23 +217,38 @@ class Gradients:
         Whose gradients are taken.
     budget
         How samples are split over points and passes.
+    viewer
+        How metrics that are not linear see the pictures.
     bar
         Moves on by one with every rendering and with every backward pass.
     """
 
     def __init__(
-        self, renderer: Any, metrics: Sequence[TargetedMetric], budget: Budget, bar: tqdm[Any]
+        self,
+        renderer: Any,
+        metrics: Sequence[TargetedMetric],
+        budget: Budget,
+        viewer: Viewer,
+        bar: tqdm[Any],
     ) -> None:
         self.renderer = renderer
         self.metrics = metrics
         self.budget = budget
+        self.viewer = viewer
         self.bar = bar
         self.image = torch.zeros(())  # of the last point
+        self.picture_spp: int | None = None  # of each picture of the last point
         # Samples per pixel that were added to let a metric see enough.
         self.extra = 0
         self._first: list[Adjoints] = []
         # A renderer that cannot replay its backward pass with another seed is called twice.
         self._replays = "seed_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
+
+    @property
+    def samples(self) -> int | None:
+        """Samples per pixel of all pictures of a single point, or None where the renderer decides."""
+        total = self.budget.total
+        return None if total is None else total + self.extra
 
     @property
     def points(self) -> int:
@@ -243,6 +267,7 @@ class Gradients:
         """
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
         images, graphs = self._render(index, leaves)
+        images = self._with_picture_samples(index, point.values, images)
         self.image = torch.stack(images).mean(0)
         found = [
             PointGradient(
@@ -295,26 +320,55 @@ class Gradients:
         """Return what each metric makes of the images, or of more and better ones where it needs them."""
         found: list[Adjoints | None]
         if len(images) == len(self.budget.seeds[index]):
-            found = [jackknife(metric, images) for metric in self.metrics]
+            found = [jackknife(metric, images) for metric in through_view(self.metrics, images, self.viewer)]
         else:
             found = [still_linear(*one, images[0]) for one in zip(self.metrics, self._first, strict=True)]
         spp = self.budget.spp[index]
-        few = spp is not None and spp * len(images) < LEAST_SEEN and len(self.budget.spp) > 1
+        few = spp is not None and spp * len(images) < self._least(index) and len(self.budget.spp) > 1
         if any(one is None or (few and not one.is_linear) for one in found):
             better = self._better(index, values, images)
             found = [
                 one if one is not None and one.is_linear else jackknife(metric, better)
-                for metric, one in zip(self.metrics, found, strict=True)
+                for metric, one in zip(through_view(self.metrics, better, self.viewer), found, strict=True)
             ]
         seen = [_for_passes(one, len(images)) for one in found if one is not None]
         self._first = self._first or seen
         return seen
 
+    def _with_picture_samples(
+        self, index: int, values: Tensors, images: list[torch.Tensor]
+    ) -> list[torch.Tensor]:
+        """Add samples to the pictures of a single point, without a graph, where a metric is not linear.
+
+        They cost a third of what a sample of the backward pass costs.
+        """
+        spp = self.budget.spp[index]
+        self.picture_spp = spp
+        if spp is None or self.points > 1 or all(is_linear(one, images) for one in self.metrics):
+            return images
+        ratio = self.budget.picture_ratio
+        if ratio is None:
+            ratio = NOISY_PICTURE_RATIO if self.viewer.choose(images).denoises else PICTURE_RATIO
+        more = math.ceil((ratio - 1) * spp)
+        if more == 0:
+            return images
+        self.picture_spp = spp + more
+        seeds = picture_seeds(self.budget.seeds[index][: len(images)])
+        added = pictures(self.renderer, values, seeds, more)
+        self.extra += more * len(images)
+        return [torch.lerp(one, new, more / (spp + more)) for one, new in zip(images, added, strict=True)]
+
+    def _least(self, index: int) -> int:
+        """Return how many samples a metric that is not linear has to see at one of several points."""
+        spp, ratio = self.budget.spp[index], self.budget.picture_ratio
+        asked = 0 if spp is None or ratio is None else spp * ratio * self.budget.passes[index]
+        return max(LEAST_SEEN, math.ceil(asked))
+
     def _better(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[torch.Tensor]:
         """Render a picture for each seed, with as many samples as a metric that is not linear has to see."""
         seeds, spp = self.budget.seeds[index], self.budget.spp[index]
         if spp is not None:
-            spp = math.ceil(max(LEAST_SEEN, spp * len(images)) / len(seeds))
+            spp = math.ceil(max(self._least(index), spp * len(images)) / len(seeds))
             self.extra += spp * len(seeds)
         return pictures(self.renderer, values, seeds, spp)
 

@@ -12,6 +12,7 @@ from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 from ._planner import SHARE, Goal, reach
+from ._view import Denoise
 
 
 class InputXGradientScene(GradientMethod):
@@ -47,7 +48,9 @@ class InputXGradientScene(GradientMethod):
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
+        picture_spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         tolerance: float | None = None,
         share: float = SHARE,
         top: int | None = None,
@@ -59,7 +62,9 @@ class InputXGradientScene(GradientMethod):
 
         Parameters
         ----------
-        inputs, target, groups, seed, spp, replicates, tolerance, share, top, time_limit, checkpoint, show_progress
+        inputs, target, groups, seed, spp, picture_spp, replicates, denoise, tolerance, share, top
+            As for ``VanillaSceneGradient``.
+        time_limit, checkpoint, show_progress
             As for ``VanillaSceneGradient``.
 
         Returns
@@ -72,6 +77,10 @@ class InputXGradientScene(GradientMethod):
         SceneCaptumError, AttributionInterrupted
             As ``VanillaSceneGradient``.
         """
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
+        run = self._start(
+            inputs,
+            target,
+            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
+        )
         goal = Goal(tolerance, share, top, time_limit)
         return reach(run, Point(run.values, factors=run.values), goal, spp, quantity="input × gradient")

@@ -16,6 +16,7 @@ from ._gradients import between
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
+from ._view import Denoise
 
 Quadrature = Literal["gausslegendre", "riemann_left", "riemann_right", "riemann_middle", "riemann_trapezoid"]
 
@@ -56,7 +57,9 @@ class IntegratedGradientsScene(GradientMethod):
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
+        picture_spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
@@ -88,8 +91,15 @@ class IntegratedGradientsScene(GradientMethod):
         spp
             Total samples per pixel, split over the steps. A metric that is not linear sees at least 16 at each;
             an eighth more goes to either end (``info["budget"]``).
+        picture_spp
+            Samples per pixel, over all scenes, of the pictures that a metric sees which is not linear; by default
+            no more than it must see.
         replicates
             At how many of the steps, spread over the way, the noise is told by two passes; 1 for no error bars.
+        denoise
+            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
+            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
+            was done.
         checkpoint
             A folder that keeps every finished pass: a job that was killed goes on from there when it is started
             again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
@@ -109,7 +119,11 @@ class IntegratedGradientsScene(GradientMethod):
             On Ctrl-C after the first step: the steps so far stand for all.
         """
         places, weights = quadrature(method, n_steps)
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
+        run = self._start(
+            inputs,
+            target,
+            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
+        )
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (between(start, run.values, *one) for one in zip(places, weights, strict=True))
         # In their order the first are spread over the whole way.
@@ -119,7 +133,7 @@ class IntegratedGradientsScene(GradientMethod):
         results = [
             completed(
                 run.result(metric, one, own, budget, gradients, interrupted=interrupted, quadrature=method),
-                difference(metric, images, [reference]),
+                difference(own.metric, images, [reference]),
             )
             for metric, one, own in zip(run.metrics, sums, run.own(images), strict=True)
         ]

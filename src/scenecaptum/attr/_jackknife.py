@@ -11,6 +11,14 @@ import numpy as np
 import torch
 
 from ._metric import TargetedMetric
+from ._view import RAW, View, Viewer
+
+# Standard errors by which the metric at half of the samples may differ from that at all, and from which on the
+# difference tells how fast it falls.
+CHANCE, CLEAR = 2.0, 4.0
+
+_SLOWEST = 0.2  # exponent of the slowest fall of a bias that is taken into account
+_NEAR = 0.03  # of the way from the denoised picture to the noisy one: single bright pixels lie far beyond
 
 
 @dataclass(frozen=True)
@@ -20,12 +28,21 @@ class Adjoints:
     Attributes
     ----------
     value, standard_error, bias
-        The metric at the mean image, and the jackknife's estimates of its standard error and of the bias that
-        the image's noise puts into it (None for a single pass).
+        The metric at the mean image, the jackknife's estimate of its standard error, and by how much the value may
+        still be off for want of samples (None for a single pass). The standard error holds the bias.
     passes
         The adjoint image to be propagated by each backward pass.
     bias_adjoint
-        What the noise of the image puts into the adjoint on average, or None where the metric is linear.
+        By how much the adjoint may be off on average, for want of samples or by the denoiser, or None where the
+        metric is linear.
+    drift
+        The metric at half of the samples minus that at all, on average, and the standard error without the bias:
+        what is drifting and by how much chance; None where the metric is linear or there is a single pass.
+    denoised
+        The metric at the denoised picture, where that is nearer to the truth and was not wanted; the difference is
+        part of the standard error.
+    view
+        How the metric saw the pictures.
     """
 
     value: float
@@ -33,6 +50,9 @@ class Adjoints:
     bias: float | None
     passes: tuple[torch.Tensor, ...]
     bias_adjoint: torch.Tensor | None
+    drift: tuple[float, float] | None = None
+    denoised: float | None = None
+    view: View = RAW
 
     @property
     def is_linear(self) -> bool:
@@ -56,6 +76,7 @@ def jackknife(
     there as far as that can be told, and with what the means say of ``H (image i − mean)``, ``H`` being the
     metric's Hessian: the spread of the propagated gradients contains the noise of the image at its full size, and
     their mean is free of the bias of first order that a noisy image puts into the gradient of a metric that bends.
+    How far the metric at half of the samples is from that at all tells what bias is left in either.
 
     References
     ----------
@@ -68,22 +89,63 @@ def jackknife(
     stack = torch.stack(tuple(images))
     value, adjoint = metric.value_and_adjoint(_mean(stack, shares))
     if count == 1:
-        return Adjoints(value, None, None, (adjoint,), None)
+        return Adjoints(value, None, None, (adjoint,), None, view=metric.view)
 
     roots = shares.sqrt()
     directions, step = _directions(tuple(roots.tolist()))
     changes = roots * directions
     values, moved = _at_means(metric, stack, shares + step * changes)
-    bias = _excess(values, value, step).item()
-    bias_adjoint = _excess(moved, adjoint, step)
+    drift = _excess(values, value, step).item()
     error = math.sqrt(values.var().item()) / step
-    if _is_rounding(moved - adjoint, adjoint):  # the metric is linear: rounding is not worth a pass
-        return Adjoints(value, error, bias, (adjoint,) * count, None)
+    if not metric.view.denoises and _is_rounding(moved - adjoint, adjoint):
+        # The metric is linear: rounding is not worth a pass.
+        return Adjoints(value, error, drift, (adjoint,) * count, None)
 
+    bias_adjoint = _excess(moved, adjoint, step)
     _, near = _at_means(metric, stack, shares + step / 2 * changes)
     bias_adjoint = _trust(bias_adjoint, _excess(near, adjoint, step / 2)) * bias_adjoint
     deviations = torch.tensordot((directions / roots).T.to(moved), (moved - moved.mean(0)) / step, 1)
-    return Adjoints(value, error, bias, tuple(adjoint - bias_adjoint + deviations), bias_adjoint)
+    left = 1.0
+    if abs(drift) > CLEAR * error:
+        left = _bias_left(
+            drift, sum(map(metric.value, stack)) / count - value, 1 / shares.square().sum().item()
+        )
+    nearer = metric.view.nearer
+    moved_by = 0.0 if nearer is None else metric.through(nearer).value(_mean(stack, shares)) - value
+    return Adjoints(
+        value=value,
+        standard_error=math.hypot(error, left * drift, moved_by),
+        bias=left * drift,
+        passes=tuple(adjoint - bias_adjoint + deviations),
+        bias_adjoint=left * bias_adjoint + _by_denoiser(metric, _mean(stack, shares), adjoint),
+        drift=(drift, error),
+        denoised=None if nearer is None else value + moved_by,
+        view=metric.view,
+    )
+
+
+def _bias_left(doubled: float, single: float, count: float) -> float:
+    """Return how large the bias at all samples is, in units of what half of the samples add to it.
+
+    A bias that falls as ``N^−α`` rises by ``2^α − 1`` times itself at half of the samples (``doubled``), and by
+    ``count^α − 1`` times at the samples of one of so many pictures (``single``). A smooth metric has ``α = 1``;
+    one that rates single bright pixels may have much less, and more bias left than the first step shows.
+    """
+    if doubled == 0 or single / doubled >= count - 1 or count <= 2:
+        return 1.0
+    exponents = torch.linspace(_SLOWEST, 1.0, 100, dtype=torch.float64)
+    ratios = (count**exponents - 1) / (2**exponents - 1)
+    exponent = exponents[(ratios - single / doubled).abs().argmin()] if single / doubled > 0 else 1.0
+    return float(1 / (2**exponent - 1))
+
+
+def _by_denoiser(metric: TargetedMetric, image: torch.Tensor, adjoint: torch.Tensor) -> torch.Tensor:
+    """Return by how much what the denoiser has changed moves the adjoint, to first order: ``H (I − S)``."""
+    if not metric.view.denoises:
+        return torch.zeros_like(adjoint)
+    seen = metric.view(image)
+    _, moved = metric.value_and_adjoint_at(torch.lerp(seen, image.clamp_min(0), _NEAR))
+    return (moved - adjoint) / _NEAR
 
 
 def _mean(images: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
@@ -158,6 +220,29 @@ def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tenso
     if not (elsewhere.is_linear and _is_rounding(adjoint - elsewhere.passes[0], adjoint)):
         return None
     return Adjoints(value, None, 0.0, (adjoint,), None)
+
+
+def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
+    """Whether a metric has the same adjoint at two pictures: the first two, or one and another made of it.
+
+    One that has no derivative is not linear, as far as can be told.
+    """
+    first = images[0]
+    other = images[1] if len(images) > 1 else torch.lerp(first, first.roll(1, 0), 0.5)
+    adjoint, moved = (metric.value_and_derivative(image)[1] for image in (first, other))
+    return adjoint is not None and moved is not None and _is_rounding(moved - adjoint, adjoint)
+
+
+def through_view(
+    metrics: Sequence[TargetedMetric],
+    images: Sequence[torch.Tensor],
+    viewer: Viewer,
+    samples: Sequence[float] | None = None,
+) -> list[TargetedMetric]:
+    """Return the metrics, those that are not linear with the view that suits the pictures of a scene."""
+    linear = [is_linear(metric, images) for metric in metrics]
+    view = RAW if all(linear) else viewer.choose(images, samples)
+    return [m if one else m.through(view) for m, one in zip(metrics, linear, strict=True)]
 
 
 def _is_rounding(difference: torch.Tensor, of: torch.Tensor) -> bool:

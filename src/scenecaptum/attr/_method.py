@@ -26,9 +26,11 @@ from ._gradients import (
 )
 from ._groups import Groups, add_up, resolve_groups
 from ._interruption import AttributionInterrupted
-from ._jackknife import Adjoints, jackknife
+from ._jackknife import Adjoints, jackknife, through_view
 from ._metric import Metric, Target, TargetedMetric
 from ._passes import Budget, pictures
+from ._picture_info import describe_picture
+from ._view import Denoise, Viewer
 
 Targets: TypeAlias = "Target | list[Target]"
 
@@ -49,14 +51,26 @@ class Settings:
     show_progress: bool
     groups: Groups = None
     checkpoint: Folder = None
+    denoise: Denoise = "auto"
+    picture_spp: int | None = None
 
 
 @dataclass(frozen=True)
 class Own:
-    """The metric at the inputs themselves, and their picture."""
+    """The metric at the inputs themselves, and their picture.
+
+    Attributes
+    ----------
+    samples
+        Per pixel of the picture, where they are known.
+    metric
+        With the view through which it saw the picture.
+    """
 
     adjoints: Adjoints
     image: torch.Tensor
+    samples: int | None
+    metric: TargetedMetric
 
 
 @dataclass
@@ -83,9 +97,11 @@ class Run:
     members: dict[str, tuple[str, ...]] | None
     settings: Settings
     watch: Stopwatch = field(init=False)
+    viewer: Viewer = field(init=False)
 
     def __post_init__(self) -> None:
         self.watch = Stopwatch(self.renderer)
+        self.viewer = Viewer(self.settings.denoise, self.renderer)
 
     def finish(
         self,
@@ -103,7 +119,11 @@ class Run:
         budget = self.budget(count, pairs=1 if at_random and moment is None else count)
         sums, gradients, interrupted = self.sums(points, budget, at_random=at_random, keep=moment is not None)
         if count == 1:
-            owns = [Own(one.seen, gradients.image) for one in sums if one.seen is not None]
+            owns = [
+                Own(one.seen, gradients.image, gradients.samples, metric.through(one.seen.view))
+                for metric, one in zip(self.metrics, sums, strict=True)
+                if one.seen is not None
+            ]
         else:
             owns = self.own(self.own_images([self.values], sums)[0])
         results = [
@@ -124,6 +144,7 @@ class Run:
         """Split the samples over so many points, the first ``pairs`` of which are seen twice or more."""
         settings = self.settings
         budget = Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
+        budget = budget.with_pictures(settings.picture_spp, budget.total)
         require_memory(self.renderer, budget.spp, max(budget.passes))
         return budget
 
@@ -137,13 +158,15 @@ class Run:
             desc=self.metrics[0].name,
             unit="pass",
         ) as bar:
-            gradients = Gradients(self.renderer, self.metrics, budget, bar)
+            gradients = Gradients(self.renderer, self.metrics, budget, self.viewer, bar)
             sums, interrupted = sum_gradients(gradients, points, at_random=at_random, keep=keep)
         return sums, gradients, interrupted
 
-    def own(self, images: Sequence[torch.Tensor]) -> list[Own]:
-        """Let every metric see the inputs themselves."""
-        return [Own(jackknife(metric, images), torch.stack(tuple(images)).mean(0)) for metric in self.metrics]
+    def own(self, images: Sequence[torch.Tensor], samples: int | None = None) -> list[Own]:
+        """Let every metric see the inputs themselves, in pictures of so many samples per pixel in all."""
+        image = torch.stack(tuple(images)).mean(0)
+        metrics = through_view(self.metrics, images, self.viewer)
+        return [Own(jackknife(metric, images), image, samples, metric) for metric in metrics]
 
     def own_images(
         self, scenes: Sequence[Mapping[str, torch.Tensor]], sums: Sequence[GradientSum]
@@ -184,6 +207,13 @@ class Run:
                 "seed": self.settings.seed,
                 "spp": budget.total,
                 "budget": _budget_info(budget, gradients),
+                "picture": describe_picture(
+                    own.adjoints.view,
+                    own.adjoints.value,
+                    own.adjoints.drift,
+                    own.samples,
+                    own.adjoints.denoised,
+                ),
                 "interrupted": interrupted,
                 **self.watch.record,
                 **info,

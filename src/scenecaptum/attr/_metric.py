@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import torch
 
 from .._finite import NotFiniteError, place
 from ..errors import SceneCaptumError
+from ._view import RAW, View
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | tuple[int, ...] | None"
@@ -18,16 +20,26 @@ Target: TypeAlias = "int | tuple[int, ...] | None"
 
 @dataclass(frozen=True)
 class TargetedMetric:
-    """A metric together with the element of its output that is attributed."""
+    """A metric, the element of its output that is attributed, and how it sees a picture.
+
+    Where the picture ``I`` is denoised first, to ``S``, the value is ``M(S) + ⟨∇M(S), I − S⟩`` and the adjoint
+    ``∇M(S)``. To first order the value is then free of what the denoiser has changed, and linear in the noise of
+    the picture, which therefore puts no bias into it.
+    """
 
     metric: Metric
     target: Target = None
+    view: View = RAW
 
     @property
     def name(self) -> str:
         """What the metric is called, in tables and figures."""
         name = getattr(self.metric, "__name__", type(self.metric).__name__)
         return name if self.target is None else f"{name}[{self.target}]"
+
+    def through(self, view: View) -> TargetedMetric:
+        """Return the same metric with another view."""
+        return dataclasses.replace(self, view=view)
 
     def value_and_adjoint(self, image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return the metric's value at an image and its derivative with respect to every pixel.
@@ -37,7 +49,13 @@ class TargetedMetric:
         SceneCaptumError
             Where the metric does not return a finite scalar that depends on the image.
         """
-        leaf = image.detach().requires_grad_()
+        seen = self.view(image.detach())
+        value, adjoint = self.value_and_adjoint_at(seen)
+        return value + _product(adjoint, image.detach() - seen), adjoint
+
+    def value_and_adjoint_at(self, seen: torch.Tensor) -> tuple[float, torch.Tensor]:
+        """Return the same at the very picture that is given, which is not denoised."""
+        leaf = seen.detach().requires_grad_()
         with torch.enable_grad():
             value = self._scalar(self.output(leaf))
         if not value.requires_grad:
@@ -73,9 +91,26 @@ class TargetedMetric:
         return output
 
     def value(self, image: torch.Tensor) -> float:
-        """Return the metric's value at an image, finite or not: a logarithm of a black image is -inf."""
-        with torch.no_grad():
-            return self._scalar(self.output(image.detach())).item()
+        """Return the metric's value at an image, finite or not: a logarithm of a black image is -inf.
+
+        A metric without derivatives sees what the denoiser makes of the image, and is not corrected.
+        """
+        image = image.detach()
+        seen = self.view(image)
+        value, adjoint = self.value_and_derivative(seen, wanted=seen is not image)
+        return value if adjoint is None else value + _product(adjoint, image - seen)
+
+    def value_and_derivative(
+        self, seen: torch.Tensor, *, wanted: bool = True
+    ) -> tuple[float, torch.Tensor | None]:
+        """Return the value at the very picture that is given and its derivative, or None where it has none."""
+        leaf = seen.detach().requires_grad_(wanted)
+        with torch.set_grad_enabled(wanted):
+            value = self._scalar(self.output(leaf))
+        if not (value.requires_grad and torch.isfinite(value)):
+            return value.item(), None
+        (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
+        return value.item(), adjoint if adjoint is not None and torch.isfinite(adjoint).all() else None
 
     def value_of(self, output: Any) -> float:
         """Return the value that is attributed, from an output of the metric.
@@ -85,7 +120,10 @@ class TargetedMetric:
         SceneCaptumError
             Where it is not a finite scalar.
         """
-        value = self._scalar(output).item()
+        return self.check_value(self._scalar(output).item())
+
+    def check_value(self, value: float) -> float:
+        """Return a value of the metric, if it is finite; raise otherwise."""
         if not math.isfinite(value):
             raise SceneCaptumError(
                 f"The metric {self.name} is {value}. A logarithm of 0 or a division by 0 is the usual cause: "
@@ -134,3 +172,8 @@ class TargetedMetric:
             f"The metric {self.name} does not depend on the image through differentiable torch operations: "
             "look for .detach(), torch.no_grad(), rounding, comparisons or an integer result."
         )
+
+
+def _product(adjoint: torch.Tensor, difference: torch.Tensor) -> float:
+    """Return the inner product of two pictures; of a picture that is not changed it is 0."""
+    return float((adjoint.double() * difference.double()).sum())

@@ -19,6 +19,7 @@ from ._gradients import input_values
 from ._method import Result, Settings, Targets
 from ._passes import DEFAULT_PASSES, covariance_of_mean
 from ._perturbation import Arm, Effect, Effects, Perturbation
+from ._view import Denoise
 
 Extent: TypeAlias = "int | tuple[int, ...]"
 Extents: TypeAlias = "Extent | Mapping[str, Extent] | None"
@@ -69,6 +70,7 @@ class OcclusionScene(Perturbation):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
@@ -97,6 +99,10 @@ class OcclusionScene(Perturbation):
         replicates
             Number of independent seeds. Their spread gives the standard errors; with 1 there are none, and no
             correction of the bias that a noisy image puts into a non-linear metric.
+        denoise
+            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
+            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
+            was done.
         checkpoint
             A folder that keeps every finished pass: a job that was killed goes on from there when it is started
             again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
@@ -135,7 +141,9 @@ class OcclusionScene(Perturbation):
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(one.what, partial(_hide, one, values, hidden)) for one in patches]
         measured = self._measure(
-            arms, target, Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint)
+            arms,
+            target,
+            Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
         )
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, None]:

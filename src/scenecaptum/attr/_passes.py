@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +12,15 @@ import numpy as np
 import torch
 
 from .._finite import check_image, located
-from ..errors import check_seed, whole_number
+from ..errors import SceneCaptumError, check_seed, whole_number
 
 DEFAULT_PASSES = 8
+
+# Samples that a metric which is not linear sees, for each sample of the backward pass. One sample in a picture
+# costs a third of one in a backward pass; where both add as much variance, √3 of them for one is cheapest. A
+# picture that needs a denoiser is noisier than that.
+PICTURE_RATIO = 2.0
+NOISY_PICTURE_RATIO = 4.0
 
 
 @dataclass(frozen=True)
@@ -30,11 +37,15 @@ class Budget:
     gradient_seeds
         For each point, a seed for each backward pass, independent of the pictures': if a backward pass replayed
         their samples, their common noise would bias the gradient of a non-linear metric.
+    picture_ratio
+        How many samples a metric that is not linear sees for each sample of the backward pass, 1 or more. None: at
+        a single point ``PICTURE_RATIO``, or ``NOISY_PICTURE_RATIO``, and at several no more than it must see.
     """
 
     spp: tuple[int | None, ...]
     seeds: tuple[tuple[int, ...], ...]
     gradient_seeds: tuple[tuple[int, ...], ...]
+    picture_ratio: float | None = None
 
     @classmethod
     def split(
@@ -72,9 +83,31 @@ class Budget:
         seeds, gradient_seeds = (
             np.random.SeedSequence(entropy).generate_state(2 * passes).reshape(2, -1).tolist()
         )
-        return Budget(
-            (*self.spp, spp), (*self.seeds, tuple(seeds)), (*self.gradient_seeds, tuple(gradient_seeds))
+        return dataclasses.replace(
+            self,
+            spp=(*self.spp, spp),
+            seeds=(*self.seeds, tuple(seeds)),
+            gradient_seeds=(*self.gradient_seeds, tuple(gradient_seeds)),
         )
+
+    def with_pictures(self, picture_spp: int | None, spp: int | None) -> Budget:
+        """Return the same with so many samples per pixel in the pictures where there are ``spp`` in all.
+
+        Raises
+        ------
+        SceneCaptumError
+            Where these are fewer than ``spp``, or the renderer decides how many there are.
+        """
+        if picture_spp is None:
+            return self
+        if spp is None:
+            raise SceneCaptumError("picture_spp= needs a number of samples to begin with: give spp= as well.")
+        if whole_number("picture_spp", picture_spp) < spp:
+            raise SceneCaptumError(
+                f"picture_spp={picture_spp} is less than spp={spp}, whose pictures are rendered in any case: give "
+                f"{spp} or more."
+            )
+        return dataclasses.replace(self, picture_ratio=picture_spp / spp)
 
     @property
     def passes(self) -> tuple[int, ...]:
@@ -86,6 +119,11 @@ class Budget:
         """Samples per pixel in all, or None where the renderer decides."""
         known = [one * count for one, count in zip(self.spp, self.passes, strict=True) if one is not None]
         return sum(known) if known else None
+
+
+def picture_seeds(seeds: Sequence[int]) -> list[int]:
+    """Return for each picture a seed for samples that are added to it."""
+    return [int(np.random.SeedSequence([seed, 9]).generate_state(1)[0]) for seed in seeds]
 
 
 def pictures(

@@ -17,10 +17,13 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
+from ._jackknife import through_view
 from ._method import Result, Settings, Targets, listed
 from ._metric import Metric, TargetedMetric
 from ._passes import covariance_of_mean, pictures
+from ._picture_info import describe_picture
 from ._values import summarise
+from ._view import Viewer
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,7 @@ class Perturbation:
         pseudo, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
+            metrics = tuple(through_view(metrics, images, Viewer(settings.denoise, renderer)))
             values, first = _pseudo_values(metrics, images, arms[0].what)
             image = torch.stack(images).mean(0)
             pseudo.append(first)
@@ -195,6 +199,10 @@ class Perturbation:
     ) -> SceneAttribution:
         value, unbiased = measured.values[index].item(), measured.pseudo[0, :, index]
         count = len(unbiased)
+        bias = value - unbiased.mean().item() if count > 1 else None
+        error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
+        drift = None if bias is None or error is None else (bias, error)
+        spp = None if measured.budget.spp is None else count * measured.budget.spp
         about = {
             **getattr(self.renderer, "info", {}),
             "cautions": {},  # they are about derivatives, and there are none here
@@ -203,7 +211,8 @@ class Perturbation:
             "spp": measured.budget.total,
             "passes": count,
             "budget": measured.budget.describe(),
-            "metric_bias": value - unbiased.mean().item() if count > 1 else None,
+            "metric_bias": bias,
+            "picture": describe_picture(measured.metrics[index].view, value, drift, spp),
             "interrupted": measured.interrupted,
             "versions": _versions(),
             **info,
@@ -215,7 +224,7 @@ class Perturbation:
                 {n: None if e.error is None else e.error.float() for n, e in effects.items()}
             ),
             metric_value=value,
-            metric_standard_error=(unbiased.std() / math.sqrt(count)).item() if count > 1 else None,
+            metric_standard_error=None if drift is None else math.hypot(*drift),
             convergence_delta=delta,
             replicates=_all({name: effect.totals for name, effect in effects.items()}) or {},
             covariance=_all({name: effect.covariance for name, effect in effects.items()}),
@@ -252,8 +261,11 @@ def _pseudo_values(
 
 
 def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
-    """Evaluate the metric once, for all targets."""
+    """Evaluate the metric once, for all targets; through a denoiser for each, which has derivatives of its own."""
     try:
+        if any(metric.view.denoises for metric in metrics):
+            values = [metric.check_value(metric.value(image)) for metric in metrics]
+            return torch.tensor(values, dtype=torch.float64)
         output = metrics[0].output(image)
         return torch.tensor([metric.value_of(output) for metric in metrics], dtype=torch.float64)
     except SceneCaptumError as error:

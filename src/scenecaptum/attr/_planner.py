@@ -266,7 +266,15 @@ class _Search:
         self.bar = tqdm(
             total=0, disable=not run.settings.show_progress, desc=run.metrics[0].name, unit="pass"
         )
-        self.rounds = Rounds(run.renderer, run.metrics, self.bar, seed=run.settings.seed, time=self.time)
+        self.rounds = Rounds(
+            run.renderer,
+            run.metrics,
+            run.viewer,
+            self.bar,
+            seed=run.settings.seed,
+            time=self.time,
+            picture_ratio=Budget((), (), ()).with_pictures(run.settings.picture_spp, first).picture_ratio,
+        )
 
     def run_rounds(self) -> bool:
         """Take rounds until one reaches the goal; say whether Ctrl-C ended it early."""
@@ -373,7 +381,7 @@ class _Search:
         for number, (metric, one) in enumerate(zip(self.run.metrics, self.sums, strict=True)):
             verdict = self.verdicts[number]
             assert one.seen is not None
-            own = Own(one.seen, self.rounds.image)
+            own = Own(one.seen, self.rounds.image, self.rounds.samples, metric.through(one.seen.view))
             report = {
                 **self._report(verdict),
                 "stopped": self._stopped(interrupted),

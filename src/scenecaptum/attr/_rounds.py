@@ -12,9 +12,10 @@ from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, without_checkpoint
 from ._gradients import Gradients, GradientSum, Point, PointGradient
-from ._jackknife import Adjoints, jackknife
+from ._jackknife import Adjoints, jackknife, through_view
 from ._metric import TargetedMetric
 from ._passes import Budget
+from ._view import Viewer
 
 _LEAST_SHARE = 0.5  # of a pass's time, for its samples
 _FARTHEST = 4  # times the samples that were timed: farther away times are not foretold
@@ -123,24 +124,28 @@ class Rounds(Gradients):
 
     Parameters
     ----------
-    renderer, metrics, bar
+    renderer, metrics, viewer, bar
         As for ``Gradients``.
     seed
         From which the seeds of all rounds are drawn.
     time
         A round ends before its last pass where it leaves no time for that.
+    picture_ratio
+        As in ``Budget``.
     """
 
     def __init__(
         self,
         renderer: Any,
         metrics: Sequence[TargetedMetric],
+        viewer: Viewer,
         bar: tqdm[Any],
         *,
         seed: int,
         time: TimeLimit,
+        picture_ratio: float | None = None,
     ) -> None:
-        super().__init__(renderer, metrics, Budget((), (), ()), bar)
+        super().__init__(renderer, metrics, Budget((), (), (), picture_ratio), viewer, bar)
         self._seed = seed
         self._time = time
         self._began = 0.0  # the backward passes of this round
@@ -184,19 +189,22 @@ class Rounds(Gradients):
     def _seen(
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
     ) -> list[Adjoints]:
-        spp, old = self.budget.spp[index] or 1, len(self._pictures)
+        spp, old = self.picture_spp or 1, len(self._pictures)
         pictures = [*self._pictures, *((image, spp) for image in images)]
         samples = torch.tensor([count for _, count in pictures], dtype=torch.float32)
         shares = (samples / samples.sum()).to(images[0])
         self.image = torch.tensordot(shares, torch.stack([image for image, _ in pictures]), 1)
-        seen = [jackknife(one, [image for image, _ in pictures], samples.tolist()) for one in self.metrics]
+        every, counts = [image for image, _ in pictures], samples.tolist()
+        metrics = through_view(self.metrics, every, self.viewer, counts)
+        seen = [jackknife(one, every, counts) for one in metrics]
         # The pseudo-values' mean is the adjoint without its bias.
         propagated = [torch.tensordot(shares, torch.stack(one.passes), 1) for one in seen]
+        *earlier, latest = (p * (s or 1) for p, s in zip(self.budget.passes, self.budget.spp, strict=True))
+        before = sum(earlier) / (sum(earlier) + latest)
         found = []
         for number, one in enumerate(seen):
             new, mean = torch.stack(one.passes[old:]), propagated[number]
             if old:
-                before = shares[:old].sum()
                 mean = (mean - before * self._propagated[number]) / (1 - before)
             found.append(dataclasses.replace(one, passes=tuple(new - new.mean(0) + mean)))
         self._propagated = propagated

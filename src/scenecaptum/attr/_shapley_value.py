@@ -20,6 +20,7 @@ from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 from ._perturbation import Arm, Effect, Effects, Perturbation
+from ._view import Denoise
 
 Coalition: TypeAlias = "frozenset[str]"
 Order: TypeAlias = "tuple[str, ...]"
@@ -71,6 +72,7 @@ class ShapleyValueScene(Perturbation):
         seed: int = 0,
         spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
@@ -103,6 +105,10 @@ class ShapleyValueScene(Perturbation):
             Number of independent seeds. Their spread is the part of the standard errors that is due to rendering;
             with 1 there are no errors, and no correction of the bias that a noisy image puts into a non-linear
             metric.
+        denoise
+            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
+            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
+            was done.
         checkpoint
             A folder that keeps every finished pass: a job that was killed goes on from there when it is started
             again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
@@ -134,7 +140,9 @@ class ShapleyValueScene(Perturbation):
             for joined in game.coalitions
         ]
         measured = self._measure(
-            arms, target, Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint)
+            arms,
+            target,
+            Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
         )
 
         def effects_of(pseudo: torch.Tensor) -> tuple[Effects, float | None]:

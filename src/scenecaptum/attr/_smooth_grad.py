@@ -15,6 +15,7 @@ from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES, Spread
 from ._ranges import Noise
+from ._view import Denoise
 
 NoiseType = Literal["smoothgrad", "smoothgrad_sq", "vargrad"]
 
@@ -60,7 +61,9 @@ class SmoothGradScene(GradientMethod):
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
+        picture_spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
@@ -93,8 +96,15 @@ class SmoothGradScene(GradientMethod):
         spp
             Total samples per pixel, split over the scenes. A metric that is not linear sees at least 16 at each;
             an eighth more shows it the inputs themselves (``info["budget"]``).
+        picture_spp
+            Samples per pixel, over all scenes, of the pictures that a metric sees which is not linear; by default
+            no more than it must see.
         replicates
             Least number of independent passes in all.
+        denoise
+            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
+            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
+            was done.
         checkpoint
             A folder that keeps every finished pass: a job that was killed goes on from there when it is started
             again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
@@ -121,7 +131,11 @@ class SmoothGradScene(GradientMethod):
             raise SceneCaptumError(
                 f"nt_type={nt_type!r} takes replicates of 2 or more, to tell the noise of rendering."
             )
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
+        run = self._start(
+            inputs,
+            target,
+            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
+        )
         noisy = count - 1 if noise_free_last else count
         noise = Noise(self.renderer, run.values, stdevs if noisy else 0.0)
         return run.finish(

@@ -15,6 +15,7 @@ from ._method import GradientMethod, Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
 from ._planner import SHARE, Goal, reach
 from ._ranges import ranges
+from ._view import Denoise
 
 Scale = Literal["unit", "range", "value"]
 
@@ -55,7 +56,9 @@ class VanillaSceneGradient(GradientMethod):
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
+        picture_spp: int | None = None,
         replicates: int = DEFAULT_PASSES,
+        denoise: Denoise = "auto",
         tolerance: float | None = None,
         share: float = SHARE,
         top: int | None = None,
@@ -85,6 +88,10 @@ class VanillaSceneGradient(GradientMethod):
         spp
             Total samples per pixel, split over the passes; the renderer's by default. The backward passes take
             as many again, with seeds of their own. Where there is a goal, those of the first round.
+        picture_spp
+            Samples per pixel of the picture that a metric sees which is not linear: twice ``spp`` by default,
+            since they are cheaper than those of a backward pass. Where there is a goal, those of the first round;
+            later ones have as many for each of their samples.
         replicates
             Least number of independent passes. Their spread gives the standard errors; with 1 there are none,
             and no correction of the bias that a noisy image puts into a non-linear metric.
@@ -102,6 +109,10 @@ class VanillaSceneGradient(GradientMethod):
         against
             Another renderer of the same parameters, such as ``renderer.replace(max_depth=-1)``: after the goal,
             what it would change is measured on shared seeds, instead of assumed to be nothing.
+        denoise
+            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
+            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
+            was done.
         checkpoint
             A folder that keeps every finished pass: a job that was killed goes on from there when it is started
             again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
@@ -122,7 +133,11 @@ class VanillaSceneGradient(GradientMethod):
         AttributionInterrupted
             On Ctrl-C after at least one backward pass, with the result so far.
         """
-        run = self._start(inputs, target, Settings(seed, spp, replicates, show_progress, groups, checkpoint))
+        run = self._start(
+            inputs,
+            target,
+            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
+        )
         factors = _factors(scale, self.renderer, run.values)
         point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)

@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from ..attr import AttributionInterrupted, SceneAttribution, VanillaSceneGradient
+from ..attr._view import Denoise
 from . import _arguments
 from ._files import writable, write_each
 
 REPORT = "report.html"
+
+DENOISE: dict[str, Denoise] = {"auto": "auto", "on": True, "off": False}
 
 
 def add(commands: Any) -> None:
@@ -48,6 +51,20 @@ def add(commands: Any) -> None:
         metavar="SECONDS",
         help="the best for each metric in that time, without what compiling takes",
     )
+    parser.add_argument(
+        "--denoise",
+        choices=DENOISE,
+        default="auto",
+        help="whether a metric that is not linear in the picture, such as a glare rating, sees it denoised; auto "
+        "measures whether that brings it nearer to the truth (default: auto)",
+    )
+    parser.add_argument(
+        "--picture-spp",
+        type=int,
+        metavar="N",
+        help="samples per pixel of the picture that such a metric sees (default: 2 times --spp, or 4 times where "
+        "the picture is denoised)",
+    )
     _arguments.add_output(parser)
     add_report(parser)
     parser.set_defaults(run=attribute)
@@ -74,7 +91,9 @@ def attribute(options: argparse.Namespace) -> int:
                 attribution = VanillaSceneGradient(renderer, create(renderer)).attribute(
                     target=options.target,
                     seed=options.seed,
+                    picture_spp=options.picture_spp,
                     replicates=options.replicates,
+                    denoise=DENOISE[options.denoise],
                     tolerance=options.tolerance,
                     time_limit=options.time_limit,
                     show_progress=_arguments.shows_progress(options),
@@ -161,6 +180,8 @@ def _numbers(attribution: SceneAttribution) -> dict[str, Any]:
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
             "bias": attribution.info["metric_bias"],
+            "interval_95": attribution.metric_interval(0.95),
+            "caution": attribution.info["picture"]["caution"],
         },
         "ranking": [row._asdict() for row in attribution.ranking()],
         "info": dict(attribution.info),
@@ -173,11 +194,11 @@ def _write_csv(attribution: SceneAttribution, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = ["rank", "name", "label", "saliency", "saliency_error"]
-        writer.writerow(
-            columns + [f"gradient_{c + 1}" for c in channels] + [f"error_{c + 1}" for c in channels]
-        )
+        gradients = [f"gradient_{c + 1}" for c in channels] + [f"error_{c + 1}" for c in channels]
+        writer.writerow([*columns, *gradients, "metric_caution"])
+        caution = attribution.info["picture"]["caution"] or ""
         for row in rows:
             padding = [""] * (len(channels) - len(row.total))
             errors = ("",) * len(row.total) if row.total_error is None else row.total_error
             head = [row.rank, row.name, row.label, row.saliency, row.saliency_error]
-            writer.writerow([*head, *row.total, *padding, *errors, *padding])
+            writer.writerow([*head, *row.total, *padding, *errors, *padding, caution])

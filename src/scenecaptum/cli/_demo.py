@@ -29,7 +29,9 @@ def add(commands: Any) -> None:
         max_depth=6,
         seed=0,
         checkpoint=None,
+        picture_spp=None,
         replicates=8,
+        denoise="auto",
         tolerance=None,
         time_limit=None,
     )

@@ -48,7 +48,9 @@ class GlareRating(torch.nn.Module):
         evalglare.
     threshold_factor
         If given, the threshold is this times the mean luminance (evalglare's ``-b`` up to 100), instead of
-        ``threshold``. It is held fixed while differentiating.
+        ``threshold``. It moves with the picture, and its derivative is part of the rating's: a lighter wall raises
+        the threshold too. With ``relaxation=0`` no pixel has a derivative by the threshold, and that part is left
+        out. ``held_at`` answers the other question.
     grouping
         ``"evalglare"``: pixels within 0.1 rad of each other form one source, and parts above 50 000 cd/m² one of
         their own; ``"pixel"``: each pixel is a source.
@@ -133,7 +135,7 @@ class GlareRating(torch.nn.Module):
     def held_at(self, image: torch.Tensor) -> GlareRating:
         """Return the same rating with the threshold that it has for a picture ``(H, W, 3)``, whatever it sees.
 
-        That is the function whose derivative a rating with ``threshold_factor`` has.
+        Its derivative is that of the rating among the sources of this picture, as if its threshold did not move.
         """
         values = photopic(image.detach(), self.efficacy, self.camera)
         held = copy.deepcopy(self)
@@ -148,7 +150,7 @@ class GlareRating(torch.nn.Module):
         return find_sources(
             luminance,
             self.view,
-            threshold=self._threshold(luminance.detach()),
+            threshold=self._threshold(luminance),
             relaxation=self.relaxation,
             grouping=self.grouping,
             background=self._background(),

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeAlias
 import torch
 
 from .._reflection import reflect
+from ..denoising import straight_through
 from ..errors import SceneCaptumError, check_seed
 
 Values: TypeAlias = dict[str, torch.Tensor]
@@ -20,6 +21,7 @@ def as_captum(
     *,
     seed: int | None = 0,
     bounds: Literal["raise", "reflect"] = "raise",
+    denoise: bool = False,
 ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
     """Return ``(forward, inputs)`` for Captum's classes; ``SceneRenderer.as_captum`` says how they are used.
 
@@ -28,7 +30,7 @@ def as_captum(
     renderer
         Any callable ``renderer(inputs, *, seed, spp)`` with an ``inputs`` attribute, and with ``bounds`` for
         reflection. What ``parameters_table()`` says of open bounds is heeded where there is one.
-    metric, seed, bounds
+    metric, seed, bounds, denoise
         As in ``SceneRenderer.as_captum``.
 
     Raises
@@ -46,12 +48,14 @@ def as_captum(
         )
     place = _placement(renderer, own, bounds)
     spp = getattr(renderer, "spp", None)
+    guides = getattr(renderer, "guides", None) if denoise else None
 
     def forward(*tensors: torch.Tensor) -> torch.Tensor:
         """Measure the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
         outputs = []
         for row in _rows(tuple(own), tensors):
             image = renderer(place(row), seed=_fresh_seed() if seed is None else seed, spp=spp)
+            image = straight_through(image, guides) if denoise else image
             outputs.append(_measure(metric, image))
         return torch.stack(outputs)
 

@@ -16,6 +16,7 @@ from .._finite import NotFiniteError
 from ..backend import device, exclusively
 from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
+from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
 from ..scene._extremes import check_scale
@@ -163,6 +164,7 @@ class SceneRenderer(torch.nn.Module):
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
         self._surface_maps: dict[Any, SurfaceMap] = {}
+        self._guides: Guides | None = None
         self._engines: Sequence[Engine | CheckpointedEngine] = [
             (StockEngine if plan.integrator in STOCK else Engine)(
                 self._graph,
@@ -422,6 +424,24 @@ class SceneRenderer(torch.nn.Module):
         """
         return None if self._stacked else self._surfaces_seen_by(0, self._textures(names), through=True)
 
+    @property
+    def guides(self) -> Guides:
+        """Albedo and normals without noise, for a denoiser: ``(H, W, 3)``, or ``(cameras, H, W, 3)`` for a list.
+
+        They show the first surface that scatters light, in mirrors and behind glass too, with the scene's own
+        values.
+        """
+        from ._guides import trace_guides
+
+        if self._guides is None:
+            found = []
+            for engine, sensor in zip(self._engines, self._sensors, strict=True):
+                with engine.holding({}):
+                    found.append(trace_guides(self._graph.scene, sensor, self.resolution))
+            stacks = torch.stack([one.albedo for one in found]), torch.stack([one.normal for one in found])
+            self._guides = Guides(*stacks) if self._stacked else found[0]
+        return self._guides
+
     def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
         wanted = self._names if names is None else tuple(names)
         return tuple(
@@ -581,6 +601,7 @@ class SceneRenderer(torch.nn.Module):
         *,
         seed: int | None = 0,
         bounds: Literal["raise", "reflect"] = "raise",
+        denoise: bool = False,
     ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
         """Return ``(forward, inputs)``, on which Captum's own classes run.
 
@@ -611,6 +632,10 @@ class SceneRenderer(torch.nn.Module):
             What becomes of values beyond the physical bounds: ``"raise"`` refuses them, ``"reflect"`` folds them
             back at the bounds before rendering, differentiably. Noise needs that, and so does a baseline of zero
             where zero is unphysical (a roughness); attributions belong to the values before the fold.
+        denoise
+            Whether the metric sees denoised pictures (Open Image Denoise, with ``guides``). The gradient is taken
+            at what it sees and goes through the denoiser unchanged. There is no ``"auto"`` here: Captum sees one
+            picture at a time, which tells nothing of its own noise.
 
         Returns
         -------
@@ -627,7 +652,7 @@ class SceneRenderer(torch.nn.Module):
         """
         from ._captum import as_captum
 
-        return as_captum(self, metric, seed=seed, bounds=bounds)
+        return as_captum(self, metric, seed=seed, bounds=bounds, denoise=denoise)
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Refuse what can be refused without looking at the numbers, which a transform may hide."""

@@ -40,7 +40,7 @@ def trace_surfaces(
 ) -> SurfaceMap:
     """Trace primary rays through each pixel and record what they meet first.
 
-    With ``through`` rays go on where a surface only mirrors or lets pass: see ``_go_through``.
+    With ``through`` rays go on where a surface only mirrors or lets pass: see ``follow_specular``.
     """
     shapes = graph.shapes()
     width, height = resolution
@@ -98,23 +98,14 @@ def _trace(
 ) -> _Hits:
     """Trace the rays of ``pixels``, the first and their count."""
     first, count = pixels
-    width, height = resolution
-    index = dr.arange(mi.UInt32, count * RAYS)
-    pixel, point = dr.opaque(mi.UInt32, first) + index // RAYS, index % RAYS
-    # The bits of the point's number reversed, as a fraction.
-    reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
-    position = mi.Point2f(
-        (mi.Float(pixel % width) + (mi.Float(point) + 0.5) / RAYS) / width,
-        (mi.Float(pixel // width) + (mi.Float(reversed_bits) + 0.5) / RAYS) / height,
-    )
     with dr.suspend_grad():
-        ray, weight = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
+        ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
         met, direction, places = hit, ray.d, []
         if textures or through:
             met = hit.compute_surface_interaction(ray)
             if through:
-                met, hit, direction = _go_through(scene, met, hit, direction, pixel, point)
+                met, hit, direction = follow_specular(scene, met, hit, direction, pixel, point)
             places = [texture.place(met, hit, direction) for texture in textures]
         shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (met.shape, met.instance))
         shape = dr.select(met.is_valid(), shape, 0)
@@ -129,7 +120,24 @@ def _trace(
     )
 
 
-def _go_through(
+def camera_rays(
+    sensor: Any, resolution: tuple[int, int], first: int, count: int
+) -> tuple[Any, Any, Any, Any]:
+    """Return ``RAYS`` rays through each of ``count`` pixels, their weights, pixels and numbers in the pixel."""
+    width, height = resolution
+    index = dr.arange(mi.UInt32, count * RAYS)
+    pixel, point = dr.opaque(mi.UInt32, first) + index // RAYS, index % RAYS
+    # The bits of the point's number reversed, as a fraction.
+    reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
+    position = mi.Point2f(
+        (mi.Float(pixel % width) + (mi.Float(point) + 0.5) / RAYS) / width,
+        (mi.Float(pixel // width) + (mi.Float(reversed_bits) + 0.5) / RAYS) / height,
+    )
+    ray, weight = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
+    return ray, weight, pixel, point
+
+
+def follow_specular(
     scene: Any, si: Any, hit: Any, direction: Any, pixel: Any, point: Any
 ) -> tuple[Any, Any, Any]:
     """Follow rays off mirrors and through panes, glass and the holes of masks to the first other surface.

@@ -16,6 +16,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._gradients import input_values, require_memory
 from ..attr._metric import Metric, Target
 from ..attr._passes import channel_totals
+from ..attr._view import Denoise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._result import TOP, Measured, Reference, Tradeoff
@@ -46,6 +47,7 @@ def measure(  # noqa: PLR0913 -- those of every long job, and its own
     reference_spp: int | None = None,
     runs: int = RUNS,
     seed: int = 0,
+    denoise: Denoise = "auto",
     checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Tradeoff:
@@ -83,6 +85,8 @@ def measure(  # noqa: PLR0913 -- those of every long job, and its own
         How often each setting is run, with seeds of its own; 2 or more.
     seed
         Seed from which all others are drawn.
+    denoise
+        As for ``VanillaSceneGradient``. A metric that is not linear sees the samples of the forward passes alone.
     checkpoint
         A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
         with the same arguments.
@@ -111,7 +115,7 @@ def measure(  # noqa: PLR0913 -- those of every long job, and its own
     )
     best = reference_setting([setting for _, setting in chosen], spp, REFERENCE_PASSES)
 
-    bench = Bench(with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target)
+    bench = Bench(with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise)
     every = [best, *(setting for _, setting in chosen)]
     bench.try_all(every)
     bench.require_memory(every)
@@ -140,18 +144,25 @@ class Bench:
 
     Parameters
     ----------
-    renderer, target
+    renderer, target, denoise
         As for ``measure``.
     metric_for
         Makes the metric for a renderer.
     """
 
-    def __init__(self, renderer: Any, metric_for: Callable[[Any], Metric], target: Target = None) -> None:
+    def __init__(
+        self,
+        renderer: Any,
+        metric_for: Callable[[Any], Metric],
+        target: Target = None,
+        denoise: Denoise = "auto",
+    ) -> None:
         self._values = input_values(renderer, None)
         self._renderer = renderer
         self._own = own_setting(renderer)
         self._metric_for = metric_for
         self._target = target
+        self._denoise = denoise
         self._made: dict[tuple[Any, ...], tuple[Any, Metric]] = {}
 
     def run(self, setting: Setting, seed: int, *, show_progress: bool = False) -> SceneAttribution:
@@ -164,6 +175,8 @@ class Bench:
             self._target,
             seed=seed,
             spp=setting.primal_spp,
+            picture_spp=setting.primal_spp,
+            denoise=self._denoise,
             # A pass has one sample at least, of either kind.
             replicates=min(setting.replicates, setting.gradient_spp),
             show_progress=show_progress,
@@ -217,6 +230,7 @@ class SplitSamples:
         self._renderer = renderer
         self._setting = setting
         self.info = getattr(renderer, "info", {})
+        self.guides = getattr(renderer, "guides", None)
         self.checkpoint = getattr(renderer, "checkpoint", None)
 
     def __call__(

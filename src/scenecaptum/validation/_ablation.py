@@ -16,7 +16,7 @@ from ..attr._passes import DEFAULT_PASSES, channel_totals
 from ..attr._student import student_t
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, unit_gradient
+from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, unit_gradient, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -220,7 +220,8 @@ def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
         raise SceneCaptumError(
             "An ablation test takes plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
-    scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
+    scenes = Scenes.split(renderer, metric, target, **options, denoise=view_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(

@@ -179,7 +179,7 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
     """
     renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes.split(renderer, metric, target, **options, hold=False)
+    scenes = Scenes.split(renderer, metric, target, **options)
     attribution, absent = contributions(scenes, metric, attribution, target, baselines, **options)
     if len(absent) < 2:
         raise SceneCaptumError(

@@ -16,9 +16,10 @@ from ..attr._jackknife import Adjoints
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import Budget
+from ..attr._view import Viewer
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
-from ._scalars import Intervals, Scalar, Values, find_scalars, hold, point_at
+from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
 if TYPE_CHECKING:
     from ..attr._method import Result, Targets
@@ -119,8 +120,7 @@ def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
     Parameters
     ----------
     renderer, metric, target
-        As for ``VanillaSceneGradient``. What a metric holds fixed while it is differentiated, the threshold of a
-        glare rating, is held fixed at the unchanged scene.
+        As for ``VanillaSceneGradient``.
     parameters
         Names or globs of the inputs that are varied; all by default. Each is moved by one number, its largest
         element, to which the others keep their ratio: a colour gets brighter and keeps its hue.
@@ -162,8 +162,8 @@ def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
     values = input_values(renderer, None)
     scalars = find_scalars(renderer, values, parameters, bounds)
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
-    held = hold(renderer, metric, values, check_seed("seed", seed), spp)
-    metrics = [TargetedMetric(held, one) for one in listed(target)]
+    check_seed("seed", seed)
+    metrics = [TargetedMetric(metric, one) for one in listed(target)]
     found = sample_derivatives(
         renderer, metrics, scalars, values, points, seed=seed, spp=spp, show_progress=show_progress
     )
@@ -215,7 +215,7 @@ def sample_derivatives(
     budget = Budget.split(total, _PASSES * count, seed, count)
     found: list[list[tuple[torch.Tensor, Adjoints]]] = []
     with tqdm(total=2 * sum(budget.passes), disable=not show_progress, desc="DGSM", unit="pass") as bar:
-        gradients = Gradients(renderer, metrics, budget, bar)
+        gradients = Gradients(renderer, metrics, budget, Viewer("auto", renderer), bar)
         for index, place in enumerate(places):
             found.append(slopes(gradients, index, point_at(scalars, values, place), scalars))
     extra = gradients.extra / total if total else 0.0

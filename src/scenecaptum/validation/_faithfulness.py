@@ -18,7 +18,7 @@ from ..attr._passes import DEFAULT_PASSES
 from ..attr._ranges import Noise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
-from ._scenes import Scenes
+from ._scenes import Scenes, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,7 +166,7 @@ def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
             f"{attribution.info.get('method', 'this')}'s attributions. For those there is sensitivity_n."
         )
     count = whole_number("n_perturb_samples", n_perturb_samples, 3)
-    scenes = Scenes.split(renderer, metric, target, **options)
+    scenes = Scenes.split(renderer, metric, target, **options, denoise=view_of(attribution))
     values = {name: scenes.values[name] for name in parameters_of(attribution, scenes.values)}
     predicted, measured = [], []
     for perturbed in perturbations(renderer, values, stdevs, count, seed):
@@ -314,7 +314,7 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
         "spp": spp,
         "replicates": whole_number("replicates", replicates, 3),
     }
-    scenes = Scenes.split(renderer, metric, target, **options, hold=False)
+    scenes = Scenes.split(renderer, metric, target, **options)
     attribution, absent = contributions(scenes, metric, attribution, target, baselines, **options)
     if len(absent) < 3:
         raise SceneCaptumError(

@@ -16,6 +16,7 @@ from ..attr._metric import Metric, Target, TargetedMetric
 from ..attr._passes import DEFAULT_PASSES
 from ..attr._ranges import ranges
 from ..checkpoint import Folder, with_checkpoint
+from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
 from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, room
 
@@ -160,6 +161,7 @@ class _Moved:
         self.spp = getattr(renderer, "spp", None)
         self.labels = getattr(renderer, "labels", {})
         self.info = getattr(renderer, "info", {})
+        self.guides = _stacked(getattr(renderer, "guides", None), len(places))
         # By it a method tells whether the backward pass takes a seed of its own.
         self.__signature__ = inspect.signature(getattr(renderer, "forward", renderer))
 
@@ -169,6 +171,13 @@ class _Moved:
     def _at(self, place: float, inputs: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         whole = {**self.values, **inputs}
         return {**whole, **{name: whole[name] + place * one for name, one in self.direction.items()}}
+
+
+def _stacked(guides: Guides | None, count: int) -> Guides | None:
+    """Return guides for a stack of pictures of one camera."""
+    if guides is None:
+        return None
+    return Guides(*(one.expand(count, *one.shape) for one in (guides.albedo, guides.normal)))
 
 
 class _Slope:

@@ -17,7 +17,7 @@ from ..attr._student import student_t
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ._hessian import product_of, reaches
-from ._scenes import Scenes, unit_gradient
+from ._scenes import Scenes, unit_gradient, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -192,7 +192,7 @@ def interactions(  # noqa: PLR0913 -- those of every long job, and its own
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
     if attribution.info.get("scale") != "unit":
         raise SceneCaptumError("interactions takes plain gradients: VanillaSceneGradient(...).attribute().")
-    scenes = Scenes.split(renderer, metric, target, **options)
+    scenes = Scenes.split(renderer, metric, target, **options, denoise=view_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     ways = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
     directions = {name: one for name, one in ways.items() if max(reaches(scenes, {name: one})) > 0}

@@ -14,7 +14,6 @@ import torch
 from .._reflection import OPEN_MARGIN
 from ..attr._baselines import table_of
 from ..attr._gradients import Point
-from ..attr._metric import Metric
 from ..errors import SceneCaptumError, near_misses
 
 Values: TypeAlias = "Mapping[str, torch.Tensor]"
@@ -85,19 +84,6 @@ def point_at(scalars: Sequence[Scalar], values: Values, places: Sequence[float] 
 def factors_of(scalars: Sequence[Scalar]) -> dict[str, torch.Tensor]:
     """Return what turns a gradient into the derivative with respect to the place, once it is summed."""
     return {one.name: one.pattern * one.length for one in scalars}
-
-
-def hold(renderer: Any, metric: Metric, values: Values, seed: int, spp: int | None) -> Metric:
-    """Fix what the metric holds fixed while it is differentiated, a glare threshold, at the unchanged scene.
-
-    Otherwise gradients and differences would be those of two functions.
-    """
-    held_at = getattr(metric, "held_at", None)
-    if held_at is None:
-        return metric
-    with torch.no_grad():
-        held: Metric = held_at(renderer(dict(values), seed=seed, spp=spp))
-    return held
 
 
 def _given(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:

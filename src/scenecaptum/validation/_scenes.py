@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..attr import SceneAttribution
 from ..attr._gradients import input_values, require_memory
+from ..attr._jackknife import through_view
 from ..attr._metric import Metric, Target, TargetedMetric
 from ..attr._passes import channel_totals
+from ..attr._view import Denoise, Viewer
 from ..errors import check_seed, whole_number
 
 # Of a parameter's range: how far a step goes at most, and the room below which it turns round at a bound.
@@ -31,14 +34,13 @@ class Scenes:
         A seed for each replicate.
     spp
         Samples per pixel of each, or None where the renderer decides.
-    hold
-        Whether what a metric holds fixed while it is differentiated, a threshold, is held fixed here too, at the
-        unchanged scene.
+    denoise
+        As for ``VanillaSceneGradient``; the unchanged scene decides for all.
 
     Attributes
     ----------
     metric
-        With its target, and what is held.
+        With its target, and its view of the pictures.
     still
         The measurement of the unchanged scene.
     """
@@ -52,16 +54,16 @@ class Scenes:
         seeds: Sequence[int],
         spp: int | None,
         *,
-        hold: bool = True,
+        denoise: Denoise = "auto",
     ) -> None:
         self.renderer = renderer
         self.values = values
         self.seeds = seeds
         self.spp = spp
         require_memory(renderer, [spp], len(seeds))
-        held_at = getattr(metric, "held_at", None) if hold else None
-        self.metric = TargetedMetric(held_at(self._images({}).mean(0)) if held_at else metric, target)
-        self.still = self.measure({})
+        targeted, images = TargetedMetric(metric, target), self._images({})
+        (self.metric,) = through_view([targeted], list(images), Viewer(denoise, renderer))
+        self.still = self._pseudo_values(images)
 
     @classmethod
     def split(
@@ -73,14 +75,14 @@ class Scenes:
         seed: int,
         spp: int | None,
         replicates: int,
-        hold: bool = True,
+        denoise: Denoise = "auto",
     ) -> Scenes:
         """Split the samples per pixel of every scene, the renderer's by default, over so many replicates."""
         values = input_values(renderer, None)
         spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
         seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
-        return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count), hold=hold)
+        return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count), denoise=denoise)
 
     def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         changed = {**self.values, **changes}
@@ -89,11 +91,19 @@ class Scenes:
 
     def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
-        images = self._images(changes)
+        return self._pseudo_values(self._images(changes))
+
+    def _pseudo_values(self, images: torch.Tensor) -> torch.Tensor:
         total, count = images.sum(0), len(images)
         whole = self.metric.value(total / count)
         without = [self.metric.value((total - image) / (count - 1)) for image in images]
         return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
+
+
+def view_of(attribution: SceneAttribution) -> Denoise:
+    """Return ``denoise=`` for scenes that a metric shall see as it saw that of an attribution."""
+    picture = attribution.info.get("picture")
+    return "auto" if picture is None else bool(picture["denoised"])
 
 
 def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:

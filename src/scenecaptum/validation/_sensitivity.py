@@ -18,10 +18,11 @@ from ..attr._gradients import Gradients, Point, input_values
 from ..attr._method import listed
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import DEFAULT_PASSES, Budget
+from ..attr._view import Viewer
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._dgsm import Derivatives, cost, jackknife_points, sample_derivatives, slopes
-from ._scalars import Intervals, Scalar, Values, factors_of, find_scalars, hold
+from ._scalars import Intervals, Scalar, Values, factors_of, find_scalars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -200,8 +201,8 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     if len(scalars) < 2:
         raise SceneCaptumError(f"A comparison takes at least 2 parameters to rank, not {len(scalars)}.")
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
-    held = hold(renderer, metric, values, check_seed("seed", seed), spp)
-    metrics = [TargetedMetric(held, one) for one in listed(target)]
+    check_seed("seed", seed)
+    metrics = [TargetedMetric(metric, one) for one in listed(target)]
     top = min(whole_number("top", top), len(scalars) - 1)
     base_samples = _power_of_two(base_samples)
     scenes = _Scenes(renderer, metrics, scalars, values, seed, spp, show_progress)
@@ -268,7 +269,8 @@ def _local(scenes: _Scenes, top: int) -> list[SensitivityIndex]:
     with tqdm(
         total=2 * budget.passes[0], disable=not scenes.show_progress, desc="gradient", unit="pass"
     ) as bar:
-        gradients = Gradients(scenes.renderer, scenes.metrics, budget, bar)
+        viewer = Viewer("auto", scenes.renderer)
+        gradients = Gradients(scenes.renderer, scenes.metrics, budget, viewer, bar)
         point = Point(scenes.values, factors=factors_of(scenes.scalars))
         found = slopes(gradients, 0, point, scenes.scalars)
     seconds = watch.seconds

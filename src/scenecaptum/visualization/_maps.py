@@ -21,7 +21,7 @@ from ._figures import (
 )
 from ._numbers import shorten, with_error
 from ._tonemap import display_image
-from ._words import sign_words
+from ._words import noise_words, sign_words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -253,7 +253,8 @@ def _panels(
     h = w * heat.shape[0] / heat.shape[1]
     across = 2 * _MARGIN + count * (w + _GAP) + _BAR + _NUMBERS
     title = title_of(attribution, letters(across - 0.2, TITLE))
-    caption = textwrap.wrap(_caption(attribution), letters(across - 0.2, SMALL))
+    captions = filter(None, [_out_of_sight(attribution), *noise_words(attribution)])
+    caption = [line for one in captions for line in textwrap.wrap(one, letters(across - 0.2, SMALL))]
     bottom, top = (
         0.12 + 0.14 * len(caption),
         0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines()),
@@ -273,7 +274,7 @@ def _panels(
     return figure, pictures, place(_MARGIN + count * (w + _GAP), _BAR)
 
 
-def _caption(attribution: SceneAttribution) -> str:
+def _out_of_sight(attribution: SceneAttribution) -> str:
     """Name the strongest parameter or group that no pixel shows, if it is one of the three most salient."""
     surfaces = attribution.surfaces
     if surfaces is None:

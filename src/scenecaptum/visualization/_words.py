@@ -83,10 +83,23 @@ def sampling_words(attribution: SceneAttribution) -> list[str]:
         words.append(f"interrupted after {counted}" if counted else "interrupted")
     elif counted:
         words = [f"{' '.join([*words, 'in'])} {counted}" if words else counted]
-    words += goal_words(attribution) + against_words(attribution)
+    words += goal_words(attribution) + against_words(attribution) + picture_words(attribution)
     if attribution.covariance is None:
         words.append(f"no error bars: {counted}" if passes == 1 else "no error bars")
     return words
+
+
+def picture_words(attribution: SceneAttribution) -> list[str]:
+    """Say whether the metric saw a denoised picture, and whether the picture is too noisy for it."""
+    picture = attribution.info.get("picture") or {}
+    samples = "" if picture.get("spp") is None else f" of {picture['spp']} spp"
+    return [*([f"denoised picture{samples}"] if picture.get("denoised") else []), *noise_words(attribution)]
+
+
+def noise_words(attribution: SceneAttribution) -> list[str]:
+    """Say that the picture is too noisy for the metric, where it is."""
+    caution = (attribution.info.get("picture") or {}).get("caution")
+    return [f"caution: {caution}"] if caution else []
 
 
 def against_words(attribution: SceneAttribution) -> list[str]:

@@ -1,0 +1,67 @@
+"""Guide pictures for a denoiser: albedo and shading normals, without noise.
+
+Imported only once a variant is active (see ``SceneRenderer``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import torch
+
+from ..denoising import Guides
+from ._visibility import BATCH, RAYS, camera_rays, follow_specular
+
+
+def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides:
+    """Trace what a sensor shows, through mirrors and glass to the first surface that scatters light.
+
+    Every pixel averages the same stratified rays at each call, so that the guides have no noise. Emitters and the
+    background have an albedo of 1, as Open Image Denoise's documentation asks; what a fisheye does not see has 0.
+    """
+    width, height = resolution
+    pixels, step = width * height, BATCH // RAYS
+    parts = [
+        _guide_rays(scene, sensor, resolution, first, min(step, pixels - first))
+        for first in range(0, pixels, step)
+    ]
+    albedo, normal = (np.concatenate(one).reshape(height, width, 3) for one in zip(*parts, strict=True))
+    return Guides(torch.from_numpy(albedo), torch.from_numpy(normal))
+
+
+def _guide_rays(
+    scene: Any, sensor: Any, resolution: tuple[int, int], first: int, count: int
+) -> tuple[Any, Any]:
+    """Return the mean albedo and normal of some pixels, two arrays ``(count, 3)``."""
+    with dr.suspend_grad():
+        ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
+        hit = scene.ray_intersect_preliminary(ray, coherent=True)
+        si = hit.compute_surface_interaction(ray)
+        si, _, _ = follow_specular(scene, si, hit, ray.d, pixel, point)
+        looks = dr.max(weight) > 0
+        albedo = dr.select(looks, _albedo(si), 0)
+        normal = dr.select(looks & si.is_valid(), si.sh_frame.n, 0)
+        means = [
+            dr.block_reduce(dr.ReduceOp.Add, mi.Float(channel), RAYS) / RAYS
+            for guide in (albedo, normal)
+            for channel in guide
+        ]
+        dr.eval(means)
+    columns = [np.broadcast_to(mean.numpy(), count) for mean in means]
+    return np.stack(columns[:3], -1), np.stack(columns[3:], -1)
+
+
+def _albedo(si: Any) -> Any:
+    """Return the share of light that a surface reflects, 1 where it emits: between 0 and 1.
+
+    Surfaces without a diffuse lobe have the weight of one sample of their lobes instead.
+    """
+    context, bsdf = mi.BSDFContext(), si.bsdf()
+    reflects = si.is_valid() & ~si.shape.is_emitter()
+    diffuse = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
+    _, glossy = bsdf.sample(context, si, 0.5, mi.Point2f(0.5), reflects & ~diffuse)
+    reflected = dr.select(diffuse, bsdf.eval_diffuse_reflectance(si, reflects & diffuse), glossy)
+    return dr.select(reflects, dr.clip(reflected, 0, 1), 1)

@@ -1,0 +1,249 @@
+"""What a metric sees: pictures that are denoised where a measurement says so, and cautions where they are not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+import torch
+
+import scenecaptum as sc
+from scenecaptum import Camera, FeatureAblationScene, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.attr._view import choose_view
+from scenecaptum.denoising import denoise, straight_through
+from scenecaptum.errors import SceneCaptumError
+
+SIZE = 32
+CAMERA = Camera.perspective(SIZE, SIZE, fov_x=60)
+
+
+class Fireflies:
+    """A room with a window, whose walls get part of their light by paths that are rare and bright."""
+
+    spp = 16
+
+    def __init__(self, chance: float = 0.001) -> None:
+        self.chance = chance
+        y, x = torch.meshgrid(torch.linspace(0, 1, SIZE), torch.linspace(0, 1, SIZE), indexing="ij")
+        self.wall = (0.5 + 0.3 * x + 0.2 * y)[..., None].expand(-1, -1, 3).clone()
+        self.window = torch.zeros(SIZE, SIZE, 3)
+        self.window[8:14, 10:20] = 20.0
+        self.wall[8:14, 10:20] = 0.0
+        self.inputs = {"wall": torch.tensor(1.0), "window": torch.tensor(1.0)}
+
+    def exact(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return inputs["wall"] * self.wall + inputs["window"] * self.window
+
+    def __call__(self, inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int) -> torch.Tensor:
+        generator = torch.Generator().manual_seed(seed)
+        hits = torch.binomial(
+            torch.full((SIZE, SIZE, 1), float(spp)), torch.tensor(self.chance), generator=generator
+        )
+        light = 0.2 + 0.8 * hits / (spp * self.chance)
+        return inputs["wall"] * self.wall * light + inputs["window"] * self.window
+
+
+def glare() -> Any:
+    return metrics.UnifiedGlareRating(CAMERA, threshold_factor=5, efficacy=179.0)
+
+
+def test_the_choice_is_measured_and_so_are_the_errors():
+    noisy, calm = Fireflies(), Fireflies(chance=1.0)
+    images = [noisy(noisy.inputs, seed=seed, spp=4) for seed in range(8)]
+    view = choose_view("auto", images, None, None)
+    assert view.denoises
+    truth = noisy.exact(noisy.inputs)
+    halves = [torch.stack(images[start::2]).mean(0) for start in (0, 1)]
+    seen = (denoise(halves[0]) + denoise(halves[1])) / 2
+    weight = 1 / (seen.mean(-1, keepdim=True) ** 2 + (0.1 * seen.mean()) ** 2)
+
+    def error(made: list[torch.Tensor]) -> float:
+        return sum((weight * (one - truth) ** 2).mean().item() for one in made) / 2
+
+    assert view.raw_error == pytest.approx(error(halves), rel=0.2)
+    assert error([denoise(one) for one in halves]) < 0.2 * view.raw_error
+    assert view.denoised_error < 0.5 * view.raw_error
+
+    clean = [calm(calm.inputs, seed=seed, spp=4) + 1e-5 * torch.rand(SIZE, SIZE, 3) for seed in range(8)]
+    assert not choose_view("auto", clean, None, None).denoises
+
+
+def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
+    renderer, rating = Fireflies(), glare()
+    exact = rating(renderer.exact(renderer.inputs)).item()
+    held = raw_held = near = cautions = 0
+    for seed in range(20):
+        denoised, raw = (
+            VanillaSceneGradient(renderer, rating).attribute(seed=seed, spp=32, denoise=mode)
+            for mode in ("auto", False)
+        )
+        assert denoised.info["picture"]["denoised"]
+        low, high = denoised.metric_interval(0.95)
+        held += low <= exact <= high
+        raw_low, raw_high = raw.metric_interval(0.95)
+        raw_held += raw_low <= exact <= raw_high
+        near += abs(raw.metric_value - exact) < 1
+        cautions += raw.info["picture"]["caution"] is not None
+    assert held >= 16  # with 95 % each, fewer once in 3000 times
+    assert near <= 4, "the noise shall matter, or the test says nothing"
+    assert raw_held >= 16
+    assert cautions >= 16
+
+
+def test_gradients_at_a_denoised_picture_are_those_of_the_converged_one():
+    renderer, rating = Fireflies(), glare()
+    leaves = {name: value.clone().requires_grad_() for name, value in renderer.inputs.items()}
+    exact = torch.autograd.grad(rating(renderer.exact(leaves)), list(leaves.values()))
+    misses = 0
+    for seed in range(10):
+        found = VanillaSceneGradient(renderer, rating).attribute(seed=seed, spp=64)
+        for (name, value), true in zip(found.items(), exact, strict=True):
+            misses += bool(abs(value - true) > 4 * found.standard_error[name] + 1e-4 * abs(true))
+    assert misses <= 1
+
+
+def test_a_linear_metric_sees_the_picture_as_it_is():
+    renderer = Fireflies()
+    plain, other = (
+        VanillaSceneGradient(renderer, torch.mean).attribute(seed=3, denoise=mode) for mode in (False, True)
+    )
+    assert not other.info["picture"]["denoised"]
+    assert other.info["picture"]["spp"] == 16
+    for name in plain:
+        assert torch.equal(plain[name], other[name])
+
+
+def test_a_caution_is_printed_and_saved(tmp_path):
+    found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=0, denoise=False)
+    caution = found.info["picture"]["caution"]
+    assert caution.startswith("the picture is too noisy for this metric: ")
+    assert caution in " ".join(str(found).split())
+    assert caution in " ".join(found._repr_html_().split())
+    found.save(tmp_path / "found.npz")
+    assert sc.SceneAttribution.load(tmp_path / "found.npz").info["picture"]["caution"] == caution
+    bars = found.plot_bars()
+    written = " ".join(text.get_text() for text in bars.findobj() if hasattr(text, "get_text"))
+    assert "too noisy" in " ".join(written.split())
+
+
+def test_samples_of_the_picture_are_a_budget_of_their_own():
+    renderer, rating = Fireflies(), glare()
+    few, many = (
+        VanillaSceneGradient(renderer, rating).attribute(seed=0, picture_spp=spp) for spp in (16, 512)
+    )
+    assert (few.info["picture"]["spp"], many.info["picture"]["spp"]) == (16, 512)
+    assert many.metric_standard_error < few.metric_standard_error
+    by_goal = VanillaSceneGradient(renderer, rating).attribute(seed=0, tolerance=0.5, spp=16, picture_spp=64)
+    assert by_goal.info["picture"]["spp"] == 4 * by_goal.info["spp"]
+
+
+@pytest.mark.parametrize("method", [sc.IntegratedGradientsScene, sc.SmoothGradScene, FeatureAblationScene])
+def test_every_method_sees_what_it_is_told_to_see(method):
+    renderer, rating = Fireflies(), glare()
+    half = dict.fromkeys(renderer.inputs, 0.5)
+    baselines = {} if method is sc.SmoothGradScene else {"baselines": half}
+    renderer.bounds = dict.fromkeys(renderer.inputs, (0.0, 2.0))
+    found = method(renderer, rating).attribute(seed=0, spp=64, denoise=True, **baselines)
+    assert found.info["picture"]["denoised"]
+    exact = rating(renderer.exact(renderer.inputs)).item()
+    assert abs(found.metric_value - exact) < 5 * found.metric_standard_error
+
+
+def test_a_metric_without_derivatives_sees_the_denoised_picture():
+    def bright(image: torch.Tensor) -> torch.Tensor:
+        return (image.mean(-1) > 5).sum().float()
+
+    renderer = Fireflies()
+    exact = bright(renderer.exact(renderer.inputs)).item()
+    baselines = {"wall": 0.0, "window": 0.0}
+    for mode, error in ((True, 8), ("auto", 8)):
+        found = FeatureAblationScene(renderer, bright).attribute(
+            seed=0, spp=8, denoise=mode, baselines=baselines
+        )
+        assert abs(found.metric_value - exact) <= error
+    raw = FeatureAblationScene(renderer, bright).attribute(seed=0, spp=8, denoise=False, baselines=baselines)
+    assert raw.metric_value > exact + 8
+
+
+def test_what_does_not_fit_is_said():
+    renderer = Fireflies()
+    with pytest.raises(
+        SceneCaptumError, match=r'denoise must be "auto", True or False, not "yes"|not \'yes\''
+    ):
+        VanillaSceneGradient(renderer, glare()).attribute(denoise="yes")
+    with pytest.raises(SceneCaptumError, match="picture_spp=8 is less than spp=16"):
+        VanillaSceneGradient(renderer, glare()).attribute(picture_spp=8)
+
+    def flat(inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int) -> torch.Tensor:
+        return renderer(inputs, seed=seed, spp=spp).flatten()
+
+    def bent(image: torch.Tensor) -> torch.Tensor:
+        return image.square().mean()
+
+    with pytest.raises(SceneCaptumError, match=r"denoise=True takes a picture \(H, W, 3\)"):
+        VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16, denoise=True)
+    assert not VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16).info["picture"]["denoised"]
+    with pytest.raises(SceneCaptumError, match="Only a picture"):
+        denoise(torch.zeros(5, 5))
+
+
+def test_gradients_pass_the_denoiser_unchanged():
+    image = Fireflies()(Fireflies().inputs, seed=0, spp=4).requires_grad_()
+    seen = straight_through(image)
+    torch.testing.assert_close(seen.detach(), denoise(image))
+    (gradient,) = torch.autograd.grad(seen.square().sum(), image)
+    torch.testing.assert_close(gradient, 2 * seen.detach())
+
+
+@pytest.fixture(scope="module")
+def mirrored(mi: Any) -> SceneRenderer:
+    """Half of the picture is a grey wall, the other a mirror that shows the red wall behind the camera."""
+    transform = mi.ScalarTransform4f
+    diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3, 0.3, 0.3]}}
+    red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.1, 0.1]}}
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 40,
+            "to_world": transform().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+        "wall": {
+            "type": "rectangle",
+            "to_world": transform().translate([-5, 0, 0]).scale(5),
+            "bsdf": diffuse,
+        },
+        "mirror": {
+            "type": "rectangle",
+            "to_world": transform().translate([5, 0, 0]).scale(5),
+            "bsdf": {"type": "conductor"},
+        },
+        "behind": {
+            "type": "rectangle",
+            "to_world": transform().translate([0, 0, 5]).rotate([0, 1, 0], 180).scale(20),
+            "bsdf": red,
+        },
+        "lamp": {"type": "point", "position": [0, 1, 3], "intensity": {"type": "rgb", "value": 5.0}},
+    }
+    return SceneRenderer(scene, "reflectance", spp=16, max_depth=4)
+
+
+def test_guides_look_into_mirrors_and_have_no_noise(mirrored):
+    guides = mirrored.guides
+    torch.testing.assert_close(guides.albedo[:, :7], torch.full((16, 7, 3), 0.3))
+    torch.testing.assert_close(guides.albedo[:, 9:], torch.tensor([0.8, 0.1, 0.1]).expand(16, 7, 3))
+    torch.testing.assert_close(guides.normal[:, :7], torch.tensor([0.0, 0.0, 1.0]).expand(16, 7, 3))
+    torch.testing.assert_close(guides.normal[:, 9:], torch.tensor([0.0, 0.0, -1.0]).expand(16, 7, 3))
+    assert mirrored.guides is guides
+
+
+def test_captum_sees_denoised_pictures_where_it_is_asked_for(mirrored):
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        return image.square().mean()
+
+    forward, inputs = mirrored.as_captum(metric, seed=4, denoise=True)
+    image = mirrored(seed=4)
+    assert math.isclose(forward(*inputs).item(), metric(denoise(image, mirrored.guides)).item(), rel_tol=1e-4)
