@@ -737,6 +737,7 @@ def test_ctrl_c_leaves_a_report_of_what_is_finished(tmp_path, capsys, monkeypatc
     def interrupted_at_the_second(self, **_: object) -> SceneAttribution:
         result = make(type(self.metric).__name__)
         result.info["metric_bias"] = 0.0
+        result.info["picture"] = {"caution": None}
         if "Glare" in result.info["metric"]:
             raise AttributionInterrupted(result)
         return result

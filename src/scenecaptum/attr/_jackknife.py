@@ -104,6 +104,7 @@ def jackknife(
     bias_adjoint = _excess(moved, adjoint, step)
     _, near = _at_means(metric, stack, shares + step / 2 * changes)
     bias_adjoint = _trust(bias_adjoint, _excess(near, adjoint, step / 2)) * bias_adjoint
+    removed = _consistency((moved + adjoint) / 2 - near, _mean(stack, shares)) * bias_adjoint
     deviations = torch.tensordot((directions / roots).T.to(moved), (moved - moved.mean(0)) / step, 1)
     left = 1.0
     if abs(drift) > CLEAR * error:
@@ -116,7 +117,7 @@ def jackknife(
         value=value,
         standard_error=math.hypot(error, left * drift, moved_by),
         bias=left * drift,
-        passes=tuple(adjoint - bias_adjoint + deviations),
+        passes=tuple(adjoint - removed + deviations),
         bias_adjoint=left * bias_adjoint + _by_denoiser(metric, _mean(stack, shares), adjoint),
         drift=(drift, error),
         denoised=None if nearer is None else value + moved_by,
@@ -179,6 +180,24 @@ def _trust(far: torch.Tensor, near: torch.Tensor) -> float:
     square, nearer = (one.double().square().sum().item() for one in (far, near))
     noise = (nearer - square) / (8 - 1)
     return min(1.0, max(0.0, 1 - noise / square)) if square else 0.0
+
+
+def _consistency(bends: torch.Tensor, image: torch.Tensor) -> float:
+    """Return how much of a bias to take out, between 0 and 1, from what each of the means says of it.
+
+    Where a metric bends alike in many pixels, all means agree. Where it bends in a few that happen to lie near a
+    threshold, they do not: taking their mean out would add more noise than it removes bias.
+
+    Parameters
+    ----------
+    bends
+        ``(means, …)``: by how much the adjoint bends on the way to each.
+    image
+        Weighs the pixels by their light.
+    """
+    told = (bends * image).double().flatten(1).sum(1)
+    mean, variance = told.mean().item(), told.var().item() / len(told)
+    return max(0.0, 1 - variance / mean**2) if mean else 0.0
 
 
 @lru_cache(maxsize=64)
