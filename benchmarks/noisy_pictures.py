@@ -92,8 +92,16 @@ def rate(
         (metric,) = through_view([TargetedMetric(rating)], images, Viewer("auto", renderer))
         seen = jackknife(metric, images)
         assert seen.standard_error is not None
-        about = describe_picture(seen.view, seen.value, seen.drift, None, seen.denoised)
         width = student_t(0.95, len(images) - 1) * seen.standard_error
+        about = describe_picture(
+            seen.view,
+            seen.value,
+            seen.drift,
+            None,
+            denoised=seen.denoised,
+            interval=(seen.value - width, seen.value + width),
+            half_class=rating.half_class,
+        )
         holds, caution = abs(seen.value - exact) <= width, about["caution"] is not None
         held, cautions, either = held + holds, cautions + caution, either + (holds or caution)
         denoised += seen.view.denoises

@@ -183,10 +183,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
     def metric_interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Return the ends of a confidence interval of the metric (Student's t), or None without an error bar."""
-        if self.metric_standard_error is None:
-            return None
-        width = student_t(level, max(1, self.info["passes"] - 1)) * self.metric_standard_error
-        return self.metric_value - width, self.metric_value + width
+        return metric_interval(self.metric_value, self.metric_standard_error, self.info["passes"], level)
 
     def untrusted_errors(self) -> dict[str, str]:
         """Return the parameters whose standard error cannot be trusted, each with the reason; ``?`` in tables.
@@ -380,6 +377,16 @@ def make_attribution(
             "versions": _versions(),
         },
     )
+
+
+def metric_interval(
+    value: float, error: float | None, replicates: int, level: float = 0.95
+) -> tuple[float, float] | None:
+    """Return a confidence interval of a metric whose error so many replicates tell, or None without one."""
+    if error is None:
+        return None
+    width = student_t(level, max(1, replicates - 1)) * error
+    return value - width, value + width
 
 
 def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:

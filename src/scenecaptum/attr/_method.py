@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
-from ._attribution import SceneAttribution, make_attribution
+from ._attribution import SceneAttribution, make_attribution, metric_interval
 from ._gradients import (
     LEAST_SEEN,
     Gradients,
@@ -195,10 +195,12 @@ class Run:
         **info: Any,
     ) -> SceneAttribution:
         """Put one result together."""
+        seen = own.adjoints
+        interval = metric_interval(seen.value, seen.standard_error, found.replicates)
         attribution = make_attribution(
             self.renderer,
             found,
-            own.adjoints,
+            seen,
             values=self.values,
             image=own.image,
             info={
@@ -208,11 +210,13 @@ class Run:
                 "spp": budget.total,
                 "budget": _budget_info(budget, gradients),
                 "picture": describe_picture(
-                    own.adjoints.view,
-                    own.adjoints.value,
-                    own.adjoints.drift,
+                    seen.view,
+                    seen.value,
+                    seen.drift,
                     own.samples,
-                    own.adjoints.denoised,
+                    denoised=seen.denoised,
+                    interval=interval,
+                    half_class=getattr(metric.metric, "half_class", None),
                 ),
                 "interrupted": interrupted,
                 **self.watch.record,

@@ -16,6 +16,8 @@ def describe_picture(
     drift: tuple[float, float] | None,
     samples: int | None,
     denoised: float | None = None,
+    interval: tuple[float, float] | None = None,
+    half_class: float | None = None,
 ) -> dict[str, Any]:
     """Return in plain values how a metric saw a picture of so many samples per pixel.
 
@@ -25,13 +27,15 @@ def describe_picture(
         As in ``Adjoints``.
     samples
         Per pixel of the picture, or None where that is not known.
+    interval, half_class
+        The 95 % interval of the value, and half the width of the metric's classes, where it has any.
     """
     return {
         "spp": samples,
         "denoised": view.denoises,
         "relative_error": None if view.raw_error is None else view.raw_error**0.5,
         "relative_error_denoised": None if view.denoised_error is None else view.denoised_error**0.5,
-        "caution": _caution(value, drift, samples, denoised),
+        "caution": _caution(value, drift, samples, denoised) or _too_wide(interval, half_class),
     }
 
 
@@ -52,3 +56,13 @@ def _caution(
     if denoised is not None and abs(denoised - value) > least:
         return f"{noisy}: {value:.4g} as it is, {denoised:.4g} denoised"
     return None
+
+
+def _too_wide(interval: tuple[float, float] | None, half_class: float | None) -> str | None:
+    """Say that the picture is too noisy to tell the class of a rating."""
+    if interval is None or half_class is None or not (width := (interval[1] - interval[0]) / 2) > half_class:
+        return None
+    return (
+        f"the picture is too noisy for this metric: its 95 % interval is ± {width:.2g}, and half the width of a "
+        f"class is {half_class:g}"
+    )

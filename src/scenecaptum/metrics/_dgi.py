@@ -23,6 +23,8 @@ class DaylightGlareIndex(GlareRating):
     Hopkinson, Applied Ergonomics 3 (1972), 206–215, in evalglare's form (see `GlareRating` for the parameters).
     """
 
+    half_class = 2.0  # 16, 20, 24, 28
+
     def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:
         if found is None:
             return 0.0 * luminance.sum()

@@ -40,6 +40,8 @@ class DaylightGlareProbability(GlareRating):
     Wienold and Christoffersen, Energy and Buildings 38 (2006), 743–757.
     """
 
+    half_class = 0.025  # EN 17037: 0.35, 0.40, 0.45
+
     def __init__(  # noqa: PLR0913 - those of every rating and two of its own
         self,
         camera: Camera,

@@ -65,6 +65,11 @@ class GlareRating(torch.nn.Module):
         ``(H, W)`` bool, the task zone: with it ``threshold_factor`` multiplies the mean luminance of this zone
         (evalglare's ``-t``).
 
+    Attributes
+    ----------
+    half_class
+        Half the width of the classes in which the rating is read: an error beyond it leaves the class open.
+
     Raises
     ------
     SceneCaptumError
@@ -72,6 +77,7 @@ class GlareRating(torch.nn.Module):
     """
 
     task: torch.Tensor | None
+    half_class: float
 
     def __init__(
         self,

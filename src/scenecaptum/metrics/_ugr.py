@@ -34,6 +34,8 @@ class UnifiedGlareRating(GlareRating):
     parameters).
     """
 
+    half_class = 1.5  # CIE 117: 10, 13, 16, 19, 22, 25, 28
+
     def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:
         if found is None:
             return 0.0 * luminance.sum()
