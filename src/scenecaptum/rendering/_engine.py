@@ -214,9 +214,10 @@ class Engine:
         chosen = self._difference(name, values)
         assert chosen is not None
         value = values[name]
+        off = {other: torch.zeros_like(self.original[other]) for other in chosen.off}
         slope: torch.Tensor = _sum(
-            self.primal({**values, name: value + shift}, seed, spp).double() * weight
-            for shift, weight in chosen.points()
+            self.primal({**values, **off, name: value + shift}, seed, spp).double() * weight
+            for shift, weight in chosen.points
         )
         return slope
 
