@@ -6,6 +6,7 @@ Imported only once a variant is active (see ``SceneRenderer``).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,6 +90,23 @@ class ChoosingIntegrator(RBIntegrator):
             square = dr.zeros(mi.Float, width * height)
             dr.scatter_add(square, dr.squared_norm(response * derivative) / spp, pixel)
             return mi.TensorXf(dr.sqrt(square), (height, width))
+
+    def count(self, scene: Any, sensor: Any, spp: int, seed: Any, counter: Callable[[Any, Any], Any]) -> Any:
+        """Count the light of the vertices of ``spp`` paths from each pixel.
+
+        ``counter`` makes a ``Counter`` for the pixel and the sensor's response of each lane.
+        """
+        width, height = sensor.film().crop_size()
+        with dr.suspend_grad():
+            pixel = dr.arange(mi.UInt32, width * height * spp) // spp
+            sampler = SobolSampler.of(dr.width(pixel), seed)
+            ray, response, _ = _camera_rays(sensor, sampler, pixel)
+            found = counter(pixel, response)
+            fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
+            *_, state = self.sample(sampler=sampler.clone(), **fixed)
+            self.sample(sampler=sampler, state_in=state, counter=found, **fixed)
+            dr.eval(found.squares, found.fourths)
+        return found
 
 
 STEPS = 1024  # of a filter's profile
