@@ -1,10 +1,10 @@
 """How noisy the derivatives with respect to lights are, beside differences of ±20 % with common random numbers.
 
 The picture is linear in the brightness of each light, so such a difference is exact. Both see the same adjoint
-image, that of a converged picture, and each side of the difference has as many samples as our backward pass. Printed
-for each light: the derivative by its brightness (a radiance or a texture is moved as a whole), standard deviations
-over the repeats, and the ratio of variances with a 95 % interval (bootstrap over the repeats). Below 1 ours is the
-less noisy one.
+image, that of a converged picture, and each side of the difference has as many samples as our backward pass.
+Printed for each light: the derivative by its brightness (a radiance or a texture is moved as a whole), standard
+deviations over the repeats, and the ratio of variances with a 95 % interval (bootstrap over the repeats). Below 1
+ours is the less noisy one.
 
     python benchmarks/emitters.py [--repeats 32] [--spp 16] [--scene GLOB] [--metric GLOB] [--inputs emitters|all]
 """

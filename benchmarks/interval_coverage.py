@@ -1,11 +1,11 @@
 """How often the 95 % intervals of an attribution cover the truth, and whether a doubtful one is marked.
 
 For each metric, many independent attributions of few samples are compared with a reference. Printed for each
-parameter that the reference resolves: the share of its channels' intervals that cover the reference, how many runs
-were marked ``?``, and how many of those runs that miss it. Then, for all of them: how many are covered in less than
-85 % of the runs, of how many of these at least 80 % of the misses are marked, and how often a parameter that is
-covered in 90 % and more is marked all the same. On the Cornell box, the default, the reference must be five times as
-precise as the bars.
+parameter that the reference resolves: the share of its channels' intervals that cover the reference, how many
+runs were marked ``?``, and how many of those runs that miss it. Then, for all of them: how many are covered in
+less than 85 % of the runs, of how many of these at least 80 % of the misses are marked, and how often a parameter
+that is covered in 90 % and more is marked all the same. On the Cornell box, the default, the reference must be
+five times as precise as the bars.
 
     python benchmarks/interval_coverage.py [--repeats 200] [--spp 64] [--method vanilla|integrated]
         [--scene cornell-box|office|hall|PATH] [--resolution 48x27] [--reference 32768]

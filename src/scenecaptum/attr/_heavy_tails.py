@@ -19,8 +19,8 @@ FEW = 4  # passes; the error of fewer is itself unsure by 50 % and more
 # How often a result whose passes are normally distributed may be called dominated, over all its parameters.
 FALSE_ALARMS = 0.01
 
-# Effective number of samples that make up a spread: where these are fewer, intervals may hold the truth in less than
-# 85 % of runs (benchmarks/interval_coverage.py).
+# Effective number of samples that make up a spread: where these are fewer, intervals may hold the truth in less
+# than 85 % of runs (benchmarks/interval_coverage.py).
 FEW_SAMPLES = 3.0
 
 # A spread so small, relative to what spreads, is rounding.
