@@ -52,8 +52,10 @@ def untrusted_errors(attribution: SceneAttribution) -> dict[str, str]:
         unsure = 100 / math.sqrt(2 * free)
         reason = f"an error told by {free + 1} passes is itself unsure by {unsure:.0f} %"
         return dict.fromkeys(attribution, reason)
-    counts = attribution.info.get("effective_samples", {})
-    found = {n: _rare(count) for n, count in counts.items() if count < FEW_SAMPLES and n in attribution}
+    # A difference is no better than either of its sides.
+    sides = attribution.info, attribution.info.get("minus", {})
+    counts = [item for side in sides for item in side.get("effective_samples", {}).items()]
+    found = {n: _rare(count) for n, count in counts if count < FEW_SAMPLES and n in attribution}
     for name, rows in attribution.replicates.items():
         most = _largest_share(rows)
         if most > _limit(len(rows), FALSE_ALARMS / len(attribution)):

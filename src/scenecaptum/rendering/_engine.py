@@ -332,8 +332,7 @@ class Engine:
         if spp not in self._pilots:
             rows = find_rows(self._graph, self._parameters)
             with self.holding({}):
-                seed = dr.opaque(mi.UInt32, 0)
-                self._pilots[spp] = take_pilot(self._integrator, self._scene, self._sensor, rows, spp, seed)
+                self._pilots[spp] = take_pilot(self._integrator, self._scene, self._sensor, rows, spp, 0)
         return self._pilots[spp]
 
     def _for_each_surface(self, noise: torch.Tensor, tracked: Sequence[str]) -> torch.Tensor:

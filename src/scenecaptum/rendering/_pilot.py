@@ -75,6 +75,8 @@ def _number_of_emitter(emitter: Any) -> int:
 class Counter:
     """Adds up squares and fourth powers of the light of vertices, by row and block of pixels.
 
+    Not a dataclass: Dr.Jit would make all of it variables of the loop that tells it of light.
+
     Parameters
     ----------
     rows
@@ -83,14 +85,15 @@ class Counter:
         The block of pixels that each lane belongs to, and how many blocks there are.
     response
         What the sensor makes of each lane's radiance.
+    squares, fourths
+        The sums, of ``rows · blocks`` elements. In double precision: radiance may be anything that float32 holds.
     """
 
-    def __init__(self, rows: Rows, block: Any, blocks: int, response: Any) -> None:
-        # In double precision: radiance may be anything that float32 holds, and these are its powers.
-        kind = dr.float64_array_t(mi.Float)
-        self.squares, self.fourths = (dr.zeros(kind, max(1, len(rows.parameters) * blocks)) for _ in range(2))
-        self._kind, self._rows, self._block, self._blocks = kind, rows, block, blocks
-        self._response = response
+    def __init__(
+        self, rows: Rows, block: Any, blocks: int, response: Any, squares: Any, fourths: Any
+    ) -> None:
+        self.rows, self.block, self.blocks, self.response = rows, block, blocks, response
+        self.squares, self.fourths = squares, fourths
 
     def add(self, si: Any, met: Any, emitted: Any, chosen: Any, reflected: Any, later: Any) -> None:
         """Count what an emitter that was ``met`` emits, and what the surface passes on.
@@ -98,15 +101,15 @@ class Counter:
         That is ``reflected`` light of a ``chosen`` emitter, and ``later`` light that the path goes on to.
         """
         shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (si.shape, si.instance))
-        self._count(self._rows.of_shape, dr.select(instance != 0, instance, shape), reflected + later)
+        self._count(self.rows.of_shape, dr.select(instance != 0, instance, shape), reflected + later)
         for emitter, light in ((met, emitted), (chosen, reflected)):
-            self._count(self._rows.of_emitter, dr.reinterpret_array(mi.UInt32, emitter), light)
+            self._count(self.rows.of_emitter, dr.reinterpret_array(mi.UInt32, emitter), light)
 
     def _count(self, table: mi.UInt32, number: Any, light: Any) -> None:
-        size = dr.sum(dr.abs(light * self._response))
+        size = dr.sum(dr.abs(light * self.response))
         row = dr.gather(mi.UInt32, table, number, number < dr.width(table))
-        active = (size > 0) & (number < dr.width(table)) & (row < len(self._rows.parameters))
-        square, index = dr.square(self._kind(size)), row * self._blocks + self._block
+        active = (size > 0) & (number < dr.width(table)) & (row < len(self.rows.parameters))
+        square, index = dr.square(type(self.squares)(size)), row * self.blocks + self.block
         dr.scatter_add(self.squares, square, index, active)
         dr.scatter_add(self.fourths, dr.square(square), index, active)
 
@@ -162,7 +165,7 @@ class Pilot:
         return float(self.squares[rows].sum(0) @ by_block[0]), float(self.fourths[rows].sum(0) @ by_block[1])
 
 
-def take_pilot(integrator: Any, scene: Any, sensor: Any, rows: Rows, spp: int, seed: Any) -> Pilot:
+def take_pilot(integrator: Any, scene: Any, sensor: Any, rows: Rows, spp: int, seed: int) -> Pilot:
     """Trace ``spp`` paths from each pixel and count their light."""
     width, height = sensor.film().crop_size()
     edge = 1
@@ -171,14 +174,13 @@ def take_pilot(integrator: Any, scene: Any, sensor: Any, rows: Rows, spp: int, s
     y, x = np.divmod(np.arange(width * height), width)
     block = y // edge * -(-width // edge) + x // edge
     of_pixel, blocks = mi.UInt32(block), int(block.max()) + 1
+    shape = len(rows.parameters), blocks
+    sums = [dr.zeros(dr.float64_array_t(mi.Float), max(1, shape[0] * blocks)) for _ in range(2)]
 
     def counter(pixel: Any, response: Any) -> Counter:
-        return Counter(rows, dr.gather(mi.UInt32, of_pixel, pixel), blocks, response)
+        return Counter(rows, dr.gather(mi.UInt32, of_pixel, pixel), blocks, response, *sums)
 
-    found = integrator.count(scene, sensor, spp, seed, counter)
+    integrator.count(scene, sensor, spp, seed, counter)
     samples = spp * np.bincount(block)
-    shape = len(rows.parameters), blocks
-    squares, fourths = (
-        one.numpy()[: shape[0] * shape[1]].reshape(shape) / samples for one in (found.squares, found.fourths)
-    )
+    squares, fourths = (one.numpy()[: shape[0] * blocks].reshape(shape) / samples for one in sums)
     return Pilot(rows.parameters, squares, fourths, block)
