@@ -232,10 +232,10 @@ class Engine:
             replayed = [name for name in replayed if name not in shiny]
         else:
             shiny = []
-        film = self._film_filter
         adjoint = adjoint.detach().float()
         width, height = self._resolution
         with self.at_hand():
+            film = self._film_filter
             strength = film.strength(adjoint) if film else adjoint.norm(dim=-1)
             interests = self._interests(values, replayed, None) if film else []
             chosen = sample_shares(strength, interests) * (width * height * spp)
