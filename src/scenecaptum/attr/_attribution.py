@@ -373,6 +373,7 @@ def make_attribution(
             "passes": gradients.replicates,
             "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
+            "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **getattr(renderer, "info", {}),
             "versions": _versions(),
         },
@@ -387,6 +388,19 @@ def metric_interval(
         return None
     width = student_t(level, max(1, replicates - 1)) * error
     return value - width, value + width
+
+
+def _effective_samples(
+    renderer: Any, gradients: GradientSum, adjoints: Adjoints, values: Tensors, spp: int | None
+) -> dict[str, float]:
+    """Return how many samples tell the spread of each gradient, where the renderer knows."""
+    ask = getattr(renderer, "effective_samples", None)
+    if ask is None or spp is None or not gradients.degrees_of_freedom:
+        return {}
+    adjoint = torch.stack(adjoints.passes).mean(0)
+    each = max(1, spp // gradients.replicates)
+    found: dict[str, float] = ask(values, adjoint, spp=each, replicates=gradients.replicates)
+    return found
 
 
 def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:

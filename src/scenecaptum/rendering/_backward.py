@@ -6,6 +6,7 @@ Imported only once a variant is active (see ``SceneRenderer``).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
+from ._passes import SAMPLES
 from ._sampler import SobolSampler
 
 
@@ -89,6 +91,25 @@ class ChoosingIntegrator(RBIntegrator):
             square = dr.zeros(mi.Float, width * height)
             dr.scatter_add(square, dr.squared_norm(response * derivative) / spp, pixel)
             return mi.TensorXf(dr.sqrt(square), (height, width))
+
+    def count(self, scene: Any, sensor: Any, spp: int, seed: int, counter: Callable[[Any, Any], Any]) -> None:
+        """Tell the light of the vertices of ``spp`` paths from each pixel.
+
+        ``counter`` makes what is told, for the pixel of each lane and what the sensor makes of its radiance.
+        """
+        width, height = sensor.film().crop_size()
+        pixels, most = width * height, max(1, SAMPLES // spp)
+        with dr.suspend_grad():
+            for number, first in enumerate(range(0, pixels, most)):
+                lanes = spp * min(most, pixels - first)
+                pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, lanes) // spp
+                sampler = SobolSampler.of(lanes, dr.opaque(mi.UInt32, seed + number))
+                ray, response, _ = _camera_rays(sensor, sampler, pixel)
+                fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
+                *_, state = self.sample(sampler=sampler.clone(), **fixed)
+                self.sample(sampler=sampler, state_in=state, counter=counter(pixel, response), **fixed)
+                dr.eval()
+                dr.sync_thread()
 
 
 STEPS = 1024  # of a filter's profile

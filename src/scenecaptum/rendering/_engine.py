@@ -17,6 +17,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 import torch
 
 from ..backend import device, dispose, exclusively
@@ -28,9 +29,10 @@ from . import (
     _volumetric,
 )
 from ._backward import FilmFilter, film_filter
-from ._choice import choose_pixels
+from ._choice import choose_pixels, sample_shares
 from ._from_surfaces import Receiver, Surfaces, find_surfaces, propagate_from_surfaces
 from ._passes import Pass, passes
+from ._pilot import Pilot, find_rows, take_pilot
 from ._plan import RenderPlan
 from ._routes import Difference, difference, is_constant, lifted, shiny_ones
 from ._state import SceneState, flat, owned
@@ -47,6 +49,10 @@ PILOTS, PILOT_SPP = 8, 2
 
 # How many samples tell where the derivative of a low roughness is noisy: in all, and in a pixel at most.
 PILOT_SAMPLES, MOST_PILOTS = 2**20, 64
+
+# How many times the samples of an estimate are looked at one by one, to tell how rare what it is made of is; and
+# how many samples at most.
+CLOSER, MOST_CLOSER = 4, 2**17
 
 # The engine whose scene is tracked, if any. A call through a virtual function reaches the objects of every scene
 # in the process, so what another scene tracks would become part of this one's derivatives.
@@ -105,6 +111,7 @@ class Engine:
         self._starts: dict[tuple[str, ...], Surfaces | None] = {}
         self._interest: dict[Any, Sequence[tuple[float, torch.Tensor]]] = {}
         self._noise_of: Values = {}
+        self._pilots: dict[int, Pilot] = {}
         self._integrator = plan.create_integrator()
         self._render, self._render_backward, self._propagate = _frozen(
             self._integrator, sensor, state.forget_gradients
@@ -206,6 +213,42 @@ class Engine:
             image = image + (self._slope(name, values, seed, spp) * tangents[name]).to(image)
         return image
 
+    def spread(
+        self,
+        values: Values,
+        tracked: Sequence[str],
+        adjoint: torch.Tensor,
+        spp: int,
+        replicates: int,
+    ) -> dict[str, tuple[float, float]]:
+        """Return variance and fourth cumulant of what replicates of ``adjoint`` find on average.
+
+        They are those of the light that each tracked parameter acts on, as a pilot tells them from the scene's own
+        values. What has no such light is left out, and so is what has samples of its own.
+        """
+        replayed = [name for name in tracked if self._difference(name, values) is None]
+        shiny = shiny_ones(self._parameters, {n: values[n] for n in replayed})
+        if shiny and self._surfaces(tuple(shiny)) is not None:
+            replayed = [name for name in replayed if name not in shiny]
+        else:
+            shiny = []
+        adjoint = adjoint.detach().float()
+        width, height = self._resolution
+        with self.at_hand():
+            film = self._film_filter
+            strength = film.strength(adjoint) if film else adjoint.norm(dim=-1)
+            interests = self._interests(values, replayed, None) if film else []
+            chosen = sample_shares(strength, interests) * (width * height * spp)
+            pilot = self._pilot(max(1, min(CLOSER * spp * replicates, MOST_CLOSER // (width * height))))
+        size = strength.cpu().double().numpy().ravel()
+        found = {}
+        for name in tracked:
+            evenly = np.full_like(size, max(1, spp // CHEAPER))
+            samples = replicates * (chosen if name in replayed else evenly)
+            if name not in shiny and (spread := pilot.spread(name, size, samples)) is not None:
+                found[name] = spread
+        return found
+
     def _difference(self, name: str, values: Values) -> Difference | None:
         return difference(self._parameters[name], values[name])
 
@@ -214,9 +257,10 @@ class Engine:
         chosen = self._difference(name, values)
         assert chosen is not None
         value = values[name]
+        off = {other: torch.zeros_like(self.original[other]) for other in chosen.off}
         slope: torch.Tensor = _sum(
-            self.primal({**values, name: value + shift}, seed, spp).double() * weight
-            for shift, weight in chosen.points()
+            self.primal({**values, **off, name: value + shift}, seed, spp).double() * weight
+            for shift, weight in chosen.points
         )
         return slope
 
@@ -276,12 +320,20 @@ class Engine:
         if not _equal(self._noise_of, self.original):
             self._noise_of = self.original
             self._interest.clear()
+            self._pilots.clear()
             self.__dict__.pop("_noise", None)
         key = tuple(tracked), tuple(value.numpy(force=True).tobytes() for value in octaves.values())
         if key not in self._interest:
             noise = self._noise_left_by(surfaces, octaves) if surfaces else self._noise
             self._interest[key] = ((NOISY, noise), (ALIKE, self._for_each_surface(noise, tracked)))
         return self._interest[key]
+
+    def _pilot(self, spp: int) -> Pilot:
+        if spp not in self._pilots:
+            rows = find_rows(self._graph, self._parameters)
+            with self.holding({}):
+                self._pilots[spp] = take_pilot(self._integrator, self._scene, self._sensor, rows, spp, 0)
+        return self._pilots[spp]
 
     def _for_each_surface(self, noise: torch.Tensor, tracked: Sequence[str]) -> torch.Tensor:
         """Return the noise of the pixels, scaled to the same sum for every tracked parameter that they show.

@@ -57,19 +57,21 @@ class ReplayIntegrator(ChoosingIntegrator):
 
         With ``seen``, marks of some shapes, nothing is propagated but to where the camera sees these, directly or
         by specular reflection. ``arriving`` is where to add up the light that reaches the ray's origin: a target,
-        each ray's place in it, and how many lengths of path to tell apart.
+        each ray's place in it, and how many lengths of path to tell apart. The ``counter`` of a pilot is told the
+        light of every vertex, which takes ``state_in`` and no derivatives.
         """
         primal = mode == dr.ADMode.Primal
         adjoint = options.get("δL")
         seen = options.get("seen")
         arriving = options.get("arriving")
+        counter: Any = options.get("counter")
         specular = _may_be_specular(scene)
 
         ray = mi.Ray3f(dr.detach(ray))
         if dr.hint(self.hide_emitters, mode="scalar"):
             ray = _beyond_emitters(scene, ray, mi.Bool(active))
         active = mi.Bool(active)
-        radiance = mi.Spectrum(0 if primal else state_in)
+        radiance = mi.Spectrum(0 if state_in is None else state_in)
         derivative = mi.Spectrum(0 if adjoint is None else adjoint)
         throughput = mi.Spectrum(1)
         eta = mi.Float(1)
@@ -86,12 +88,18 @@ class ReplayIntegrator(ChoosingIntegrator):
             vertex = Vertex(si, si.bsdf(ray), throughput, active, goes_on)
             shown = active & ~(seen_directly & mi.Bool(self.hide_emitters))
             emitted = _emitted(scene, vertex, shown, previous, previous_pdf, previous_specular, primal)
-            reflected = _reflected(scene, sampler.next_2d(), vertex, primal)
+            number = sampler.next_2d()
+            reflected = _reflected(scene, number, vertex, primal)
             # Drawn once, since a specular lobe is sampled again for its derivative.
             numbers = sampler.next_1d(), sampler.next_2d()
             direction, weight = vertex.bsdf.sample(mi.BSDFContext(), si, *numbers, goes_on)
 
-            if dr.hint(primal, mode="scalar"):
+            if dr.hint(counter is not None, mode="scalar"):
+                radiance -= emitted + reflected
+                met = mi.DirectionSample3f(scene, si=si, ref=previous).emitter
+                later = dr.select(goes_on & ~_is_rounding(radiance, state_in), radiance, 0)
+                counter.add(si, met, emitted, _chosen(scene, number), reflected, later)
+            elif dr.hint(primal, mode="scalar"):
                 radiance += emitted + reflected
             else:
                 radiance -= dr.detach(emitted + reflected)
@@ -182,6 +190,17 @@ def _reflected(scene: Any, number: Any, vertex: Vertex, primal: bool) -> Any:
         value, pdf = vertex.bsdf.eval_pdf(mi.BSDFContext(), vertex.si, vertex.si.to_local(light.d), active)
         weight = dr.detach(dr.select(light.delta, 1, mis_weight(light.pdf, pdf)))
         return vertex.throughput * weight * value * incoming
+
+
+def _is_rounding(rest: Any, whole: Any) -> Any:
+    """Whether what is left of a sum, after parts of it were subtracted, is too small to tell."""
+    return dr.max(dr.abs(rest)) < 1e-6 * dr.max(dr.abs(whole))
+
+
+def _chosen(scene: Any, number: Any) -> Any:
+    """Return the emitter that a scene samples with a random point."""
+    index, _, _ = scene.sample_emitter(number.x)
+    return dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
 
 
 def _is_among(shapes: Any, si: Any) -> Any:

@@ -595,6 +595,57 @@ class SceneRenderer(torch.nn.Module):
 
         return cast(torch.Tensor, torch.func.jvp(picture, (value,), (direction,))[1])
 
+    def effective_samples(
+        self,
+        values: Mapping[str, torch.Tensor],
+        adjoint: torch.Tensor,
+        *,
+        spp: int | None = None,
+        replicates: int = 1,
+    ) -> dict[str, float]:
+        """Return how many samples tell the spread of each gradient, in effect; for few, a spread tells no error.
+
+        A gradient is a sum of contributions of single paths. Where these are many and alike, a few independent
+        replicates tell its error; where a few bright paths make up most of the variance, replicates are likely to
+        miss them, and to agree with each other all the same. Contributions ``c`` are worth ``(Σc²)² / Σc⁴`` equal
+        ones; the inverse is the excess kurtosis of the sum. A pilot counts the light that each parameter acts on,
+        at the scene's own values.
+
+        Parameters
+        ----------
+        values
+            The parameters that are differentiated, and where.
+        adjoint
+            The derivative of a metric with respect to the picture, of its shape.
+        spp
+            Samples per pixel of a replicate, the renderer's by default.
+        replicates
+            How many there are.
+
+        Returns
+        -------
+        dict
+            By parameter, 0 where no path of the pilot has met it. Media are left out, and low roughnesses that are
+            sampled from their surfaces.
+
+        References
+        ----------
+        Kish, "Survey Sampling", 1965, section 8.2 (effective sizes of weighted samples).
+        """
+        spp = whole_number("spp", self.spp if spp is None else spp)
+        adjoints = adjoint if self._stacked else [adjoint]
+        spreads = [
+            engine.spread(values, tuple(values), one, spp, replicates)
+            for engine, one in zip(self._engines, adjoints, strict=True)
+        ]
+        variances, fourths = (
+            {name: sum(one[name][index] for one in spreads) for name in spreads[0]} for index in range(2)
+        )
+        return {
+            name: variance**2 / fourths[name] if fourths[name] else 0.0
+            for name, variance in variances.items()
+        }
+
     def as_captum(
         self,
         metric: Callable[[torch.Tensor], torch.Tensor],

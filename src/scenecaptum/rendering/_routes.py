@@ -6,7 +6,7 @@ Which is right where was measured, see ``benchmarks/derivatives.py`` and ``docs/
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -29,6 +29,10 @@ STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "me
 NEAR_ONE = 0.004  # for an index near 1, where the curve bends more
 RELATIVE = 0.05  # of the value itself, for what has no scale of its own
 
+# Factors of the light of an emitter, in which the picture is linear, but which Mitsuba does not track; and the
+# other light of the same emitter.
+SCALES = {"sky_scale": "sun_scale", "sun_scale": "sky_scale"}
+
 # Lobes that a principled material leaves out where their weight is at a bound, so that nothing samples them there.
 SWITCHED = (
     "metallic",
@@ -45,33 +49,21 @@ SWITCHED = (
 
 @dataclass(frozen=True)
 class Difference:
-    """A finite difference with a shared seed.
+    """A finite difference with common random numbers.
 
     Attributes
     ----------
-    step
-        Distance for each channel; its sign is the direction of a one-sided difference.
-    central
-        Whether both sides are rendered. Otherwise three points on one side make a difference of second order.
+    points
+        Where to render, as shifts from the value, and the weight of each picture in the derivative.
     reason
         Why path replay does not serve.
+    off
+        Other parameters that are 0 in all of these pictures.
     """
 
-    step: torch.Tensor
-    central: bool
+    points: tuple[tuple[torch.Tensor, torch.Tensor], ...]
     reason: str
-
-    def points(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-        """Where to render, as shifts from the value, and the weight of each picture in the derivative."""
-        h = self.step
-        if self.central:
-            yield from ((h, 1 / (2 * h)), (-h, -1 / (2 * h)))
-            return
-        # Not from the bound itself, where the picture may jump: a lobe is left out, a formula branches.
-        first = 1e-3
-        yield first * h, -3 / ((1 - first) * (2 - first) * h)
-        yield h, (2 + first) / ((1 - first) * h)
-        yield 2 * h, -(1 + first) / ((2 - first) * h)
+    off: tuple[str, ...] = ()
 
 
 def difference(parameter: Parameter, value: torch.Tensor) -> Difference | None:
@@ -79,12 +71,40 @@ def difference(parameter: Parameter, value: torch.Tensor) -> Difference | None:
     reason = reason_against_replay(parameter, value)
     if reason is None:
         return None
+    if parameter.kind == "emitters" and parameter.role in SCALES:
+        # Mitsuba samples sky and sun by their brightness, so that the other one would be noise, and take samples.
+        other = parameter.name.removesuffix(parameter.role) + SCALES[parameter.role]
+        return Difference(_off_to_on(value), reason, (other,))
     step = _step(parameter, value)
     low, high = _room(parameter, value)
     if bool((value - step > low).all() and (value + step < high).all()):
-        return Difference(step, True, reason)
+        return Difference(_central(step), reason)
     upwards = value + 2 * step <= high
-    return Difference(torch.where(upwards, step, -step), False, reason)
+    return Difference(_one_sided(torch.where(upwards, step, -step)), reason)
+
+
+def _central(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+    return (h, 1 / (2 * h)), (-h, -1 / (2 * h))
+
+
+def _one_sided(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+    """Return the points of a difference of second order on one side."""
+    # Not from the bound itself, where the picture may jump: a lobe is left out, a formula branches.
+    first = 1e-3
+    return (
+        (first * h, -3 / ((1 - first) * (2 - first) * h)),
+        (h, (2 + first) / ((1 - first) * h)),
+        (2 * h, -(1 + first) / ((2 - first) * h)),
+    )
+
+
+def _off_to_on(value: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+    """Return the points of a difference between a light that is off and the same light on.
+
+    The picture is linear in the scale of a light: any distance is exact, and the longest has the least noise.
+    """
+    on = torch.where(value > 0, value, 1.0)
+    return (on - value, 1 / on), (-value, -1 / on)
 
 
 def shiny_ones(parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor]) -> list[str]:

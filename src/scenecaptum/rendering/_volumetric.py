@@ -27,7 +27,14 @@ import mitsuba as mi
 from mitsuba.python.ad.integrators.common import mis_weight
 
 from ._backward import ChoosingIntegrator
-from ._integrator import Vertex, _beyond_emitters, _emitted, _may_be_specular, _scattering
+from ._integrator import (
+    Vertex,
+    _beyond_emitters,
+    _emitted,
+    _is_rounding,
+    _may_be_specular,
+    _scattering,
+)
 
 # Expected interactions that a crossing of a medium is given at least. The in-scattered part of the derivative by
 # density is carried by interactions alone: at a density of 0 a sampler without this would never see it.
@@ -118,6 +125,11 @@ class VolumetricReplayIntegrator(ChoosingIntegrator):
         self._prepare(scene, sensor, derivatives=True)
         super().propagate(scene, sensor, *args, **options)
 
+    def count(self, scene: Any, sensor: Any, *args: Any, **options: Any) -> Any:
+        """Count the light of vertices for a pilot."""
+        self._prepare(scene, sensor, derivatives=True)
+        return super().count(scene, sensor, *args, **options)
+
     def _prepare(self, scene: Any, sensor: Any, *, derivatives: bool) -> None:
         camera = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self._around_camera = camera.get_medium()
@@ -134,6 +146,7 @@ class VolumetricReplayIntegrator(ChoosingIntegrator):
         """
         primal = mode == dr.ADMode.Primal
         given = options.get("δL")
+        counter: Any = options.get("counter")
         follow = self._for_derivatives
         media = _media(scene, self._around_camera)
         specular = _may_be_specular(scene)
@@ -141,8 +154,8 @@ class VolumetricReplayIntegrator(ChoosingIntegrator):
         ray = mi.Ray3f(dr.detach(ray))
         active = mi.Bool(active)
         medium = mi.MediumPtr(self._around_camera)
-        radiance = mi.Spectrum(0 if primal else state_in[0])
-        lost = mi.Spectrum(0 if primal else state_in[1])
+        radiance = mi.Spectrum(0 if state_in is None else state_in[0])
+        lost = mi.Spectrum(0 if state_in is None else state_in[1])
         derivative = mi.Spectrum(0 if given is None else given)
         throughput = mi.Spectrum(1)
         lit = throughput > 0
@@ -203,7 +216,12 @@ class VolumetricReplayIntegrator(ChoosingIntegrator):
             emitted = _emitted(scene, vertex, shown, previous, previous_pdf, previous_specular, primal)
             reflected = _reflected(scene, vertex, fog, lamp, primal)
             found, lighting = dr.detach(emitted + reflected), dr.detach(reflected)
-            if dr.hint(primal, mode="scalar"):
+            if dr.hint(counter is not None, mode="scalar"):
+                radiance -= dr.select(lit, found, 0)
+                met = mi.DirectionSample3f(scene, si=si, ref=previous).emitter
+                later = dr.select(goes_on & ~_is_rounding(radiance, state_in[0]), radiance, 0)
+                counter.add(si, met, emitted, lamp.light.emitter, reflected, later)
+            elif dr.hint(primal, mode="scalar"):
                 radiance += dr.select(lit, found, 0)
                 lost += dr.select(lit, 0, found)
             else:

@@ -121,6 +121,10 @@ class SceneGraph:
         environment = self.scene.environment()
         return set(self._below(environment)) if environment is not None else set()
 
+    def emitters(self) -> list[tuple[Any, set[Any]]]:
+        """Every emitter with the set of objects that its light depends on."""
+        return [(emitter, set(self._below(emitter))) for emitter in self.scene.emitters()]
+
     def has(self, object_class: type) -> bool:
         """Whether any object of the scene is of that Mitsuba class."""
         return any(isinstance(node, object_class) for node in self._children)
