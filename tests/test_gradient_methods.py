@@ -9,6 +9,7 @@ import captum.attr
 import numpy as np
 import pytest
 import torch
+from chance import allowed
 from seeds import seeds, shifted
 
 from scenecaptum import (
@@ -127,7 +128,7 @@ def test_noise_tunnel_agrees_within_its_error(nt_type):
     for name, expected in zip(ours, theirs, strict=True):
         # Theirs is as noisy as ours.
         z = (ours[name] - expected[0]) / (math.sqrt(2) * ours.standard_error[name])
-        assert z.abs().max() < 4, f"{name}: {ours[name]} against {expected[0]}, z = {z}"
+        assert z.abs().max() < allowed(400, 4), f"{name}: {ours[name]} against {expected[0]}, z = {z}"
 
 
 def test_gradient_shap_agrees_within_its_error():
@@ -140,7 +141,7 @@ def test_gradient_shap_agrees_within_its_error():
     theirs = captum.attr.GradientShap(call).attribute(inputs, starts, n_samples=count)
     for name, expected in zip(ours, theirs, strict=True):
         z = (ours[name] - expected[0]) / (math.sqrt(2) * ours.standard_error[name])
-        assert z.abs().max() < 4, f"{name}: {ours[name]} against {expected[0]}, z = {z}"
+        assert z.abs().max() < allowed(400, 4), f"{name}: {ours[name]} against {expected[0]}, z = {z}"
 
 
 def test_gradient_shap_is_the_mean_of_integrated_gradients_over_the_baselines():
@@ -149,7 +150,7 @@ def test_gradient_shap_is_the_mean_of_integrated_gradients_over_the_baselines():
     each = [IntegratedGradientsScene(renderer, sigmoid).attribute(baselines=one) for one in starts]
     for name, value in ours.items():
         z = (value - sum(one[name] for one in each) / 2) / ours.standard_error[name]
-        assert z.abs().max() < 4, f"{name}: z = {z}"
+        assert z.abs().max() < allowed(400, 4), f"{name}: z = {z}"
 
 
 # ------------------------------------------------------------------------------------------ identities
@@ -205,7 +206,7 @@ def test_the_noise_of_rendering_is_no_variance_of_the_gradient(nt_type):
     plain = VanillaSceneGradient(Glowing(), torch.mean).attribute()["x"]
     expected = plain**2 if nt_type == "smoothgrad_sq" else torch.zeros(3)
     z = (values.mean(0) - expected) / (values.std(0) / math.sqrt(len(values)))
-    assert z.abs().max() < 4, f"z = {z}"
+    assert z.abs().max() < allowed(60, 3), f"z = {z}"
 
 
 @pytest.mark.parametrize(
@@ -229,13 +230,17 @@ def test_error_bars_and_deltas_of_integrated_gradients_are_honest(n_steps, metri
         values = torch.stack([one[name] for one in found])
         bars = torch.stack([one.standard_error[name] for one in found]).square().mean(0).sqrt()
         z = (values.mean(0) - truth[name]) / (values.std(0) / math.sqrt(repeats))
-        assert z.abs().max() < 4, f"{name}: bias in standard errors {z}"
-        allowed = 4 / math.sqrt(2 * repeats)
-        assert ((values.std(0) / bars - 1).abs() < allowed).all(), f"{name}: {values.std(0) / bars}"
+        assert z.abs().max() < allowed(repeats, 4), f"{name}: bias in standard errors {z}"
+        # What the quadrature might add to them, the noise of which is not taken off altogether, is small.
+        ratio, width = values.std(0) / bars, 4 / math.sqrt(2 * repeats)
+        assert (ratio < 1 + width).all(), f"{name}: {ratio}"
+        assert (ratio > 0.85 - width).all(), f"{name}: {ratio}"
     deltas = torch.tensor([one.convergence_delta for one in found])
     errors = torch.tensor([one.convergence_delta_error for one in found])
-    assert (deltas.abs() < 4 * errors).all()
-    assert deltas.std() == pytest.approx(errors.square().mean().sqrt().item(), rel=4 / math.sqrt(2 * repeats))
+    ratio = (deltas.std() / errors.square().mean().sqrt()).item()
+    assert 0.85 - width < ratio < 1 + width
+    z = deltas.mean() / (deltas.std() / math.sqrt(repeats))
+    assert abs(z) < allowed(repeats)
 
 
 def test_a_difference_has_the_difference_of_the_deltas():
@@ -290,7 +295,7 @@ def test_a_metric_that_bends_only_later_on_the_way_is_noticed():
     ]
     values = torch.stack([one["x"] for one in repeats])
     z = (values.mean(0) - exact["x"]) / (values.std(0) / math.sqrt(len(values)))
-    assert z.abs().max() < 4, f"z = {z}"
+    assert z.abs().max() < allowed(60, 3), f"z = {z}"
 
 
 def test_rounding_is_no_failure_to_add_up():
@@ -333,26 +338,26 @@ def box() -> SceneRenderer:
 
 def test_integrated_gradients_of_the_light_are_the_picture(box):
     attribution = IntegratedGradientsScene(box, metrics.MeanLuminance()).attribute(
-        baselines="dark", n_steps=4
+        baselines="dark", n_steps=4, spp=8192, seed=shifted()
     )
     assert attribution.info["convergence"] == "adds up"
     assert not attribution[WALL].any()
     total = attribution[LIGHT].sum().item()
     z = (total - attribution.metric_value) / attribution.convergence_delta_error
-    assert abs(z) < 4
+    assert abs(z) < allowed(8)
 
 
 def test_integrated_gradients_of_all_add_up(box):
     for metric in (metrics.MeanLuminance(), lambda image: torch.log(image.mean() + 0.01)):
         attribution = IntegratedGradientsScene(box, metric).attribute(n_steps=8)
-        assert abs(attribution.convergence_delta) < 4 * attribution.convergence_delta_error
+        assert abs(attribution.convergence_delta) < allowed(8) * attribution.convergence_delta_error
 
 
 def test_gradient_shap_adds_up(box):
     attribution, delta = GradientShapScene(box, metrics.MeanLuminance()).attribute(
         baselines=["black", "grey"], return_convergence_delta=True
     )
-    assert abs(delta.item()) < 4 * attribution.convergence_delta_error
+    assert abs(delta.item()) < allowed(8) * attribution.convergence_delta_error
 
 
 def test_smoothgrad_stays_inside_the_bounds(box):
@@ -368,8 +373,9 @@ def test_groups_add_up_their_members_and_their_errors(box):
     torch.testing.assert_close(kinds["emitters"], alone[LIGHT].sum(), rtol=1e-4, atol=0)
     assert sum(kinds.values()).item() == pytest.approx(sum(v.sum().item() for v in alone.values()), rel=1e-4)
     assert kinds.convergence_delta == pytest.approx(alone.convergence_delta, abs=1e-5)
-    # The channels of a colour share their paths: their errors do not add as if they were independent.
-    assert kinds.standard_error["emitters"] > alone.standard_error[LIGHT].norm()
+    # The channels of a colour share their paths: their errors add as their covariance says.
+    together = alone.covariance[LIGHT].sum().sqrt().float()
+    torch.testing.assert_close(kinds.standard_error["emitters"], together, rtol=1e-3, atol=0)
     assert kinds.heatmap().shape == (16, 16)
 
 

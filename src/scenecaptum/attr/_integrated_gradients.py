@@ -28,7 +28,8 @@ class IntegratedGradientsScene(GradientMethod):
     -------
     >>> from scenecaptum import SceneRenderer, metrics
     >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(32, 32), spp=64)
-    >>> attribution = IntegratedGradientsScene(renderer, metrics.MeanLuminance()).attribute(n_steps=4)
+    >>> method = IntegratedGradientsScene(renderer, metrics.MeanLuminance())
+    >>> attribution = method.attribute(n_steps=4, spp=1024)
     >>> attribution.info["convergence"]
     'adds up'
 
