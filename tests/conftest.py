@@ -11,11 +11,35 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from seeds import OFFSET, shift_defaults, shifted
 
 # Tests run in three processes, and Dr.Jit has threads in each: torch's own would only wait for a core.
 torch.set_num_threads(1)
 
 # The package is imported inside the fixtures, so that a fault in one room fails that room's tests only.
+
+
+def pytest_report_header() -> str:
+    return f"seeds: offset {OFFSET} (SCENECAPTUM_TEST_SEED)"
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    if terminalreporter.verbosity < 0:  # then there was no header
+        terminalreporter.write_line(pytest_report_header())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_seeds() -> None:
+    """Shift the seeds that the library takes where none is given."""
+    if OFFSET:
+        shift_defaults()
+
+
+@pytest.fixture(autouse=True)
+def global_generators() -> None:
+    """Let every test find the same random numbers, whichever ran before it."""
+    torch.manual_seed(shifted())
+    np.random.seed(shifted())
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +62,7 @@ def cornell(mi: Any) -> Any:
 @pytest.fixture(scope="session")
 def stage_dict(mi: Any) -> dict[str, Any]:
     """Plugins that derive their own arrays from a parameter: a rough plastic, a bitmap, an environment map."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(shifted(5))
     texels = rng.uniform(0.2, 0.8, (4, 6, 3)).astype(np.float32)
     sky = rng.uniform(0.5, 1.5, (4, 8, 3)).astype(np.float32)
     transform = mi.ScalarTransform4f

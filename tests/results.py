@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from seeds import shifted
 
 from scenecaptum import SceneAttribution
 from scenecaptum.scene import SurfaceMap
@@ -39,7 +40,7 @@ def make(barred: bool = True, **info: Any) -> SceneAttribution:
         metric_standard_error=0.000533 if barred else None,
         covariance=covariance if barred else None,
         labels={"rough": "desk: roughness"},
-        image=torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0)),
+        image=torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(shifted())),
         surfaces=surfaces("rough", "floor"),
         info={
             "metric": "Glare",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum._reflection import OPEN_MARGIN
@@ -85,13 +86,14 @@ def channels(image: torch.Tensor) -> torch.Tensor:
     return image.mean((0, 1))
 
 
-def measured(renderer: Any, row: Row, metric: Any = brightness, seed: int = 0) -> torch.Tensor:
+def measured(renderer: Any, row: Row, metric: Any = brightness, seed: int | None = None) -> torch.Tensor:
     values = dict(zip(renderer.inputs, row, strict=True))
+    seed = shifted() if seed is None else seed
     output: torch.Tensor = metric(renderer(values, seed=seed, spp=renderer.spp))
     return output
 
 
-def gradient(renderer: Any, row: Row, metric: Any = brightness, seed: int = 0) -> Row:
+def gradient(renderer: Any, row: Row, metric: Any = brightness, seed: int | None = None) -> Row:
     """Differentiate one render with plain autograd, without the bridge."""
     leaves = tuple(value.detach().clone().requires_grad_() for value in row)
     return torch.autograd.grad(measured(renderer, leaves, metric, seed), leaves)
@@ -156,18 +158,20 @@ def test_inputs_are_the_renderers_with_a_batch_dimension(renderer: Any) -> None:
 
 
 def test_the_method_of_the_renderer_is_the_bridge(box: SceneRenderer) -> None:
-    forward, inputs = box.as_captum(brightness, seed=3, bounds="reflect")
-    assert forward(*inputs).item() == pytest.approx(measured(box, own(box), seed=3).item(), rel=1e-6)
+    forward, inputs = box.as_captum(brightness, seed=shifted(3), bounds="reflect")
+    assert forward(*inputs).item() == pytest.approx(measured(box, own(box), seed=shifted(3)).item(), rel=1e-6)
 
 
 @pytest.mark.parametrize("bounds", ["raise", "reflect"])
 def test_forward_measures_each_row_with_the_seed(renderer: Any, bounds: str) -> None:
     rows = [own(renderer), halved(renderer), own(renderer)]
     for metric, shape in ((brightness, (3,)), (channels, (3, 3)), (lambda i: i.mean().reshape(1), (3, 1))):
-        forward, _ = as_captum(renderer, metric, seed=5, bounds=bounds)
+        forward, _ = as_captum(renderer, metric, seed=shifted(5), bounds=bounds)
         found = forward(*batch(*rows))
         assert found.shape == shape
-        torch.testing.assert_close(found, torch.stack([measured(renderer, row, metric, 5) for row in rows]))
+        torch.testing.assert_close(
+            found, torch.stack([measured(renderer, row, metric, shifted(5)) for row in rows])
+        )
 
 
 def test_rows_may_be_views_of_one_another(renderer: Any) -> None:
@@ -190,34 +194,34 @@ def test_what_is_done_to_the_inputs_does_not_reach_the_renderer() -> None:
 
 @pytest.mark.parametrize("bounds", ["raise", "reflect"])
 def test_saliency_is_the_gradient(renderer: Any, bounds: str) -> None:
-    forward, inputs = as_captum(renderer, brightness, seed=7, bounds=bounds)
-    expected = gradient(renderer, own(renderer), seed=7)
+    forward, inputs = as_captum(renderer, brightness, seed=shifted(7), bounds=bounds)
+    expected = gradient(renderer, own(renderer), seed=shifted(7))
     assert_same(captum.Saliency(forward).attribute(inputs, abs=False), expected)
     assert_same(captum.Saliency(forward).attribute(inputs), tuple(g.abs() for g in expected))
 
 
 def test_saliency_of_a_batch_is_that_of_each_row(renderer: Any) -> None:
-    forward, _ = as_captum(renderer, brightness, seed=7)
+    forward, _ = as_captum(renderer, brightness, seed=shifted(7))
     rows = [own(renderer), halved(renderer)]
     found = captum.Saliency(forward).attribute(batch(*rows), abs=False)
-    assert_same(found, *(gradient(renderer, row, seed=7) for row in rows))
+    assert_same(found, *(gradient(renderer, row, seed=shifted(7)) for row in rows))
 
 
 def test_input_x_gradient(renderer: Any) -> None:
-    forward, inputs = as_captum(renderer, brightness, seed=2)
-    gradients = gradient(renderer, own(renderer), seed=2)
+    forward, inputs = as_captum(renderer, brightness, seed=shifted(2))
+    gradients = gradient(renderer, own(renderer), seed=shifted(2))
     expected = tuple(x * g for x, g in zip(own(renderer), gradients, strict=True))
     assert_same(captum.InputXGradient(forward).attribute(inputs), expected)
 
 
 @pytest.mark.parametrize("target", [0, 2, [1, 2], torch.tensor([2, 0])])
 def test_target_names_an_element_of_a_vector(renderer: Any, target: Any) -> None:
-    forward, _ = as_captum(renderer, channels, seed=1)
+    forward, _ = as_captum(renderer, channels, seed=shifted(1))
     rows = [own(renderer), halved(renderer)]
     found = captum.Saliency(forward).attribute(batch(*rows), target=target, abs=False)
     elements = [target, target] if isinstance(target, int) else [int(t) for t in target]
     expected = (
-        gradient(renderer, row, lambda image, k=k: channels(image)[k], seed=1)
+        gradient(renderer, row, lambda image, k=k: channels(image)[k], seed=shifted(1))
         for row, k in zip(rows, elements, strict=True)
     )
     assert_same(found, *expected)
@@ -265,7 +269,7 @@ def test_the_convergence_delta_is_that_of_the_metric(renderer: Any) -> None:
 def test_noise_tunnel_wanders_beyond_the_bounds_and_is_reflected(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, bounds="reflect")
     recorded = Recorded(forward)
-    torch.manual_seed(4)
+    torch.manual_seed(shifted(4))
     found = captum.NoiseTunnel(captum.Saliency(recorded)).attribute(
         inputs, nt_samples=4, stdevs=(1.0, 0.6, 2.0), abs=False
     )
@@ -284,7 +288,7 @@ def test_noise_tunnel_wanders_beyond_the_bounds_and_is_reflected(renderer: Any) 
 
 def test_noise_tunnel_says_what_is_unphysical_where_it_may_not_wander(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, bounds="raise")
-    torch.manual_seed(4)
+    torch.manual_seed(shifted(4))
     with pytest.raises(SceneCaptumError, match="outside the physical range"):
         captum.NoiseTunnel(captum.Saliency(forward)).attribute(inputs, nt_samples=4, stdevs=1.0)
 
@@ -325,8 +329,8 @@ def test_gradient_shap_with_noise(renderer: Any) -> None:
 
 @pytest.mark.parametrize("perturbations_per_eval", [1, 3])
 def test_feature_ablation_renders_without_each_feature(renderer: Any, perturbations_per_eval: int) -> None:
-    forward, inputs = as_captum(renderer, brightness, seed=6, bounds="reflect")
-    full = measured(renderer, own(renderer), seed=6)
+    forward, inputs = as_captum(renderer, brightness, seed=shifted(6), bounds="reflect")
+    full = measured(renderer, own(renderer), seed=shifted(6))
     expected = []
     for index, value in enumerate(own(renderer)):
         removed = OPEN_MARGIN if value.ndim == 0 else 0.0  # a roughness of 0 is not physical
@@ -334,7 +338,7 @@ def test_feature_ablation_renders_without_each_feature(renderer: Any, perturbati
         for element in range(value.numel()):
             ablated = [v.clone() for v in own(renderer)]
             ablated[index].view(-1)[element] = removed
-            changes.append(full - measured(renderer, tuple(ablated), seed=6))
+            changes.append(full - measured(renderer, tuple(ablated), seed=shifted(6)))
         expected.append(torch.stack(changes).reshape(value.shape))
     found = captum.FeatureAblation(forward).attribute(inputs, perturbations_per_eval=perturbations_per_eval)
     # The difference of two numbers of order 1.
@@ -346,7 +350,7 @@ def test_feature_ablation_renders_without_each_feature(renderer: Any, perturbati
 def test_shapley_value_sampling_is_complete(renderer: Any, perturbations_per_eval: int) -> None:
     forward, inputs = as_captum(renderer, channels, bounds="reflect")
     whole = tuple(torch.full((1, *value.shape[1:]), i) for i, value in enumerate(inputs))
-    torch.manual_seed(0)
+    torch.manual_seed(shifted())
     found = captum.ShapleyValueSampling(forward).attribute(
         inputs,
         batch(halved(renderer)),
@@ -383,7 +387,7 @@ def test_occlusion(renderer: Any) -> None:
 
 
 def test_a_seed_repeats_and_leaves_torchs_generator_alone(renderer: Any) -> None:
-    forward, inputs = as_captum(renderer, brightness, seed=9)
+    forward, inputs = as_captum(renderer, brightness, seed=shifted(9))
     state = torch.get_rng_state()
     first, second = forward(*inputs), forward(*(torch.cat([value, value]) for value in inputs))
     torch.testing.assert_close(second, first.expand(2), rtol=1e-6, atol=0)
@@ -393,18 +397,18 @@ def test_a_seed_repeats_and_leaves_torchs_generator_alone(renderer: Any) -> None
 def test_without_a_seed_every_row_of_every_call_has_its_own(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, seed=None)
     doubled = tuple(torch.cat([value, value]) for value in inputs)
-    torch.manual_seed(1)
+    torch.manual_seed(shifted(1))
     drawn = torch.cat([forward(*doubled), forward(*doubled)])
     assert len(set(drawn.tolist())) == 4
-    torch.manual_seed(1)
+    torch.manual_seed(shifted(1))
     torch.testing.assert_close(torch.cat([forward(*doubled), forward(*doubled)]), drawn, rtol=1e-6, atol=0)
 
 
 def test_every_row_is_rendered_once_with_the_renderers_own_sample_count() -> None:
     toy = ToyRoom()
-    forward, _ = as_captum(toy, brightness, seed=11)
+    forward, _ = as_captum(toy, brightness, seed=shifted(11))
     forward(*batch(own(toy), halved(toy)))
-    assert [(seed, spp) for _, seed, spp in toy.calls] == [(11, 4), (11, 4)]
+    assert [(seed, spp) for _, seed, spp in toy.calls] == [(shifted(11), 4)] * 2
     torch.testing.assert_close(toy.calls[1][0]["light"], 0.5 * toy.inputs["light"])
 
 

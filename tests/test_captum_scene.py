@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+from seeds import seeds, shifted
 
 import scenecaptum as sc
 from scenecaptum import SceneAttribution, SceneRenderer, metrics
@@ -118,7 +119,7 @@ def run_captums(pair: Pair, box: SceneRenderer, metric: Any, first_seed: int) ->
         for setting, value in pair.captums_settings.items()
     }
     runs = []
-    for seed in range(first_seed, first_seed + RUNS):
+    for seed in seeds(first_seed, first_seed + RUNS):
         torch.manual_seed(seed)
         forward, inputs = box.as_captum(metric, seed=None if pair.fresh else seed)
         runs.append(pair.captums(forward).attribute(inputs, **settings))
@@ -148,11 +149,11 @@ def test_captums_classes_and_ours_agree_within_their_errors(box, method, metric)
     # Twice Captum's samples in half as many parts: what these few tell of their error weighs little in the sum.
     ours = pair.ours(box, METRICS[metric]).attribute(
         **pair.our_settings,
-        seed=number,
+        seed=shifted(number),
         spp=2 * RUNS * box.spp * pair.scenes,
         replicates=RUNS // 2,
     )
-    runs = run_captums(pair, box, METRICS[metric], first_seed=RUNS * number)
+    runs = run_captums(pair, box, METRICS[metric], first_seed=shifted(RUNS * number))
     for name, z in deviations(ours, runs).items():
         both = f"{ours[name]} ± {ours.standard_error[name]} against {runs[name].mean(0)}"
         assert z.abs().max() < ALLOWED, f"{name}: {both}, z = {z}"
@@ -175,7 +176,7 @@ def test_the_variance_of_gradients_tells_that_the_noise_is_the_same(box):
         fresh=False,
     )
     # Both divide by the number of scenes, which is not the same.
-    runs = run_captums(pair, box, mean_luminance, first_seed=1000)
+    runs = run_captums(pair, box, mean_luminance, first_seed=shifted(1000))
     runs = {name: value * theirs / (theirs - 1) for name, value in runs.items()}
     found = pair.ours(box, mean_luminance).attribute(
         stdevs=OUR_STDEVS, nt_samples=ours, nt_type="vargrad", noise_free_last=False, spp=ours * 16

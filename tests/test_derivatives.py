@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from seeds import seeds
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
@@ -49,14 +50,14 @@ def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
     del judge
     gc.collect()  # a call of Dr.Jit reaches every scene that is alive
     ours = Ours(case, targets)
-    draws = np.array([ours.gradients(OURS + seed, spp) for seed in range(SEEDS)])
+    draws = np.array([ours.gradients(OURS + seed, spp) for seed in seeds(SEEDS)])
     found = estimates(draws, spp)
     faults = [fault(name, mine, theirs[name]) for name, mine in zip(targets, found, strict=True)]
     assert not any(faults), "\n".join(filter(None, faults))
 
 
 def difference(judge: Judge, name: str, spp: int) -> Estimate:
-    draws = [[judge.quotient(name, DIFFERENCE + seed, spp)] for seed in range(SEEDS)]
+    draws = [[judge.quotient(name, DIFFERENCE + seed, spp)] for seed in seeds(SEEDS)]
     judge.put_back(name)
     return estimates(np.array(draws), spp)[0]
 

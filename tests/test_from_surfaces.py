@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from chance import allowed
 from rooms import room
+from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer
 
@@ -28,15 +30,17 @@ def both(renderer: SceneRenderer, adjoint: torch.Tensor) -> tuple[torch.Tensor, 
         renderer(leaves, seed=seed, seed_grad=seed_grad).backward(adjoint)
         return torch.cat([leaf.grad.flatten() for leaf in leaves.values()]).double()
 
-    replayed = torch.stack([gradient(seed, None) for seed in range(SEEDS)])
-    started = torch.stack([gradient(0, 100 + seed) for seed in range(SEEDS)])
+    replayed = torch.stack([gradient(seed, None) for seed in seeds(SEEDS)])
+    started = torch.stack([gradient(shifted(), 100 + seed) for seed in seeds(SEEDS)])
     return replayed, started
 
 
 def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
     z = (first.mean(0) - second.mean(0)) / ((first.var(0) + second.var(0)) / SEEDS).sqrt()
     assert second.mean(0).abs().max() > 5 * (second.var(0).max() / SEEDS).sqrt(), "lost in its noise"
-    assert z.abs().max() < 4, f"{first.mean(0)} against {second.mean(0)}, z = {z}"
+    assert z.abs().max() < allowed(2 * SEEDS - 1, z.numel()), (
+        f"{first.mean(0)} against {second.mean(0)}, z = {z}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,7 +84,7 @@ def test_what_cannot_be_started_from_is_found_by_path_replay(mi: Any) -> None:
     """Where particles cannot be connected to the camera or a bump map bends their paths."""
     from scenecaptum.rendering._from_surfaces import find_surfaces
 
-    relief = mi.Bitmap(np.random.default_rng(0).uniform(0, 0.1, (8, 8, 1)).astype(np.float32))
+    relief = mi.Bitmap(np.random.default_rng(shifted()).uniform(0, 0.1, (8, 8, 1)).astype(np.float32))
     bumpy = {"type": "bumpmap", "map": {"type": "bitmap", "bitmap": relief, "raw": True}, "nested": METAL}
     flat = {"type": "orthographic"}
     for changes in ({}, {"ball": {"bsdf": bumpy}}, {"camera": flat}, {"integrator": {"hide_emitters": True}}):
@@ -105,7 +109,7 @@ def test_what_is_left_to_path_replay_is_sampled_where_it_varies(mi: Any) -> None
     renderer = SceneRenderer(room(mi, METAL | {"alpha": 0.05}), "*alpha*", spp=16)
     (name,) = renderer.inputs
     leaves = renderer.leaves()
-    renderer(leaves, seed=0, seed_grad=1).mean().backward()
+    renderer(leaves, seed=shifted(), seed_grad=shifted(1)).mean().backward()
     ((_, noise), (_, alike)) = next(iter(renderer._engines[0]._interest.values()))
     shown = torch.from_numpy(renderer.surfaces.shown([name]))
     near = torch.nn.functional.max_pool2d(shown[None], 5, 1, 2)[0]  # a grazed pixel, and its neighbours

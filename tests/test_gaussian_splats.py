@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from chance import allowed
+from seeds import seeds, shifted
 
 from scenecaptum import (
     FeatureAblationScene,
@@ -23,6 +25,7 @@ from scenecaptum import (
     SmoothGradScene,
     VanillaSceneGradient,
 )
+from scenecaptum.attr._passes import channel_totals
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "gaussian_splats.py"
 THINGS = {name: f"{name}.*" for name in ("apple", "leaf", "glass", "wall")}
@@ -73,12 +76,12 @@ class Recorded(splats.SplatRenderer):
 
 
 def measured(renderer, metric, values) -> float:
-    return metric(renderer({**renderer.inputs, **values}, seed=0, spp=None)).item()
+    return metric(renderer({**renderer.inputs, **values}, seed=shifted(), spp=None)).item()
 
 
 def gradient(renderer, metric, values):
     leaves = {name: value.detach().clone().requires_grad_() for name, value in values.items()}
-    value = metric(splats.SplatRenderer.__call__(renderer, leaves, seed=0, spp=None))
+    value = metric(splats.SplatRenderer.__call__(renderer, leaves, seed=shifted(), spp=None))
     return dict(zip(leaves, torch.autograd.grad(value, list(leaves.values())), strict=True))
 
 
@@ -135,7 +138,7 @@ def test_a_picture_is_what_blending_one_gaussian_over_the_other_gives(renderer):
     for index, footprint in zip(renderer.nearest_first.flip(0), renderer.footprints.flip(0), strict=True):
         alpha = renderer.inputs[f"{owners[index]}.opacity"] * footprint[..., None]
         image = alpha * colours[index] + (1 - alpha) * image
-    torch.testing.assert_close(renderer(renderer.inputs, seed=0, spp=None), image)
+    torch.testing.assert_close(renderer(renderer.inputs, seed=shifted(), spp=None), image)
 
 
 # ------------------------------------------------------------------------------------------------- gradients
@@ -168,7 +171,7 @@ def test_integrated_gradients_are_the_integral(renderer, metric):
     for step in range(count):
         recorded(
             {n: ((step + 0.5) / count * v).requires_grad_() for n, v in renderer.inputs.items()},
-            seed=0,
+            seed=shifted(),
             spp=None,
         )
     means = {name: values.mean(0) for name, values in recorded.gradients(metric).items()}
@@ -302,7 +305,7 @@ def test_sampled_shapley_values_add_up_and_agree_within_their_errors(renderer, m
         assert sum(value.item() for value in one.values()) == pytest.approx(change, abs=1e-6)
     for name, value in exact.items():
         z = (found[name] - value) / found.standard_error[name]
-        assert abs(z) < 4, f"{name}: {found[name]} against {value}, z = {z}"
+        assert abs(z) < allowed(50, len(exact)), f"{name}: {found[name]} against {value}, z = {z}"
     leading = max(exact, key=lambda name: exact[name].abs())
     assert found.standard_error[leading] < 0.05 * exact[leading].abs()
 
@@ -338,9 +341,13 @@ def test_occlusion_is_the_difference_that_a_hidden_patch_makes(renderer, metric)
     ],
 )
 def test_what_has_no_noise_has_no_error(renderer, metric, method, settings):
-    found, other = (method(renderer, metric).attribute(**settings, seed=seed) for seed in (0, 1))
+    found, other = (method(renderer, metric).attribute(**settings, seed=seed) for seed in seeds(2))
     assert max(found.saliency().values()) > 0
-    assert not any(error.any() for error in found.standard_error.values())
     assert found.metric_standard_error == 0
-    assert not any(found.saliency_error().values())
+    for name, error in found.standard_error.items():
+        if found.quadrature_error is None:
+            assert not error.any()
+            assert not found.saliency_error()[name]
+        else:  # an integral has an error without noise
+            torch.testing.assert_close(channel_totals(error).double(), found.quadrature_error[name])
     assert all(torch.equal(value, other[name]) for name, value in found.items())

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from seeds import shifted
 
 from scenecaptum import Camera, SceneCaptumError
 from scenecaptum.metrics import (
@@ -152,7 +153,7 @@ def test_linking_agrees_with_comparing_every_pair():
     for seed, (count, angle) in enumerate(
         [(5, 0.1), (60, 0.1), (200, 0.1), (400, 0.1), (300, 0.4), (50, 1.5)]
     ):
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(shifted(seed))
         rays = torch.randn(count, 3, generator=generator, dtype=torch.float64)
         rays = torch.nn.functional.normalize(rays, dim=-1)
         reach = rays @ rays.T >= math.cos(angle)
@@ -244,7 +245,7 @@ def test_gradcheck_where_the_brightest_pixel_is_inside_the_transition(rating, gr
 @pytest.mark.parametrize("metric", [ContrastRatio(), LuminancePercentile(80), VerticalIlluminance(CAMERA)])
 def test_gradcheck_of_the_luminance_metrics(metric):
     # Distinct values: where two pixels tie, an order statistic has a kink.
-    spread = torch.rand(8, 12, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    spread = torch.rand(8, 12, generator=torch.Generator().manual_seed(shifted(2)), dtype=torch.float64)
     logarithm = (ordinary().log() + spread).requires_grad_()
     assert torch.autograd.gradcheck(of_log_luminance(metric), (logarithm,))
 
@@ -300,7 +301,7 @@ def test_one_sided_derivatives_are_the_gradient(rating, extreme, side):
         pytest.skip("there is no darker than black")
     metric = rating(CAMERA)
     image = picture(luminance).contiguous()
-    direction = torch.rand(8, 12, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    direction = torch.rand(8, 12, 3, generator=torch.Generator().manual_seed(shifted(1)), dtype=torch.float64)
     step = 1e-6
     measured = side * (metric(image + side * step * direction) - metric(image)) / step
     torch.testing.assert_close((gradient(metric, image) * direction).sum(), measured, rtol=1e-3, atol=1e-6)
@@ -314,7 +315,7 @@ def test_one_sided_derivatives_in_hard_mode_hold_membership(rating, side):
     luminance = ordinary()
     luminance[4, 5] = 1_990.0
     image = picture(luminance).contiguous()
-    direction = torch.rand(8, 12, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    direction = torch.rand(8, 12, 3, generator=torch.Generator().manual_seed(shifted(1)), dtype=torch.float64)
     measured = side * (metric(image + side * 1e-6 * direction) - metric(image)) / 1e-6
     torch.testing.assert_close((gradient(metric, image) * direction).sum(), measured, rtol=1e-3, atol=1e-6)
 
@@ -365,7 +366,7 @@ def test_a_percentile_of_width_zero_is_that_of_numpy():
 def test_a_percentile_averages_over_its_band():
     import numpy as np
 
-    ramp = torch.rand(40, 25, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    ramp = torch.rand(40, 25, generator=torch.Generator().manual_seed(shifted()), dtype=torch.float64)
     image = ramp[..., None].expand(-1, -1, 3)
     white = LuminancePercentile(0, width=0)(torch.ones(1, 1, 3, dtype=torch.float64)).item()
     fine = np.percentile(ramp.numpy(), np.linspace(85, 95, 20_001)).mean()

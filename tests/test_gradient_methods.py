@@ -9,6 +9,8 @@ import captum.attr
 import numpy as np
 import pytest
 import torch
+from chance import allowed
+from seeds import seeds, shifted
 
 from scenecaptum import (
     GradientShapScene,
@@ -22,7 +24,6 @@ from scenecaptum import (
     metrics,
 )
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.attr._integrated_gradients import quadrature
 from scenecaptum.attr._passes import Budget
 
 # Captum sets requires_grad on the detached inputs it is given, and says so.
@@ -39,7 +40,7 @@ class Glowing:
 
     def __init__(self, noise: float = 0.0) -> None:
         self.noise = noise
-        self.matrix = torch.rand(4, 4, 3, 3, generator=torch.Generator().manual_seed(1)) + 0.1
+        self.matrix = torch.rand(4, 4, 3, 3, generator=torch.Generator().manual_seed(shifted(1))) + 0.1
         self.inputs = {"x": torch.tensor([0.5, 0.3, 0.8]), "y": torch.tensor(1.5)}
         self.calls = 0
 
@@ -60,7 +61,7 @@ def forward(renderer: Glowing, metric):
 
     def call(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         rows = zip(x, y, strict=True)
-        return torch.stack([metric(renderer({"x": a, "y": b}, seed=0, spp=1)) for a, b in rows])
+        return torch.stack([metric(renderer({"x": a, "y": b}, seed=shifted(), spp=1)) for a, b in rows])
 
     return call, tuple(value[None] for value in renderer.inputs.values())
 
@@ -120,27 +121,27 @@ def test_noise_tunnel_agrees_within_its_error(nt_type):
     ours = SmoothGradScene(renderer, sigmoid).attribute(
         nt_type=nt_type, nt_samples=count, stdevs={"x": 0.04}, noise_free_last=False
     )
-    torch.manual_seed(0)
+    torch.manual_seed(shifted())
     theirs = captum.attr.NoiseTunnel(captum.attr.Saliency(call)).attribute(
         inputs, nt_type=nt_type, nt_samples=count, stdevs=(0.04, 0.0), abs=False
     )
     for name, expected in zip(ours, theirs, strict=True):
         # Theirs is as noisy as ours.
         z = (ours[name] - expected[0]) / (math.sqrt(2) * ours.standard_error[name])
-        assert z.abs().max() < 4, f"{name}: {ours[name]} against {expected[0]}, z = {z}"
+        assert z.abs().max() < allowed(400, 4), f"{name}: {ours[name]} against {expected[0]}, z = {z}"
 
 
 def test_gradient_shap_agrees_within_its_error():
     renderer, count = Glowing(), 400
     call, inputs = forward(renderer, sigmoid)
     ours = GradientShapScene(renderer, sigmoid).attribute(baselines=[0.1], n_samples=count)
-    torch.manual_seed(0)
-    np.random.seed(0)
+    torch.manual_seed(shifted())
+    np.random.seed(shifted())
     starts = tuple(torch.full_like(value, 0.1) for value in inputs)
     theirs = captum.attr.GradientShap(call).attribute(inputs, starts, n_samples=count)
     for name, expected in zip(ours, theirs, strict=True):
         z = (ours[name] - expected[0]) / (math.sqrt(2) * ours.standard_error[name])
-        assert z.abs().max() < 4, f"{name}: {ours[name]} against {expected[0]}, z = {z}"
+        assert z.abs().max() < allowed(400, 4), f"{name}: {ours[name]} against {expected[0]}, z = {z}"
 
 
 def test_gradient_shap_is_the_mean_of_integrated_gradients_over_the_baselines():
@@ -149,26 +150,10 @@ def test_gradient_shap_is_the_mean_of_integrated_gradients_over_the_baselines():
     each = [IntegratedGradientsScene(renderer, sigmoid).attribute(baselines=one) for one in starts]
     for name, value in ours.items():
         z = (value - sum(one[name] for one in each) / 2) / ours.standard_error[name]
-        assert z.abs().max() < 4, f"{name}: z = {z}"
+        assert z.abs().max() < allowed(400, 4), f"{name}: z = {z}"
 
 
 # ------------------------------------------------------------------------------------------ identities
-
-
-@pytest.mark.parametrize("method", ["gausslegendre", "riemann_middle", "riemann_trapezoid"])
-@pytest.mark.parametrize("n_steps", [2, 7, 32])
-def test_quadratures_are_exact_for_straight_lines_and_their_weights_sum_to_one(method, n_steps):
-    places, weights = quadrature(method, n_steps)
-    assert sum(weights) == pytest.approx(1)
-    assert sum(w * p for p, w in zip(places, weights, strict=True)) == pytest.approx(0.5)
-    assert sorted(places) != places or n_steps == 2
-    assert min(places) >= 0
-    assert max(places) <= 1
-
-
-def test_the_half_of_the_steps_that_ctrl_c_leaves_covers_the_way():
-    places, _ = quadrature("riemann_middle", 32)
-    assert sum(places[:16]) / 16 == pytest.approx(0.5, abs=0.05)
 
 
 def test_scales_are_factors():
@@ -204,8 +189,8 @@ def test_several_targets_come_from_the_same_renders():
 
 def test_one_noisy_sample_that_is_free_of_noise_is_the_plain_gradient():
     renderer = Glowing(noise=0.3)
-    plain = VanillaSceneGradient(renderer, sigmoid).attribute(seed=2)
-    smooth = SmoothGradScene(renderer, sigmoid).attribute(nt_samples=1, seed=2)
+    plain = VanillaSceneGradient(renderer, sigmoid).attribute(seed=shifted(2))
+    smooth = SmoothGradScene(renderer, sigmoid).attribute(nt_samples=1, seed=shifted(2))
     torch.testing.assert_close(dict(smooth), dict(plain))
     torch.testing.assert_close(smooth.standard_error["x"], plain.standard_error["x"])
 
@@ -215,13 +200,13 @@ def test_the_noise_of_rendering_is_no_variance_of_the_gradient(nt_type):
     renderer = Glowing(noise=0.5)
     repeats = [
         SmoothGradScene(renderer, torch.mean).attribute(nt_type=nt_type, nt_samples=6, stdevs=0.0, seed=seed)
-        for seed in range(60)
+        for seed in seeds(60)
     ]
     values = torch.stack([one["x"] for one in repeats])
     plain = VanillaSceneGradient(Glowing(), torch.mean).attribute()["x"]
     expected = plain**2 if nt_type == "smoothgrad_sq" else torch.zeros(3)
     z = (values.mean(0) - expected) / (values.std(0) / math.sqrt(len(values)))
-    assert z.abs().max() < 4, f"z = {z}"
+    assert z.abs().max() < allowed(60, 3), f"z = {z}"
 
 
 @pytest.mark.parametrize(
@@ -238,20 +223,24 @@ def test_error_bars_and_deltas_of_integrated_gradients_are_honest(n_steps, metri
     renderer, repeats = Glowing(noise=0.3), 100
     found = [
         IntegratedGradientsScene(renderer, metric).attribute(baselines=0.1, n_steps=n_steps, seed=seed)
-        for seed in range(repeats)
+        for seed in seeds(repeats)
     ]
     truth = IntegratedGradientsScene(Glowing(), metric).attribute(baselines=0.1, n_steps=n_steps)
     for name in renderer.inputs:
         values = torch.stack([one[name] for one in found])
         bars = torch.stack([one.standard_error[name] for one in found]).square().mean(0).sqrt()
         z = (values.mean(0) - truth[name]) / (values.std(0) / math.sqrt(repeats))
-        assert z.abs().max() < 4, f"{name}: bias in standard errors {z}"
-        allowed = 4 / math.sqrt(2 * repeats)
-        assert ((values.std(0) / bars - 1).abs() < allowed).all(), f"{name}: {values.std(0) / bars}"
+        assert z.abs().max() < allowed(repeats, 4), f"{name}: bias in standard errors {z}"
+        # What the quadrature might add to them, the noise of which is not taken off altogether, is small.
+        ratio, width = values.std(0) / bars, 4 / math.sqrt(2 * repeats)
+        assert (ratio < 1 + width).all(), f"{name}: {ratio}"
+        assert (ratio > 0.85 - width).all(), f"{name}: {ratio}"
     deltas = torch.tensor([one.convergence_delta for one in found])
     errors = torch.tensor([one.convergence_delta_error for one in found])
-    assert (deltas.abs() < 4 * errors).all()
-    assert deltas.std() == pytest.approx(errors.square().mean().sqrt().item(), rel=4 / math.sqrt(2 * repeats))
+    ratio = (deltas.std() / errors.square().mean().sqrt()).item()
+    assert 0.85 - width < ratio < 1 + width
+    z = deltas.mean() / (deltas.std() / math.sqrt(repeats))
+    assert abs(z) < allowed(repeats)
 
 
 def test_a_difference_has_the_difference_of_the_deltas():
@@ -268,7 +257,7 @@ def test_a_difference_has_the_difference_of_the_deltas():
 @pytest.mark.parametrize("pairs", [None, 1, 8])
 def test_samples_are_split_over_the_points(points, passes, pairs):
     spp, single = 64, 1 if points > 3 else passes
-    budget = Budget.split(spp, 8, seed=0, points=points, pairs=pairs)
+    budget = Budget.split(spp, 8, seed=shifted(), points=points, pairs=pairs)
     paired = min(points, pairs or points)
     assert budget.passes == (passes,) * paired + (single,) * (points - paired)
     seen = [one * count for one, count in zip(budget.spp, budget.passes, strict=True)]
@@ -302,18 +291,22 @@ def test_a_metric_that_bends_only_later_on_the_way_is_noticed():
     exact = IntegratedGradientsScene(Glowing(), overexposed).attribute(n_steps=24)
     repeats = [
         IntegratedGradientsScene(renderer, overexposed).attribute(n_steps=24, seed=seed, spp=2400)
-        for seed in range(60)
+        for seed in seeds(60)
     ]
     values = torch.stack([one["x"] for one in repeats])
     z = (values.mean(0) - exact["x"]) / (values.std(0) / math.sqrt(len(values)))
-    assert z.abs().max() < 4, f"z = {z}"
+    assert z.abs().max() < allowed(60, 3), f"z = {z}"
 
 
 def test_rounding_is_no_failure_to_add_up():
-    found = IntegratedGradientsScene(Glowing(), sigmoid).attribute(n_steps=32)
-    assert found.info["convergence"] == "consistent with 0"
+    found = IntegratedGradientsScene(Glowing(), sigmoid).attribute(n_steps=32, replicates=1)
+    assert found.info["convergence"] == "adds up"
+    assert found.convergence_delta_error is None
     coarse = IntegratedGradientsScene(Glowing(), sigmoid).attribute(n_steps=2, method="riemann_left")
-    assert coarse.info["convergence"].startswith("not consistent with 0, and there is no noise")
+    assert coarse.info["convergence"] == "cannot be told"
+    assert coarse.convergence_delta_error > abs(coarse.convergence_delta)
+    still = IntegratedGradientsScene(Glowing(), sigmoid).attribute(baselines=Glowing().inputs)
+    assert (still.info["explained"], still.info["convergence"]) == (0.0, "adds up")
 
 
 def test_what_ctrl_c_leaves_stands_for_the_whole():
@@ -345,26 +338,26 @@ def box() -> SceneRenderer:
 
 def test_integrated_gradients_of_the_light_are_the_picture(box):
     attribution = IntegratedGradientsScene(box, metrics.MeanLuminance()).attribute(
-        baselines="dark", n_steps=4
+        baselines="dark", n_steps=4, spp=8192, seed=shifted()
     )
-    assert attribution.info["convergence"] == "consistent with 0"
+    assert attribution.info["convergence"] == "adds up"
     assert not attribution[WALL].any()
     total = attribution[LIGHT].sum().item()
     z = (total - attribution.metric_value) / attribution.convergence_delta_error
-    assert abs(z) < 4
+    assert abs(z) < allowed(8)
 
 
 def test_integrated_gradients_of_all_add_up(box):
     for metric in (metrics.MeanLuminance(), lambda image: torch.log(image.mean() + 0.01)):
         attribution = IntegratedGradientsScene(box, metric).attribute(n_steps=8)
-        assert abs(attribution.convergence_delta) < 4 * attribution.convergence_delta_error
+        assert abs(attribution.convergence_delta) < allowed(8) * attribution.convergence_delta_error
 
 
 def test_gradient_shap_adds_up(box):
     attribution, delta = GradientShapScene(box, metrics.MeanLuminance()).attribute(
         baselines=["black", "grey"], return_convergence_delta=True
     )
-    assert abs(delta.item()) < 4 * attribution.convergence_delta_error
+    assert abs(delta.item()) < allowed(8) * attribution.convergence_delta_error
 
 
 def test_smoothgrad_stays_inside_the_bounds(box):
@@ -374,14 +367,15 @@ def test_smoothgrad_stays_inside_the_bounds(box):
 
 def test_groups_add_up_their_members_and_their_errors(box):
     method = IntegratedGradientsScene(box, metrics.MeanLuminance())
-    alone = method.attribute(n_steps=4, seed=1)
-    kinds = method.attribute(n_steps=4, seed=1, groups="kind")
+    alone = method.attribute(n_steps=4, seed=shifted(1))
+    kinds = method.attribute(n_steps=4, seed=shifted(1), groups="kind")
     assert set(kinds) == {"emitters", "reflectance"}
     torch.testing.assert_close(kinds["emitters"], alone[LIGHT].sum(), rtol=1e-4, atol=0)
     assert sum(kinds.values()).item() == pytest.approx(sum(v.sum().item() for v in alone.values()), rel=1e-4)
     assert kinds.convergence_delta == pytest.approx(alone.convergence_delta, abs=1e-5)
-    # The channels of a colour share their paths: their errors do not add as if they were independent.
-    assert kinds.standard_error["emitters"] > alone.standard_error[LIGHT].norm()
+    # The channels of a colour share their paths: their errors add as their covariance says.
+    together = alone.covariance[LIGHT].sum().sqrt().float()
+    torch.testing.assert_close(kinds.standard_error["emitters"], together, rtol=1e-3, atol=0)
     assert kinds.heatmap().shape == (16, 16)
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 import torch
+from chance import allowed
+from seeds import shifted
 
 import scenecaptum as sc
 from scenecaptum import SceneAttribution, SceneRenderer, metrics
@@ -60,7 +62,7 @@ def renderer(request: pytest.FixtureRequest, mi: Any) -> SceneRenderer:
 @every_method
 def test_what_cannot_matter_gets_nothing(renderer, method):
     found = attribute(renderer, method, groups="material")
-    assert found.saliency()["secret"] <= 4 * found.saliency_error()["secret"]
+    assert found.saliency()["secret"] <= allowed(8) * found.saliency_error()["secret"]
     assert max(found.saliency().values()) > 0
 
 
@@ -72,20 +74,20 @@ def test_attributions_are_linear_in_the_metric(renderer, method):
         return image[:4].mean()
 
     first, second, both = (
-        attribute(renderer, method, metric, seed=3)
+        attribute(renderer, method, metric, seed=shifted(3))
         for metric in (mean_luminance, upper, lambda image: 2 * mean_luminance(image) - 3 * upper(image))
     )
     for name, value in both.items():
         error = 2 * first.standard_error[name] + 3 * second.standard_error[name] + both.standard_error[name]
         distance = (value - 2 * first[name] + 3 * second[name]).abs()
-        assert (distance <= 4 * error + 1e-6).all(), f"{name}: {distance} of {error}"
+        assert (distance <= allowed(8, len(both)) * error + 1e-6).all(), f"{name}: {distance} of {error}"
 
 
 @pytest.mark.parametrize("metric", [mean_luminance, log_luminance], ids=["linear", "log"])
 @pytest.mark.parametrize("method", ["integrated", "gradient shap"])
 def test_gradients_along_a_way_add_up(renderer, method, metric):
     found = attribute(renderer, method, metric, **({"n_steps": 8} if method == "integrated" else {}))
-    assert abs(found.convergence_delta) < 4 * found.convergence_delta_error
+    assert abs(found.convergence_delta) < allowed(8) * found.convergence_delta_error
 
 
 def test_shapley_values_add_up(renderer):
@@ -97,7 +99,9 @@ def assert_agree(first: SceneAttribution, second: SceneAttribution, names: dict[
     for name, other in names.items():
         error = torch.hypot(first.standard_error[name], second.standard_error[other])
         z = (first[name] - second[other]).abs() / error.clamp_min(1e-12)
-        assert z.max() < 4, f"{name}: {first[name]} against {second[other]}, z = {z}"
+        assert z.max() < allowed(15, 3 * len(names)), (
+            f"{name}: {first[name]} against {second[other]}, z = {z}"
+        )
 
 
 @every_method
@@ -113,7 +117,7 @@ def test_a_scene_written_in_another_way_is_the_same_scene(mi, method):
         {"groups": None} if method != "shapley" else {}
     )  # two players have exact values, with good errors
     one, two = (
-        attribute(SceneRenderer(scene, inputs, **settings), method, seed=seed, **ungrouped)
+        attribute(SceneRenderer(scene, inputs, **settings), method, seed=shifted(seed), **ungrouped)
         for seed, scene in enumerate((plain, other))
     )
     if method == "shapley":
@@ -163,10 +167,10 @@ def test_equal_lamps_count_alike_and_the_halves_of_one_share_it(mi, method):
     halves = of_lamps(mi, method, [-0.5, 0.5], 0.5)
     assert len(halves) == 2
     difference, error = mean_and_error(halves["lamp_0"] - halves["lamp_1"])
-    assert abs(difference) < 4 * error
+    assert abs(difference) < allowed(8) * error
 
     (whole,) = of_lamps(mi, method, [0.0], 1.0).values()
     together, error = mean_and_error(halves["lamp_0"] + halves["lamp_1"])
     alone, other = mean_and_error(whole)
     assert together > 10 * error
-    assert abs(together - alone) < 4 * math.hypot(error, other)
+    assert abs(together - alone) < allowed(15) * math.hypot(error, other)

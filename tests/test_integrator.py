@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 import torch
+from chance import allowed
 from rooms import room
+from seeds import seeds
 
 from scenecaptum import SceneRenderer, metrics
 
@@ -36,8 +38,8 @@ def assert_agrees_with_differences(renderer: SceneRenderer, name: str, step: flo
 
     low = value - step if central else value
     width = (2 if central else 1) * step
-    ours = torch.tensor([derivative(seed) for seed in range(SEEDS)])
-    theirs = torch.tensor([(rendered(value + step, s) - rendered(low, s)) / width for s in range(SEEDS)])
+    ours = torch.tensor([derivative(seed) for seed in seeds(SEEDS)])
+    theirs = torch.tensor([(rendered(value + step, s) - rendered(low, s)) / width for s in seeds(SEEDS)])
     difference, error = (ours - theirs).mean().item(), (ours - theirs).std().item() / math.sqrt(SEEDS)
     # A difference over a finite step bends by 0.3 % where the samples agree to better than that.
     allowed = max(4 * error, 3e-3 * abs(theirs.mean().item()))
@@ -93,9 +95,9 @@ def test_pictures_are_those_of_mitsubas_path_tracer(
     scene = room(mi, ball, **settings)
     renderer = SceneRenderer(scene, "ball.*", spp=64)
     stock = mi.load_dict(scene)
-    ours = torch.stack([renderer(seed=seed).mean((0, 1)) for seed in range(8)])
+    ours = torch.stack([renderer(seed=seed).mean((0, 1)) for seed in seeds(8)])
     theirs = torch.stack(
-        [mi.render(stock, spp=64, seed=100 + seed).torch().mean((0, 1)) for seed in range(8)]
+        [mi.render(stock, spp=64, seed=100 + seed).torch().mean((0, 1)) for seed in seeds(8)]
     )
     z = (ours.mean(0) - theirs.mean(0)) / ((ours.var(0) + theirs.var(0)) / 8).sqrt()
-    assert z.abs().max() < 4, f"mean radiance {ours.mean(0)} against {theirs.mean(0)}, z = {z}"
+    assert z.abs().max() < allowed(15, 3), f"mean radiance {ours.mean(0)} against {theirs.mean(0)}, z = {z}"

@@ -7,6 +7,8 @@ import math
 
 import pytest
 import torch
+from chance import allowed
+from seeds import seeds, shifted
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.attr._passes import channel_totals
@@ -26,7 +28,7 @@ class Bouncing:
 
     def __init__(self, noise: float = 0.1) -> None:
         self.noise = noise
-        self.matrix = torch.rand(5, 5, 3, 3, generator=torch.Generator().manual_seed(3)) + 0.2
+        self.matrix = torch.rand(5, 5, 3, 3, generator=torch.Generator().manual_seed(shifted(3))) + 0.2
         self.bounds = {
             "light": (0.0, math.inf),
             "wall": (0.0, 1.0),
@@ -96,7 +98,7 @@ def test_products_with_noise_agree_within_their_errors(metric):
     product = hessian_vector_product(renderer, metric, direction, replicates=PASSES)
     for name, exact in exact_product(renderer, metric, direction).items():
         error = product.standard_error[name]
-        assert (product[name].double() - exact).abs().max() < 5 * error.max() + 1e-5, name
+        assert (product[name].double() - exact).abs().max() < allowed(PASSES, 16) * error.max() + 1e-5, name
         assert error.max() < 0.2 * max(exact.abs().max(), 0.01), f"{name}: an error so large shows nothing"
 
 
@@ -105,12 +107,12 @@ def test_standard_errors_are_the_spread_of_repeats():
     gradient = VanillaSceneGradient(Bouncing(noise=0.0), log_mean).attribute()
     exact = interactions(Bouncing(noise=0.0), log_mean, gradient, top=2).matrix
     z = []
-    for seed in range(16):
+    for seed in seeds(16):
         found = interactions(renderer, log_mean, gradient, top=2, seed=seed)
         z.append(((found.matrix - exact) / found.standard_error)[torch.triu_indices(2, 2).unbind()])
     each = torch.stack(z)
     # Student's t of 7 degrees of freedom has a spread of 1.18, here of 16 repeats.
-    assert (each.mean(0).abs() < 4 * 1.18 / math.sqrt(16)).all(), each
+    assert (each.mean(0).abs() < allowed(16, 3) * 1.18 / math.sqrt(16)).all(), each
     assert (each.std(0) > 0.6).all(), each
     assert (each.std(0) < 2.0).all(), each
 
@@ -155,7 +157,7 @@ def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
     found = interactions(box, metric, gradient, replicates=PASSES)
     assert found.is_symmetric, str(found)
     assert found.told_apart.sum() > 4, f"too noisy to show anything:\n{found}"
-    scenes = Scenes.split(box, metric, None, seed=7, spp=256, replicates=PASSES)
+    scenes = Scenes.split(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
     ways = {name: unit_gradient(gradient[name], box.inputs[name]) for name in found.names}
     for (p, one), (q, two) in itertools.combinations_with_replacement(enumerate(found.names), 2):
         steps = {one: found.reaches[p] / 2 * ways[one]}, {two: found.reaches[q] / 2 * ways[two]}
@@ -174,7 +176,9 @@ def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
         z = (judge - found.matrix[p, q].item()) / math.hypot(
             error, found.standard_error[p, q].item(), rounding
         )
-        assert abs(z) < 4, f"{one} × {two}: {found.matrix[p, q]:.4g}, finite differences {judge:.4g}, z = {z}"
+        assert abs(z) < allowed(PASSES, 10), (
+            f"{one} × {two}: {found.matrix[p, q]:.4g}, not {judge:.4g}, z = {z}"
+        )
 
 
 def test_wrong_derivatives_are_noticed():

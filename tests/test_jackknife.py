@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from seeds import seeds, shifted
 
 from scenecaptum.attr._jackknife import _directions, _trust, jackknife
 from scenecaptum.attr._metric import TargetedMetric
@@ -20,7 +21,7 @@ def noisy(count: int, *shape: int, noise: float, seed: int) -> list[torch.Tensor
 
 def kinked(image: torch.Tensor) -> torch.Tensor:
     """A layer of ReLUs, whose derivative is constant but for jumps."""
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(shifted())
     weights = torch.randn(2000, image.numel(), generator=generator) / math.sqrt(image.numel())
     signs = torch.randn(2000, generator=generator)
     return (signs * (weights @ (image.flatten() - 1)).relu()).sum()
@@ -41,7 +42,7 @@ def test_means_have_the_covariance_of_the_mean_and_no_weight_below_zero(samples)
 
 @pytest.mark.parametrize("samples", SHARES, ids=lambda one: f"{len(one)} of {sum(one):g}")
 def test_of_a_quadratic_metric_each_pass_gets_the_adjoint_of_its_own_picture(samples):
-    images = noisy(len(samples), 2, 2, noise=0.3, seed=1)
+    images = noisy(len(samples), 2, 2, noise=0.3, seed=shifted(1))
     seen = jackknife(TargetedMetric(lambda image: image.square().sum()), images, samples)
     for image, adjoint in zip(images, seen.passes, strict=True):
         torch.testing.assert_close(adjoint, 2 * image, rtol=1e-4, atol=1e-4)
@@ -49,13 +50,13 @@ def test_of_a_quadratic_metric_each_pass_gets_the_adjoint_of_its_own_picture(sam
 
 
 def test_a_linear_metric_has_one_adjoint_without_rounding():
-    seen = jackknife(TargetedMetric(torch.mean), noisy(8, 2, 2, noise=0.3, seed=1))
+    seen = jackknife(TargetedMetric(torch.mean), noisy(8, 2, 2, noise=0.3, seed=shifted(1)))
     assert seen.is_linear
     assert all(torch.equal(one, seen.passes[0]) for one in seen.passes)
 
 
 def test_bias_is_trusted_where_the_metric_bends_and_not_where_it_jumps():
-    images = noisy(8, 4, 4, noise=0.05, seed=2)
+    images = noisy(8, 4, 4, noise=0.05, seed=shifted(2))
 
     def trust(metric) -> float:
         stack, roots = torch.stack(images), torch.full((8,), 8**-0.5, dtype=torch.float64)
@@ -81,7 +82,7 @@ def test_a_metric_with_kinks_is_not_made_noisier_by_the_correction():
     metric = TargetedMetric(kinked)
     _, truth = metric.value_and_adjoint(torch.ones(4, 4, 3))
     plain, corrected = 0.0, 0.0
-    for seed in range(20):
+    for seed in seeds(20):
         images = noisy(8, 4, 4, noise=0.05, seed=100 + seed)
         _, adjoint = metric.value_and_adjoint(torch.stack(images).mean(0))
         mean = torch.stack(jackknife(metric, images).passes).mean(0)

@@ -8,7 +8,9 @@ import time
 import numpy as np
 import pytest
 import torch
+from chance import allowed
 from results import make
+from seeds import seeds, shifted
 from toy import ToyRenderer
 from tqdm import tqdm
 
@@ -32,7 +34,7 @@ class SpikyRenderer:
     spp = 16
 
     def __init__(self, spikes: float = 10.0, tied: bool = False) -> None:
-        generator = torch.Generator().manual_seed(1)
+        generator = torch.Generator().manual_seed(shifted(1))
         self.spikes = spikes
         names = [f"p{i}" for i in range(6)]
         self.weights = {
@@ -109,7 +111,7 @@ def test_quantile_knows_how_parameters_move_together():
 def test_simultaneous_half_widths_hold_for_all_parameters_at_once():
     renderer, truth = SpikyRenderer(spikes=0.5), truth_of(SpikyRenderer(), torch.mean)
     inside = 0
-    for seed in range(RUNS):
+    for seed in seeds(RUNS):
         found = VanillaSceneGradient(renderer, torch.mean).attribute(tolerance=9.0, share=0.0, seed=seed)
         widths = found.info["planner"]["half_widths"]
         assert set(widths) == set(truth)
@@ -130,7 +132,7 @@ def test_predicted_growth_is_what_the_half_width_takes():
 
 def test_unequal_jackknife_takes_the_same_bias_out():
     """The bias of a log is −var/2, whichever way the same samples are put into groups."""
-    metric, generator = TargetedMetric(log_mean), torch.Generator().manual_seed(2)
+    metric, generator = TargetedMetric(log_mean), torch.Generator().manual_seed(shifted(2))
     sizes, biases = [8, 8, 4, 4, 4, 2, 2], []
     for _ in range(400):
         images = [1 + 0.2 * torch.randn(1, 1, 3, generator=generator) / math.sqrt(n) for n in sizes]
@@ -138,7 +140,7 @@ def test_unequal_jackknife_takes_the_same_bias_out():
     found = torch.tensor(biases)
     expected = -(0.2**2) / 3 / sum(sizes) / 2
     z = (found.mean() - expected) / (found.std() / math.sqrt(len(found)))
-    assert abs(z) < 4, f"mean {found.mean():.2e}, expected {expected:.2e}, z = {z:.1f}"
+    assert abs(z) < allowed(400), f"mean {found.mean():.2e}, expected {expected:.2e}, z = {z:.1f}"
 
 
 # ------------------------------------------------------------------------------------------ tolerance
@@ -148,7 +150,7 @@ def test_unequal_jackknife_takes_the_same_bias_out():
 def runs(request):
     """Runs whose first pictures are far too noisy for the metric."""
     renderer, metric = SpikyRenderer(), METRICS[request.param]
-    found = [VanillaSceneGradient(renderer, metric).attribute(tolerance=0.1, seed=s) for s in range(RUNS)]
+    found = [VanillaSceneGradient(renderer, metric).attribute(tolerance=0.1, seed=s) for s in seeds(RUNS)]
     return truth_of(renderer, metric), found
 
 
@@ -169,9 +171,9 @@ def test_rounds_together_are_unbiased_and_their_bars_honest(runs, name):
     values = torch.stack([one[name] for one in found])
     bars = torch.stack([one.standard_error[name] for one in found]).square().mean(0).sqrt()
     z = (values.mean(0) - truth[name]) / (values.std(0) / math.sqrt(RUNS))
-    assert (z.abs() < 4).all(), f"bias in standard errors {z.tolist()}, allowed 4"
-    ratio, allowed = values.std(0) / bars, 1 + 4 / math.sqrt(2 * RUNS)
-    assert (ratio < allowed).all(), f"spread over bar {ratio.tolist()}, allowed {allowed:.2f}"
+    assert (z.abs() < allowed(RUNS, 3)).all(), f"bias in standard errors {z.tolist()}"
+    ratio, most = values.std(0) / bars, 1 + 4 / math.sqrt(2 * RUNS)
+    assert (ratio < most).all(), f"spread over bar {ratio.tolist()}, allowed {most:.2f}"
 
 
 @pytest.mark.long
@@ -182,7 +184,7 @@ def test_tolerance_is_kept_in_95_percent_of_a_thousand_runs(metric, spikes):
     truth = truth_of(renderer, metric)
     errors = [
         worst_error(VanillaSceneGradient(renderer, metric).attribute(tolerance=0.1, seed=seed), truth)
-        for seed in range(count)
+        for seed in seeds(count)
     ]
     kept = sum(one <= 0.1 for one in errors) / count
     least = 0.95 - 3 * math.sqrt(0.95 * 0.05 / count)
@@ -195,7 +197,7 @@ def test_a_fifth_of_the_tolerance_takes_25_times_the_samples():
         tolerance: np.mean(
             [
                 VanillaSceneGradient(renderer, log_mean).attribute(tolerance=tolerance, seed=s).info["spp"]
-                for s in range(6)
+                for s in seeds(6)
             ]
         )
         for tolerance in (0.1, 0.02)
@@ -216,7 +218,7 @@ def test_rounds_together_propagate_the_adjoint_of_all_pictures():
     renderer, metric = NoisyPictures(), TargetedMetric(contrast)
     with tqdm(disable=True) as bar:
         rounds, total = (
-            Rounds(renderer, [metric], bar, seed=0, time=TimeLimit()),
+            Rounds(renderer, [metric], bar, seed=shifted(), time=TimeLimit()),
             RoundSum(renderer.inputs),
         )
         for passes, spp in ((4, 16), (12, 40)):  # as many as are kept apart
@@ -232,7 +234,7 @@ def test_rounds_together_propagate_the_adjoint_of_all_pictures():
 
 
 def test_replicates_of_unequal_rounds_tell_the_error_that_is_shown():
-    found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.05, seed=1)
+    found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.05, seed=shifted(1))
     assert len({one["passes"] for one in found.info["planner"]["rounds"]}) > 1
     torch.testing.assert_close(found.covariance["p0"].diagonal().sqrt().float(), found.standard_error["p0"])
 
@@ -249,9 +251,9 @@ def test_same_seed_same_result_and_first_round_as_large_as_asked():
     def attribute(**options):
         return VanillaSceneGradient(SpikyRenderer(), log_mean).attribute(tolerance=0.1, **options)
 
-    one, other = attribute(seed=3), attribute(seed=3)
+    one, other = attribute(seed=shifted(3)), attribute(seed=shifted(3))
     assert torch.equal(one["p0"], other["p0"])
-    first = attribute(seed=3, spp=160, replicates=10).info["planner"]["rounds"][0]
+    first = attribute(seed=shifted(3), spp=160, replicates=10).info["planner"]["rounds"][0]
     assert (first["passes"], first["spp_per_pass"]) == (10, 16)
 
 
@@ -287,7 +289,7 @@ def test_order_is_right_where_it_is_called_clear():
     renderer, wrong = SpikyRenderer(), 0
     truth = truth_of(renderer, torch.mean)
     order = sorted(truth, key=lambda n: -truth[n].norm())[:3]
-    for seed in range(RUNS // 3):
+    for seed in seeds(RUNS // 3):
         found = VanillaSceneGradient(renderer, torch.mean).attribute(top=3, seed=seed)
         assert found.info["planner"]["reached"]
         wrong += found.info["planner"]["order"] != [[name] for name in order]
@@ -440,7 +442,7 @@ def test_effect_of_depth_and_resolution_is_that_of_renderers_made_so(cornell):
     against = found.info["planner"]["against"]
     name = "floor.reflectance.value"
     long, short = (
-        VanillaSceneGradient(one, metric).attribute(seed=7, spp=512)[name].norm().item()
+        VanillaSceneGradient(one, metric).attribute(seed=shifted(7), spp=512)[name].norm().item()
         for one in (deeper, cornell)
     )
     # Longer paths bring light, by several of their errors; separate renders agree on how much.

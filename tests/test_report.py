@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from seeds import shifted
 
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
@@ -64,13 +65,13 @@ def make(metric: str = "Glare", factor: float = 1.0, **changes: Any) -> SceneAtt
                 "chair.alpha": torch.tensor(0.15),
             },
             labels={"chair.alpha": "chair: alpha", "floor.reflectance.value": "floor: reflectance"},
-            image=torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)),
+            image=torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(shifted())),
             surfaces=quarters(HEIGHT, WIDTH),
             info={
                 "metric": metric,
                 "method": "VanillaSceneGradient",
                 "scene": "rooms/office.xml",
-                "seed": 7,
+                "seed": shifted(7),
                 "spp": 64,
                 "passes": 8,
                 "cautions": {"chair.alpha": "its size is off <b>"},
@@ -184,7 +185,7 @@ def test_textures_are_painted_texel_by_texel_like_the_heatmap(tmp_path):
 
 
 def test_pixels_keep_their_three_largest_objects_and_whole_weights():
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(shifted(3))
     count, objects = 60, 12
     fraction = rng.dirichlet(np.full(objects, 0.3), size=count).astype(np.float32)
     fraction[-1] = 0  # outside a fisheye's circle
@@ -275,7 +276,7 @@ def test_results_of_one_metric_get_titles_that_tell_them_apart(tmp_path):
 
 def test_a_noisy_render_of_640_by_360_stays_below_5_megabytes(tmp_path):
     height, width, objects = 360, 640, 400
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(shifted())
     blocks = rng.integers(0, objects, (height // 8, width // 8)).repeat(8, 0).repeat(8, 1).ravel()
     edges = rng.integers(0, height * width, 60_000)
     pixel = np.concatenate([np.arange(height * width), edges])
@@ -290,7 +291,7 @@ def test_a_noisy_render_of_640_by_360_stays_below_5_megabytes(tmp_path):
         parameters=tuple((name,) for name in names),
         texels={"noise": TexelMap(every, every, rng.exponential(size=len(pixel)).astype(np.float32))},
     )
-    noise = torch.rand(2, height, width, 3, generator=torch.Generator().manual_seed(0))
+    noise = torch.rand(2, height, width, 3, generator=torch.Generator().manual_seed(shifted()))
     values = {name: torch.tensor([0.1 * index, 0.2, -0.3]) for index, name in enumerate(names)}
     values["noise"] = torch.from_numpy(rng.normal(size=(1, len(pixel), 3)).astype(np.float32))
     covariance = {name: 1e-4 * torch.eye(3) for name in values}
@@ -676,7 +677,7 @@ def test_numbers_are_downloaded_whole(report):
             assert float(line["saliency"]) == entry["saliency"] == pytest.approx(row.saliency, rel=1e-7)
             assert float(line["saliency_error"]) == pytest.approx(row.saliency_error, rel=1e-7)
             assert float(line["gradient_1"]) == entry["total"][0] == pytest.approx(row.total[0], rel=1e-7)
-    assert results[0]["info"]["seed"] == 7
+    assert results[0]["info"]["seed"] == shifted(7)
     assert {row["name"]: row["value_2"] for row in rows}["floor.reflectance.value"] == "0.25"
 
 

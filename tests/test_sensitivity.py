@@ -8,6 +8,8 @@ import sys
 import numpy as np
 import pytest
 import torch
+from chance import allowed
+from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.errors import SceneCaptumError
@@ -74,19 +76,25 @@ def test_the_integrals_are_those_in_closed_form(function):
     function = function()
     found = dgsm(function, torch.mean, points=512)
     rows = {row.name: row for row in found.rows}
-    assert abs(found.variance - function.variance) < 3 * found.variance_error
+    assert abs(found.variance - function.variance) < allowed(40) * found.variance_error
     for k, (nu, total) in enumerate(zip(function.nu, function.total, strict=True), start=1):
         row = rows[f"x{k}"]
         bound = (row.high - row.low) ** 2 * nu / (math.pi**2 * function.variance)
-        assert abs(row.nu - nu) < 3 * row.nu_error, f"{row.name}: {row.nu} ± {row.nu_error}, not {nu}"
-        assert abs(row.bound - bound) < 3 * row.bound_error, f"{row.name}: {row.bound}, not {bound}"
+        assert abs(row.nu - nu) < allowed(40, 6) * row.nu_error, (
+            f"{row.name}: {row.nu} ± {row.nu_error}, not {nu}"
+        )
+        assert abs(row.bound - bound) < allowed(40, 6) * row.bound_error, (
+            f"{row.name}: {row.bound}, not {bound}"
+        )
         assert row.bound > total
         assert row.nu_error < 0.3 * row.nu
     assert [row.nu for row in found.rows] == sorted((row.nu for row in found.rows), reverse=True)
 
 
 def test_scattered_points_repeat_and_follow_the_seed():
-    one, same, other = (dgsm(Ishigami(), torch.mean, points=16, seed=seed).rows for seed in (1, 1, 2))
+    one, same, other = (
+        dgsm(Ishigami(), torch.mean, points=16, seed=seed).rows for seed in map(shifted, (1, 1, 2))
+    )
     assert one == same
     assert one != other
 
@@ -99,10 +107,10 @@ def test_morris_and_sobol_are_asked_the_same_question(function):
     for k, total in enumerate(function.total, start=1):
         name = f"x{k}"
         error = max(found.sobol.errors[name], 1e-4)
-        assert abs(found.sobol.values[name] - total) < 4 * error
+        assert abs(found.sobol.values[name] - total) < allowed(40, 6) * error
         bound = (2 * math.pi) ** 2 if isinstance(function, Ishigami) else 1.0
         bound *= function.nu[k - 1] / (math.pi**2 * function.variance)
-        assert abs(found.dgsm.values[name] - bound) < 3 * found.dgsm.errors[name]
+        assert abs(found.dgsm.values[name] - bound) < allowed(40, 6) * found.dgsm.errors[name]
     best = sorted(range(len(function.total)), key=lambda k: -function.total[k])[:2]
     assert found.sobol.top == tuple(f"x{k + 1}" for k in best)
     assert found.sobol.resolved
@@ -309,10 +317,12 @@ def test_on_the_cornell_box_finite_differences_agree(mi):
         ends = [renderer({name: scalar.at(place + step)}, seed=seed) for step in (0.01, -0.01)]
         return [metrics.MeanLuminance()(image).item() for image in ends]
 
-    slopes = np.array([[np.subtract(*slope((n + 1) / 2, s)) / 0.02 for n in nodes] for s in range(4)])
+    slopes = np.array([[np.subtract(*slope((n + 1) / 2, s)) / 0.02 for n in nodes] for s in seeds(4)])
     pairs = [slopes[i] * slopes[j] @ weights / 2 for i in range(4) for j in range(i)]
     error = math.hypot(row.nu_error, np.std(pairs, ddof=1) / 2)
-    assert abs(row.nu - np.mean(pairs)) < 3 * error, f"{row.nu} ± {row.nu_error}, not {np.mean(pairs)}"
+    assert abs(row.nu - np.mean(pairs)) < allowed(8) * error, (
+        f"{row.nu} ± {row.nu_error}, not {np.mean(pairs)}"
+    )
     assert error < 0.2 * row.nu
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from seeds import shifted
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.projection import heatmap
@@ -57,7 +58,7 @@ def shown_by_map(surfaces: SurfaceMap, name: str, texels: np.ndarray, share: np.
 @pytest.mark.parametrize("wrap", ["repeat", "clamp", "mirror"])
 @pytest.mark.parametrize("filter_type", ["nearest", "bilinear"])
 def test_the_map_mixes_texels_as_mitsuba_does(mi: Any, filter_type: str, wrap: str) -> None:
-    texels = np.random.default_rng(3).uniform(0.1, 0.9, (5, 4, 3)).astype(np.float32)
+    texels = np.random.default_rng(shifted(3)).uniform(0.1, 0.9, (5, 4, 3)).astype(np.float32)
     radiance = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(texels),
@@ -89,7 +90,7 @@ def test_the_map_mixes_an_environment_as_mitsuba_does(mi: Any, monkeypatch: pyte
 
     # At a pole a pixel sees all meridians, of which the map would keep the nearest texels only.
     monkeypatch.setattr(_texels, "MANY", 1000)
-    sky = np.random.default_rng(4).uniform(0.5, 1.5, (6, 10, 3)).astype(np.float32)
+    sky = np.random.default_rng(shifted(4)).uniform(0.5, 1.5, (6, 10, 3)).astype(np.float32)
     turned = mi.ScalarTransform4f().rotate([2 / 7, 3 / 7, 6 / 7], 70)
     scene = mi.load_dict(
         {
@@ -121,7 +122,7 @@ def test_the_map_mixes_an_environment_as_mitsuba_does(mi: Any, monkeypatch: pyte
 
 
 def test_a_fine_texture_has_few_items_and_all_of_its_weight(mi: Any) -> None:
-    texels = np.random.default_rng(5).random((900, 1000, 3), np.float32)
+    texels = np.random.default_rng(shifted(5)).random((900, 1000, 3), np.float32)
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
     card = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": bitmap}}
     renderer = SceneRenderer({"type": "scene", "camera": camera(mi), "card": card}, "textures")
@@ -134,7 +135,7 @@ def test_a_fine_texture_has_few_items_and_all_of_its_weight(mi: Any) -> None:
 
 
 def test_a_texture_inside_an_instance_is_found_on_the_part_that_wears_it(mi: Any) -> None:
-    texels = np.random.default_rng(6).random((4, 4, 3), np.float32)
+    texels = np.random.default_rng(shifted(6)).random((4, 4, 3), np.float32)
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
     scene = {
         "type": "scene",
@@ -186,7 +187,7 @@ def painted_mesh(mi: Any, attribute: str, colours: np.ndarray, **material: Any) 
 
 def colours_of(attribute: str, seed: int = 8) -> np.ndarray:
     count = len(CORNERS) if attribute.startswith("vertex") else len(FACES)
-    return np.random.default_rng(seed).uniform(0.2, 0.8, (count, 3)).astype(np.float32)
+    return np.random.default_rng(shifted(seed)).uniform(0.2, 0.8, (count, 3)).astype(np.float32)
 
 
 def share_of(attribute: str) -> np.ndarray:
@@ -239,13 +240,16 @@ def test_the_gradient_of_each_corner_and_face_agrees_with_differences(mi: Any, a
     name = f"tent.{attribute}"
     renderer = SceneRenderer(tent_scene(mi, attribute, colours_of(attribute)), name, max_depth=4)
     x = renderer.leaves()
-    renderer(x, seed=2, spp=16).square().mean().backward()
+    renderer(x, seed=shifted(2), spp=16).square().mean().backward()
     expected = torch.zeros(x[name].shape)
     for place in np.ndindex(*expected.shape):
         step = torch.zeros_like(expected)
         step[place] = 0.02
         up, down = (
-            renderer({name: renderer.inputs[name] + sign * step}, seed=2, spp=16).double().square().mean()
+            renderer({name: renderer.inputs[name] + sign * step}, seed=shifted(2), spp=16)
+            .double()
+            .square()
+            .mean()
             for sign in (1, -1)
         )
         expected[place] = (up - down) / 0.04
@@ -260,7 +264,7 @@ def test_a_mesh_of_one_colour_ranks_like_that_colour(mi: Any) -> None:
     scene["tent"] = painted_mesh(mi, "vertex_color", colours_of("vertex_color"), bsdf=plain)
     uniform = SceneRenderer(scene, "reflectance", spp=16)
     (many,), (one,) = (
-        VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=4).ranking(1)
+        VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted(4)).ranking(1)
         for renderer in (painted, uniform)
     )
     assert len(many.total) == 3
@@ -295,7 +299,7 @@ def test_an_even_gradient_of_a_mesh_is_painted_evenly(mi: Any, attribute: str) -
 def floor_gradient(room: SceneRenderer) -> torch.Tensor:
     """Of the mean of the very picture that seed 7 renders."""
     x = room.leaves()
-    room(x, seed=7).mean().backward()
+    room(x, seed=shifted(7)).mean().backward()
     gradient: torch.Tensor = x[FLOOR].grad
     return gradient
 
@@ -309,7 +313,9 @@ def test_texel_gradients_agree_with_differences_block_by_block(
         for column in range(0, 64, side):
             shift = torch.zeros_like(value)
             shift[row : row + side, column : column + side] = step
-            up, down = (room({FLOOR: value + sign * shift}, seed=7).double().mean() for sign in (1, -1))
+            up, down = (
+                room({FLOOR: value + sign * shift}, seed=shifted(7)).double().mean() for sign in (1, -1)
+            )
             expected.append(((up - down) / (2 * step)).item())
             measured.append(floor_gradient[row : row + side, column : column + side].double().sum().item())
     error = np.abs(np.array(measured) - expected)
@@ -335,7 +341,7 @@ def test_texel_gradients_sum_to_that_of_a_plain_colour(mi: Any) -> None:
         scene = {**office(), "floor": {"type": "diffuse", "reflectance": reflectance}}
         renderer = SceneRenderer(scene, name, resolution=(32, 18), spp=16, max_depth=3)
         x = renderer.leaves()
-        (renderer(x, seed=3) ** 2).mean().backward()
+        (renderer(x, seed=shifted(3)) ** 2).mean().backward()
         gradients[name] = x[name].grad
     torch.testing.assert_close(
         gradients[FLOOR].sum((0, 1)), gradients["floor.reflectance.value"], rtol=1e-4, atol=0
@@ -352,7 +358,7 @@ def painted_floor(room: SceneRenderer, gradient: torch.Tensor) -> torch.Tensor:
 def test_a_block_of_texels_lights_the_pixels_where_the_picture_changes(room: SceneRenderer) -> None:
     block = torch.zeros_like(room.inputs[FLOOR])
     block[36:60, :16] = 1.0
-    change = room.derivative_image(FLOOR, block, seed=5, spp=64).abs().sum(-1)
+    change = room.derivative_image(FLOOR, block, seed=shifted(5), spp=64).abs().sum(-1)
     painted = painted_floor(room, block)
     inside, outside = painted > 0.95 * painted.max(), painted == 0
     assert inside.sum() > 20
@@ -561,9 +567,11 @@ def test_a_map_of_what_mirrors_show_can_be_painted(wide_office: SceneRenderer) -
 
 def test_a_derivative_image_is_the_difference_of_two_renders(room: SceneRenderer) -> None:
     step, value = 0.02, room.inputs[FLOOR]
-    direction = torch.rand(value.shape, generator=torch.Generator().manual_seed(0))
-    derivative = room.derivative_image(FLOOR, direction, seed=2, spp=8)
-    up, down = (room({FLOOR: value + sign * step * direction}, seed=2, spp=8).double() for sign in (1, -1))
+    direction = torch.rand(value.shape, generator=torch.Generator().manual_seed(shifted()))
+    derivative = room.derivative_image(FLOOR, direction, seed=shifted(2), spp=8)
+    up, down = (
+        room({FLOOR: value + sign * step * direction}, seed=shifted(2), spp=8).double() for sign in (1, -1)
+    )
     expected = (up - down) / (2 * step)
     assert derivative.shape == (27, 48, 3)
     error = (derivative - expected).norm() / expected.norm()
@@ -572,8 +580,8 @@ def test_a_derivative_image_is_the_difference_of_two_renders(room: SceneRenderer
 
 def test_a_derivative_image_moves_all_channels_unless_told_otherwise(cornell: SceneRenderer) -> None:
     name = "left_wall.reflectance.value"
-    whole = cornell.derivative_image(name, seed=1)
-    parts = [cornell.derivative_image(name, one, seed=1) for one in torch.eye(3)]
+    whole = cornell.derivative_image(name, seed=shifted(1))
+    parts = [cornell.derivative_image(name, one, seed=shifted(1)) for one in torch.eye(3)]
     torch.testing.assert_close(whole, sum(parts), rtol=1e-4, atol=1e-5)
     # The channels of a picture are those of a colour.
     assert parts[0][..., 0].any()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from seeds import shifted
 
 from scenecaptum import SceneCaptumError, metrics
 from scenecaptum.metrics._picture import srgb_picture
@@ -14,12 +15,12 @@ WEIGHTS = Path(metrics.__file__).with_name("shape_classifier.pt")
 
 def ordinary(height: int = 16, width: int = 20, seed: int = 0) -> torch.Tensor:
     """Return radiance between black and white, away from both."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(shifted(seed))
     return torch.rand(height, width, 3, dtype=torch.float64, generator=generator) * 0.8 + 0.1
 
 
 def backbone(dtype: torch.dtype = torch.float64) -> torch.nn.Module:
-    torch.manual_seed(0)
+    torch.manual_seed(shifted())
     return torch.nn.Sequential(
         torch.nn.Conv2d(3, 6, 3), torch.nn.ReLU(inplace=True), torch.nn.Conv2d(6, 8, 3, stride=2)
     ).to(dtype)
@@ -102,7 +103,7 @@ def test_flat_and_black_pictures_equal_themselves_with_finite_gradients(level):
 
 @pytest.mark.parametrize("index", range(4))
 def test_derivatives_agree_with_finite_differences(index):
-    reference, image = ordinary(seed=1), ordinary(seed=2)
+    reference, image = ordinary(seed=shifted(1)), ordinary(seed=shifted(2))
     metric = every_comparison(reference[:12, :12])[index]
     leaf = image[:12, :12].clone().requires_grad_()
     # Along random directions: element by element it takes minutes.
@@ -119,7 +120,7 @@ def test_identical_pictures_are_a_stationary_point(index):
 
 @pytest.mark.parametrize("index", range(4))
 def test_derivatives_on_black_regions_are_finite_and_one_sided(index):
-    reference, image = ordinary(seed=1), ordinary(seed=2)
+    reference, image = ordinary(seed=shifted(1)), ordinary(seed=shifted(2))
     image[4:12, 5:15] = 0.0
     metric = every_comparison(reference)[index]
     slope = gradient(metric, image)
@@ -138,13 +139,13 @@ def test_mean_squared_error_is_that_of_radiance():
 def test_structural_similarity_falls_with_noise():
     image = ordinary(32, 32)
     metric = metrics.StructuralSimilarity(image)
-    noise = torch.randn(image.shape, dtype=image.dtype, generator=torch.Generator().manual_seed(3))
+    noise = torch.randn(image.shape, dtype=image.dtype, generator=torch.Generator().manual_seed(shifted(3)))
     values = [metric((image + sigma * noise).clamp(min=0)).item() for sigma in (0.0, 0.05, 0.2)]
     assert values[0] > values[1] + 0.01 > values[2] + 0.02
 
 
 def test_perceptual_distance_is_that_of_unit_features():
-    reference, image, network = ordinary(seed=1), ordinary(seed=2), backbone()
+    reference, image, network = ordinary(seed=shifted(1)), ordinary(seed=shifted(2)), backbone()
     metric = metrics.PerceptualDistance(reference, network, layers=["2"])
     a, b = (network(metric.transform(srgb_picture(x))) for x in (image, reference))
     cosine = torch.nn.functional.cosine_similarity(a, b, dim=1)
@@ -152,7 +153,7 @@ def test_perceptual_distance_is_that_of_unit_features():
 
 
 def test_perceptual_distance_averages_over_layers_and_takes_features_before_in_place_activations():
-    reference, image = ordinary(seed=1), ordinary(seed=2)
+    reference, image = ordinary(seed=shifted(1)), ordinary(seed=shifted(2))
 
     def distance(*layers):
         return metrics.PerceptualDistance(reference, backbone(), layers=layers)(image).item()
@@ -192,7 +193,7 @@ def test_comparisons_refuse_what_they_cannot_compare():
 
 
 def small_classifier(classes: int = 5) -> torch.nn.Module:
-    torch.manual_seed(1)
+    torch.manual_seed(shifted(1))
     return torch.nn.Sequential(
         torch.nn.Conv2d(3, 4, 3, stride=2),
         torch.nn.BatchNorm2d(4),
@@ -299,7 +300,7 @@ def test_a_model_that_returns_no_logits_is_refused(output, message):
 @pytest.mark.parametrize("size", [(180, 320), (320, 180), (300, 300), (233, 500), (97, 131)])
 def test_preprocessing_equals_that_of_torchvision(torchvision, size):
     weights = torchvision.models.ResNet50_Weights.IMAGENET1K_V2
-    picture = torch.rand(1, 3, *size, generator=torch.Generator().manual_seed(4))
+    picture = torch.rand(1, 3, *size, generator=torch.Generator().manual_seed(shifted(4)))
     torch.testing.assert_close(
         metrics.ResizeCropNormalize()(picture), weights.transforms()(picture), atol=1e-6, rtol=0
     )
@@ -311,12 +312,12 @@ def test_preprocessing_of_other_models_can_be_stated(torchvision, name):
     ours = metrics.ResizeCropNormalize(
         theirs.resize_size[0], theirs.crop_size[0], interpolation=theirs.interpolation.value
     )
-    picture = torch.rand(1, 3, 300, 411, generator=torch.Generator().manual_seed(4))
+    picture = torch.rand(1, 3, 300, 411, generator=torch.Generator().manual_seed(shifted(4)))
     torch.testing.assert_close(ours(picture), theirs(picture), atol=1e-5, rtol=0)
 
 
 def test_resnet50_gives_a_logit_and_its_gradient(torchvision):
-    torch.manual_seed(0)
+    torch.manual_seed(shifted())
     model = torchvision.models.resnet50(weights=None)
     transform = torchvision.models.ResNet50_Weights.IMAGENET1K_V2.transforms()
     image = ordinary(90, 160).float()
@@ -331,8 +332,8 @@ def test_resnet50_gives_a_logit_and_its_gradient(torchvision):
 
 
 def test_perceptual_distance_over_the_layers_of_a_torchvision_model(torchvision):
-    torch.manual_seed(0)
-    reference, image = ordinary(64, 80, seed=1).float(), ordinary(64, 80, seed=2).float()
+    torch.manual_seed(shifted())
+    reference, image = ordinary(64, 80, seed=shifted(1)).float(), ordinary(64, 80, seed=shifted(2)).float()
     model = torchvision.models.resnet18(weights=None)
     metric = metrics.PerceptualDistance(reference, model, layers=["relu", "layer1", "layer2"])
     assert metric(reference).item() == pytest.approx(0, abs=1e-9)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from chance import allowed
+from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics
 
@@ -105,12 +107,12 @@ def test_pictures_are_those_of_mitsubas_volumetric_path_tracer(mi: Any, case: st
     scene = PICTURES[case](mi)
     renderer = SceneRenderer(scene, "media", spp=128)
     stock = mi.load_dict(scene)
-    ours = torch.stack([renderer(seed=seed).mean((0, 1)) for seed in range(8)])
+    ours = torch.stack([renderer(seed=seed).mean((0, 1)) for seed in seeds(8)])
     theirs = torch.stack(
-        [mi.render(stock, spp=128, seed=100 + seed).torch().mean((0, 1)) for seed in range(8)]
+        [mi.render(stock, spp=128, seed=100 + seed).torch().mean((0, 1)) for seed in seeds(8)]
     )
     z = (ours.mean(0) - theirs.mean(0)) / ((ours.var(0) + theirs.var(0)) / 8).sqrt()
-    assert z.abs().max() < 4, f"mean radiance {ours.mean(0)} against {theirs.mean(0)}, z = {z}"
+    assert z.abs().max() < allowed(15, 3), f"mean radiance {ours.mean(0)} against {theirs.mean(0)}, z = {z}"
 
 
 def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, float], *, central: bool) -> None:
@@ -128,8 +130,8 @@ def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, floa
             rendered = (weight * renderer({name: value + k * step}, seed=seed) for k, weight in shifts)
             return sum(luminance(image).item() for image in rendered) / step
 
-    ours = torch.tensor([derivatives(seed) for seed in range(SEEDS)])
-    theirs = torch.tensor([[quotient(name, seed) for name in steps] for seed in range(SEEDS)])
+    ours = torch.tensor([derivatives(seed) for seed in seeds(SEEDS)])
+    theirs = torch.tensor([[quotient(name, seed) for name in steps] for seed in seeds(SEEDS)])
     for name, derivative, slope in zip(steps, ours.T, theirs.T, strict=True):
         error = (derivative - slope).std().item() / math.sqrt(SEEDS)
         difference, size = (derivative - slope).mean().item(), slope.mean().abs().item()
@@ -190,20 +192,20 @@ def test_a_phase_function_may_change_from_call_to_call(mi: Any) -> None:
     """Dr.Jit's frozen functions do not see inside phase functions: they would go on with the old one."""
     name = "fog.interior_medium.phase_function.g"
     renderer = SceneRenderer(room(mi, homogeneous(3.0)), name, spp=4)
-    images = [renderer({name: torch.tensor(g)}, seed=1) for g in (0.6, 0.6, 0.6, -0.6)]
+    images = [renderer({name: torch.tensor(g)}, seed=shifted(1)) for g in (0.6, 0.6, 0.6, -0.6)]
     assert not torch.allclose(images[3], images[2], rtol=0.05)
     fresh = SceneRenderer(room(mi, homogeneous(3.0)), name, spp=4)
-    torch.testing.assert_close(images[3], fresh({name: torch.tensor(-0.6)}, seed=1))
+    torch.testing.assert_close(images[3], fresh({name: torch.tensor(-0.6)}, seed=shifted(1)))
 
 
 def test_forward_mode_is_the_transpose_of_backward_mode(mi: Any) -> None:
     renderer = SceneRenderer(room(mi, smoke(mi, half_empty())), GRID, spp=16)
     (name,) = renderer.inputs
     value = renderer.inputs[name]
-    tangent = torch.rand(value.shape, generator=torch.Generator().manual_seed(0))
+    tangent = torch.rand(value.shape, generator=torch.Generator().manual_seed(shifted()))
 
     def rendered(density: torch.Tensor) -> torch.Tensor:
-        return renderer({name: density}, seed=1)
+        return renderer({name: density}, seed=shifted(1))
 
     _, change = torch.func.jvp(rendered, (value,), (tangent,))
     leaf = value.clone().requires_grad_()
@@ -214,15 +216,15 @@ def test_forward_mode_is_the_transpose_of_backward_mode(mi: Any) -> None:
 def test_samples_that_choose_their_pixels_give_the_same_derivatives(mi: Any) -> None:
     names = [ALBEDO, DENSITY, "ball.bsdf.specular_reflectance.value"]
     renderer = SceneRenderer(room(mi, homogeneous()), names, spp=8)
-    adjoint = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0)) ** 4
+    adjoint = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(shifted())) ** 4
 
     def derivatives(seed: int, seed_grad: int | None) -> list[float]:
         leaves = renderer.leaves()
         renderer(leaves, seed=seed, seed_grad=seed_grad).backward(adjoint)
         return [leaf.grad.sum().item() for leaf in leaves.values()]
 
-    own = torch.tensor([derivatives(seed, None) for seed in range(16)])
-    chosen = torch.tensor([derivatives(0, 100 + seed) for seed in range(16)])
+    own = torch.tensor([derivatives(seed, None) for seed in seeds(16)])
+    chosen = torch.tensor([derivatives(shifted(), 100 + seed) for seed in seeds(16)])
     z = (own.mean(0) - chosen.mean(0)) / ((own.var(0) + chosen.var(0)) / 16).sqrt()
-    assert z.abs().max() < 4, f"{own.mean(0)} against {chosen.mean(0)}, z = {z}"
+    assert z.abs().max() < allowed(31, 3), f"{own.mean(0)} against {chosen.mean(0)}, z = {z}"
     assert (own.std(0) / own.mean(0).abs() < 0.3).all(), "the derivatives are lost in their noise"

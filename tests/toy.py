@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 import torch
+from seeds import shifted
 
 
 class ToyRenderer:
@@ -14,7 +15,7 @@ class ToyRenderer:
     spp = 16
 
     def __init__(self, noise: float = 0.3) -> None:
-        generator = torch.Generator().manual_seed(1)
+        generator = torch.Generator().manual_seed(shifted(1))
         self.noise = noise
         self.matrix = torch.rand(4, 4, 3, 3, generator=generator) + 0.1
         self.inputs = {"x": torch.tensor([0.5, 0.3, 0.8])}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from seeds import shifted
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient
 
@@ -93,7 +94,7 @@ def mean(image: Any) -> Any:
 def attribute(scene: Any, inputs: Any = "all", metric: Any = mean, **options: Any) -> SceneAttribution:
     settings = {key: options.pop(key) for key in ("resolution", "max_depth", "sensor") if key in options}
     renderer = SceneRenderer(scene, inputs=inputs, **settings)
-    return VanillaSceneGradient(renderer, metric).attribute(**{"seed": 0, **options})
+    return VanillaSceneGradient(renderer, metric).attribute(**{"seed": shifted(), **options})
 
 
 def total(attribution: SceneAttribution, name: str) -> tuple[float, float]:
@@ -102,11 +103,13 @@ def total(attribution: SceneAttribution, name: str) -> tuple[float, float]:
 
 
 def slope(
-    renderer: Any, name: str, step: float, *, seed: int = 3, spp: int = 256, sides: tuple[int, ...] = (-1, 1)
+    renderer: Any, name: str, step: float, *, spp: int = 256, sides: tuple[int, ...] = (-1, 1)
 ) -> float:
     """Return a finite difference of the mean image with a shared seed; its sides may be (0, 1) at a bound."""
     value = renderer.inputs[name]
-    low, high = (renderer({name: value + side * step}, seed=seed, spp=spp).double().mean() for side in sides)
+    low, high = (
+        renderer({name: value + side * step}, seed=shifted(3), spp=spp).double().mean() for side in sides
+    )
     return ((high - low) / (step * (sides[1] - sides[0]))).item()
 
 

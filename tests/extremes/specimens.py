@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from seeds import shifted
 
 SCENE = """<scene version="3.0.0">
     <default name="gloss" value="0.3"/>
@@ -82,7 +83,7 @@ SPECTRUM = (
 
 def picture(height: int = 4, width: int = 8) -> np.ndarray:
     """Radiance that differs from pixel to pixel."""
-    return np.random.default_rng(3).uniform(0.2, 0.95, (height, width, 3)).astype(np.float32)
+    return np.random.default_rng(shifted(3)).uniform(0.2, 0.95, (height, width, 3)).astype(np.float32)
 
 
 def hdr(image: np.ndarray) -> bytes:

@@ -687,7 +687,7 @@ VALUES += (
     "max_depth=-5",
     "resolution=1",
     "replicates=1,2",
-    "seed=1",
+    "seed=shifted(1)",
     "a\0b",
 )
 VALUES += ("scene.xml", "out/../../out", "/proc/nowhere", "/dev/null", "/dev/full", "x" * 300)

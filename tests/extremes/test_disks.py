@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import results
 import torch
+from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum import SceneCaptumError, projection, tradeoff
@@ -22,7 +23,7 @@ from scenecaptum.checkpoint import Checkpoint
 from scenecaptum.cli import _attribute, _files
 from scenecaptum.visualization import save_render, write_report
 
-PICTURE = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0))
+PICTURE = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(shifted()))
 
 
 def _tradeoff(path: Path) -> None:

@@ -7,6 +7,7 @@ import math
 
 import pytest
 import torch
+from seeds import seeds, shifted
 from toy import ToyRenderer
 
 from scenecaptum import IntegratedGradientsScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient
@@ -38,19 +39,19 @@ def attribute(renderer, seed, **options):
 
 
 def test_errors_of_few_passes_are_called_unsure():
-    few = attribute(Fireflies(), 0, spp=3, replicates=3)
+    few = attribute(Fireflies(), shifted(), spp=3, replicates=3)
     assert few.untrusted_errors() == dict.fromkeys(few, "an error told by 3 passes is itself unsure by 50 %")
     assert "?  an error told by 3 passes" in str(few)
     assert "(all parameters)" in str(few)
-    assert not attribute(Fireflies(), 0, spp=4, replicates=4).untrusted_errors()
-    alone = attribute(Fireflies(), 0, replicates=1)
+    assert not attribute(Fireflies(), shifted(), spp=4, replicates=4).untrusted_errors()
+    alone = attribute(Fireflies(), shifted(), replicates=1)
     assert alone.untrusted_errors() == {}  # there is no error to be trusted
 
 
 def test_a_dominating_pass_is_noticed(tmp_path):
     """Of 64 samples in 8 passes one in 400 is a thousand times as bright: now and then a single one is met."""
     renderer = Fireflies(brighter=1000.0)
-    found = [attribute(renderer, seed) for seed in range(60)]
+    found = [attribute(renderer, seed) for seed in seeds(60)]
     met = [one for one in found if sum(row.norm() > 10 for row in one.replicates["x"]) == 1]
     assert len(met) > 3
     for one in met:
@@ -62,7 +63,7 @@ def test_a_dominating_pass_is_noticed(tmp_path):
 
 def test_a_mark_stands_where_only_some_are_doubtful():
     rows = torch.linspace(-1, 1, 8)[:, None] * 0.01 + 1.0
-    one = attribute(ToyRenderer(), 0)
+    one = attribute(ToyRenderer(), shifted())
     spiky = rows.clone()
     spiky[3] += 5
     made = dataclasses.replace(
@@ -81,7 +82,7 @@ def test_a_mark_stands_where_only_some_are_doubtful():
 
 def test_normal_passes_are_trusted():
     """False alarms are no more frequent than was set: one in a hundred results."""
-    alarms = sum(bool(attribute(Fireflies(), seed).untrusted_errors()) for seed in range(RUNS))
+    alarms = sum(bool(attribute(Fireflies(), seed).untrusted_errors()) for seed in seeds(RUNS))
     assert alarms <= RUNS * FALSE_ALARMS + 4 * math.sqrt(RUNS * FALSE_ALARMS)
 
 
@@ -92,11 +93,11 @@ def test_limit_is_that_of_grubbs():
 
 
 def test_rounding_is_no_spread():
-    assert not attribute(Fireflies(noise=0.0), 0).untrusted_errors()
+    assert not attribute(Fireflies(noise=0.0), shifted()).untrusted_errors()
 
 
 def test_median_of_means_is_the_median():
-    mean = attribute(Fireflies(), 3)
+    mean = attribute(Fireflies(), shifted(3))
     median = mean.median_of_means()
     for name in mean:
         expected = mean.replicates[name].double().quantile(0.5, dim=0)
@@ -114,8 +115,8 @@ def test_median_of_means_is_the_median():
 def test_median_moves_less_than_the_mean_and_owns_up_to_it():
     """A firefly moves the mean by an eighth of its pass; the median hardly, and its error holds the difference."""
     renderer = Fireflies(brighter=1000.0)
-    clean = torch.stack([attribute(Fireflies(), seed)["x"] for seed in range(60)])
-    means = [attribute(renderer, seed) for seed in range(60)]
+    clean = torch.stack([attribute(Fireflies(), seed)["x"] for seed in seeds(60)])
+    means = [attribute(renderer, seed) for seed in seeds(60)]
     medians = [one.median_of_means() for one in means]
     of_means, of_medians = (torch.stack([one["x"] for one in kept]).std(0) for kept in (means, medians))
     assert bool((of_means > 10 * clean.std(0)).all())
@@ -132,7 +133,7 @@ def test_intervals_of_the_median_hold_the_truth_where_passes_are_normal():
     leaves = {name: value.clone().requires_grad_() for name, value in renderer.inputs.items()}
     (truth,) = torch.autograd.grad(renderer.exact(leaves).mean(), [leaves["x"]])
     inside = 0
-    for seed in range(RUNS):
+    for seed in seeds(RUNS):
         low, high = attribute(renderer, seed).median_of_means().interval(0.95)["x"]
         inside += bool(low[0] <= truth[0] <= high[0])
     assert inside / RUNS > 0.95 - 3 * math.sqrt(0.95 * 0.05 / RUNS)
@@ -142,7 +143,7 @@ def test_most_passes_alike_are_no_reason_to_be_sure():
     """A parameter that only rare paths reach: the median is 0, and its error is not."""
     rows = torch.tensor([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])[:, None]
     made = dataclasses.replace(
-        attribute(ToyRenderer(), 0),
+        attribute(ToyRenderer(), shifted()),
         attributions={"rare": rows.mean(0)},
         standard_error={"rare": torch.tensor([0.375])},
         replicates={"rare": rows},
@@ -161,8 +162,8 @@ def test_no_median_without_passes_of_one_scene():
     with pytest.raises(SceneCaptumError, match="several scenes or rounds"):
         steps.median_of_means()
     with pytest.raises(SceneCaptumError, match="1 pass"):
-        attribute(ToyRenderer(), 0, replicates=1).median_of_means()
-    goal = attribute(Fireflies(), 0, tolerance=0.02)
+        attribute(ToyRenderer(), shifted(), replicates=1).median_of_means()
+    goal = attribute(Fireflies(), shifted(), tolerance=0.02)
     if len(goal.info["planner"]["rounds"]) > 1:
         with pytest.raises(SceneCaptumError, match="rounds"):
             goal.median_of_means()

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 
+import hypothesis
 import numpy as np
 import pytest
 import torch
+from chance import allowed
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seeds import seeds, shifted
 
 from scenecaptum import (
     FeatureAblationScene,
@@ -35,7 +38,7 @@ def lit(mi):
 
 def attribute_at(renderer, radiance):
     values = {**renderer.inputs, RADIANCE: torch.full((3,), radiance)}
-    return VanillaSceneGradient(renderer, mean).attribute(values, seed=0)
+    return VanillaSceneGradient(renderer, mean).attribute(values, seed=shifted())
 
 
 def test_all_lights_off(lit):
@@ -47,7 +50,7 @@ def test_all_lights_off(lit):
     assert off.saliency_error()[BALL] == 0
     torch.testing.assert_close(off[RADIANCE], on[RADIANCE], rtol=0.3, atol=0.0)
     (a, one), (b, other) = total(off, RADIANCE), total(on, RADIANCE)
-    assert abs(a - b) < 4 * (one**2 + other**2) ** 0.5
+    assert abs(a - b) < allowed(8) * (one**2 + other**2) ** 0.5
     assert float(heatmap(off).max()) in (0.0, 1.0)
 
 
@@ -57,7 +60,8 @@ def test_no_light_at_all(mi):
     assert set(dark.saliency().values()) == {0.0}
 
 
-@settings(max_examples=4, deadline=None, derandomize=True)
+@hypothesis.seed(shifted())
+@settings(max_examples=4, deadline=None, database=None)
 @given(exponent=st.integers(-30, 34))
 def test_gradients_and_errors_scale_with_the_light(lit, exponent):
     """Light 10ⁿ times as strong gives 10ⁿ times the gradient of a reflectance, and the same relative error."""
@@ -87,10 +91,12 @@ def test_light_beyond_single_precision_is_refused_by_name_and_place(mi):
     """3e38 is a number in float32, and its sum over bounces is not: it is refused, not averaged in."""
     renderer = SceneRenderer(furnace(mi, GREY), inputs="emitters")
     brightest = {"walls.emitter.radiance.value": torch.full((3,), 3e38)}
-    with pytest.raises(SceneCaptumError, match=r"seed 5 is inf on 64 of 64 pixels: rows 0 to 7.* show walls"):
-        renderer(brightest, seed=5)
+    with pytest.raises(
+        SceneCaptumError, match=rf"seed {shifted(5)} is inf on 64 of 64 pixels: rows 0 to 7.* show walls"
+    ):
+        renderer(brightest, seed=shifted(5))
     with pytest.raises(SceneCaptumError, match="In pass 1 of 8: The render with seed"):
-        VanillaSceneGradient(renderer, mean).attribute(brightest, seed=0)
+        VanillaSceneGradient(renderer, mean).attribute(brightest, seed=shifted())
 
 
 @pytest.mark.long
@@ -100,7 +106,7 @@ def test_other_methods_scale_too(lit, what, exponent):
     options = {"n_steps": 2} if what is IntegratedGradientsScene else {}
     found = [
         what(renderer, mean).attribute(
-            {**renderer.inputs, RADIANCE: torch.full((3,), light)}, seed=0, spp=32, **options
+            {**renderer.inputs, RADIANCE: torch.full((3,), light)}, seed=shifted(), spp=32, **options
         )
         for light in (1.0, 10.0**exponent)
     ]
@@ -131,8 +137,10 @@ def test_one_pixel_a_hundred_million_times_brighter(mi):
     found = attribute(scene, ["emitters"], spp=64)
     (lamp, error), (sky, other) = total(found, RADIANCE), total(found, "sky.radiance.value")
     assert 1e-3 < lamp < 1 / 64
-    assert abs(lamp + sky - 1) < 4 * (error + other) + 1e-4  # every ray sees one of them, of value 1 per unit
-    assert abs(lamp * 1e8 - found.metric_value) < 4 * (error * 1e8 + found.metric_standard_error)
+    assert (
+        abs(lamp + sky - 1) < allowed(8) * (error + other) + 1e-4
+    )  # every ray sees one of them, of value 1 per unit
+    assert abs(lamp * 1e8 - found.metric_value) < allowed(8) * (error * 1e8 + found.metric_standard_error)
     elsewhere = attribute(scene, ["emitters"], lambda image: image[:, :2].mean(), spp=16)
     assert elsewhere.metric_value == pytest.approx(1.0, rel=1e-5)
     assert total(elsewhere, RADIANCE) == (0.0, 0.0)
@@ -160,8 +168,12 @@ def test_sun_disc_through_a_window(mi):
     }
     found = attribute(scene, ["sun.emitter.*", "ground.*"], spp=64)
     irradiance = np.pi * radius**2
-    assert abs(z(total(found, "sun.emitter.radiance.value"), 0.5 * 0.5 / np.pi * irradiance, 2e-3)) < 4
-    assert abs(z(total(found, "ground.bsdf.reflectance.value"), 0.5 * 1e5 / np.pi * irradiance, 2e-3)) < 4
+    assert abs(z(total(found, "sun.emitter.radiance.value"), 0.5 * 0.5 / np.pi * irradiance, 2e-3)) < allowed(
+        8
+    )
+    assert abs(
+        z(total(found, "ground.bsdf.reflectance.value"), 0.5 * 1e5 / np.pi * irradiance, 2e-3)
+    ) < allowed(8)
 
 
 def test_single_hot_texel(mi):
@@ -169,11 +181,11 @@ def test_single_hot_texel(mi):
     texels = np.full((8, 16, 3), 1.0)
     texels[2, 4] = 1e8
     renderer = SceneRenderer(room(mi, lamp=None, sky=sky(mi, texels)), inputs="emitters")
-    found = InputXGradientScene(renderer, mean).attribute(seed=0, spp=128)
+    found = InputXGradientScene(renderer, mean).attribute(seed=shifted(), spp=128)
     share = total(found, "sky.data")
-    truth = torch.stack([renderer(seed=one, spp=256).mean() for one in range(8)])
+    truth = torch.stack([renderer(seed=one, spp=256).mean() for one in seeds(8)])
     error = (share[1] ** 2 + (truth.std() ** 2 / 8).item()) ** 0.5
-    assert abs(share[0] - truth.mean().item()) < 4 * error
+    assert abs(share[0] - truth.mean().item()) < allowed(8) * error
     hottest = found["sky.data"].sum(-1).flatten().argmax().item()
     assert divmod(hottest, found["sky.data"].shape[1])[0] in (2, 3)
     assert torch.isfinite(found["sky.data"]).all()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from seeds import shifted
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 
@@ -35,7 +36,7 @@ renderer = box()
 for number in range(1, count + 1):
     if anew:
         renderer = box()
-    VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=number, replicates=2)
+    VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted(number), replicates=2)
     if number == first:
         start = resident()
 print(resident() - start, start)
@@ -90,7 +91,7 @@ def test_a_renderer_goes_with_its_last_reference(mi: Any) -> None:
 
 def test_a_graph_outlives_its_renderer(mi: Any) -> None:
     leaves = small_box().leaves()
-    metric = small_box()(leaves, seed=1, seed_grad=2).mean()
+    metric = small_box()(leaves, seed=shifted(1), seed_grad=shifted(2)).mean()
     metric.backward()
     assert leaves["floor.reflectance.value"].grad is not None
 
@@ -99,7 +100,7 @@ def test_renderers_may_go_in_any_thread_while_others_render(mi: Any) -> None:
     """A scene that goes while a kernel is being recorded ends the process: its going has to wait."""
 
     def work(seed: int) -> float:
-        return float(small_box()(seed=seed % 2).mean())
+        return float(small_box()(seed=shifted(seed % 2)).mean())
 
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(work, range(16)))

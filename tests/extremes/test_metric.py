@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hypothesis
 import pytest
 import torch
+from chance import allowed
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seeds import seeds, shifted
 from toy import ToyRenderer
 
 from scenecaptum import FeatureAblationScene, SceneCaptumError, SceneRenderer, VanillaSceneGradient
@@ -22,11 +25,11 @@ def renderer(mi):
 
 @pytest.fixture(scope="module")
 def plain(renderer):
-    return VanillaSceneGradient(renderer, mean).attribute(seed=0)
+    return VanillaSceneGradient(renderer, mean).attribute(seed=shifted())
 
 
 def by(renderer, metric, **options):
-    return VanillaSceneGradient(renderer, metric).attribute(**{"seed": 0, **options})
+    return VanillaSceneGradient(renderer, metric).attribute(**{"seed": shifted(), **options})
 
 
 def test_constant_in_effect(renderer):
@@ -62,13 +65,14 @@ def test_jump_beside_the_image(renderer, plain):
 
     lamp = "lamp.emitter.radiance.value"
     ablated = FeatureAblationScene(renderer, lit).attribute(
-        seed=0, spp=64, baselines={lamp: torch.zeros(3)}, groups={"lamp": lamp}
+        seed=shifted(), spp=64, baselines={lamp: torch.zeros(3)}, groups={"lamp": lamp}
     )
     assert by(renderer, lit).saliency()[lamp] == 0
     assert ablated["lamp"].item() == 1
 
 
-@settings(max_examples=4, deadline=None, derandomize=True)
+@hypothesis.seed(shifted())
+@settings(max_examples=4, deadline=None, database=None)
 @given(exponent=st.integers(-30, 36))
 def test_huge_and_tiny(renderer, plain, exponent):
     """A metric times 10ⁿ has gradients, errors and saliencies times 10ⁿ."""
@@ -125,7 +129,7 @@ def test_not_a_number_in_one_pass_is_found_there():
         by(Spoilt(), mean, spp=64, replicates=64)
     with pytest.raises(SceneCaptumError, match=r"On the unchanged scene: In pass \d+ of 64: .* rows 1 to 2"):
         FeatureAblationScene(Spoilt(), mean).attribute(
-            baselines={"x": torch.zeros(3)}, seed=0, spp=128, replicates=64
+            baselines={"x": torch.zeros(3)}, seed=shifted(), spp=128, replicates=64
         )
 
 
@@ -150,10 +154,10 @@ def test_gradient_that_is_not_a_number_is_named():
 
 def test_plain_torch_code_is_told_too(renderer):
     x = renderer.leaves()
-    loss = renderer(x, seed=4).log().mean()
+    loss = renderer(x, seed=shifted(4)).log().mean()
     with pytest.raises(
         SceneCaptumError,
-        match=r"derivative with respect to the render with seed 4 is inf on \d+ of 64 pixels",
+        match=rf"derivative with respect to the render with seed {shifted(4)} is inf on \d+ of 64 pixels",
     ):
         loss.backward()
 
@@ -194,21 +198,21 @@ def test_metric_that_changes_its_image(renderer):
         with pytest.raises(SceneCaptumError, match="changes the image that it is given"):
             by(renderer, metric)
         with pytest.raises(SceneCaptumError, match="changes the image that it is given"):
-            FeatureAblationScene(renderer, metric).attribute(seed=0)
+            FeatureAblationScene(renderer, metric).attribute(seed=shifted())
 
 
 def test_random_metric(renderer, plain):
     """Its own noise is in the errors: of the value where it is added, of the gradient where it is multiplied."""
-    torch.manual_seed(0)
+    torch.manual_seed(shifted())
     added = by(renderer, lambda image: image.mean() + torch.randn(()))
     assert 0.5 < added.metric_standard_error < 10
     torch.testing.assert_close(added[BALL], plain[BALL], rtol=1e-4, atol=0)
     scores = []
-    for seed in range(8):
+    for seed in seeds(8):
         found = by(renderer, lambda image: (image * 2 * torch.rand(image.shape)).mean(), seed=seed)
         value, error = total(found, BALL)
         scores.append((value - total(plain, BALL)[0]) / error)
-    assert max(map(abs, scores)) < 5
+    assert max(map(abs, scores)) < allowed(8, 8)
 
 
 def test_other_devices(renderer, plain):

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+from seeds import seeds, shifted
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.rendering import _renderer
@@ -43,7 +44,7 @@ def assert_same(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor
 
 @pytest.fixture(scope="module")
 def expected(mi: Any) -> list[dict[str, torch.Tensor]]:
-    return [attribution_of(seed) for seed in range(3)]
+    return [attribution_of(seed) for seed in seeds(3)]
 
 
 # --- Threads --------------------------------------------------------------------------------------
@@ -112,7 +113,7 @@ def test_a_data_loader_with_spawned_workers_agrees(expected: list[Any]) -> None:
 
 
 FORKS = [
-    pytest.param(lambda renderer: renderer(seed=0), id="render"),
+    pytest.param(lambda renderer: renderer(seed=shifted()), id="render"),
     pytest.param(lambda _: attribution_of(0), id="load"),
     pytest.param(lambda renderer: renderer.surfaces, id="surfaces"),
     pytest.param(lambda renderer: renderer.replace(max_depth=2), id="replace"),
@@ -146,18 +147,18 @@ def in_a_fork(call: Any) -> str:
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_forked_process_is_refused_instead_of_hanging(expected: list[Any], call: Any) -> None:
     renderer = small_box()
-    renderer(renderer.leaves(), seed=0).mean().backward()  # now Dr.Jit has threads
+    renderer(renderer.leaves(), seed=shifted()).mean().backward()  # now Dr.Jit has threads
     said = in_a_fork(lambda: call(renderer))
     assert "forked" in said, said
     assert "spawn" in said
-    renderer(seed=0)  # the parent goes on
+    renderer(seed=shifted())  # the parent goes on
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_backward_pass_across_a_fork_is_refused(expected: list[Any]) -> None:
     renderer = small_box()
-    metric = renderer(renderer.leaves(), seed=0).mean()
+    metric = renderer(renderer.leaves(), seed=shifted()).mean()
     assert "forked" in in_a_fork(metric.backward)
 
 
@@ -218,15 +219,15 @@ def test_a_renderer_keeps_its_variant_whatever_is_set_later(
 ) -> None:
     mi.set_variant("llvm_ad_rgb")
     renderer = small_box()
-    graph = renderer(leaves := renderer.leaves(), seed=3).mean()
+    graph = renderer(leaves := renderer.leaves(), seed=shifted(3)).mean()
     alone = torch.autograd.grad(graph, leaves[FLOOR], retain_graph=True)[0]
     mi.set_variant("scalar_rgb")
     torch.testing.assert_close(torch.autograd.grad(graph, leaves[FLOOR])[0], alone, **SAME)
-    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=1, replicates=2)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted(1), replicates=2)
     assert_same(dict(found), expected[1])
     found.heatmap()
     assert renderer.camera.width == 8
-    assert renderer.replace(max_depth=2)(seed=0).isfinite().all()
+    assert renderer.replace(max_depth=2)(seed=shifted()).isfinite().all()
     assert found.info["variant"] == "llvm_ad_rgb"
     assert mi.variant() == "scalar_rgb"
 
@@ -272,7 +273,7 @@ def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
     key = "white.reflectance.value"
 
     def users_picture() -> torch.Tensor:
-        picture: torch.Tensor = mi.render(scene, spp=4, seed=5).torch()
+        picture: torch.Tensor = mi.render(scene, spp=4, seed=shifted(5)).torch()
         return picture
 
     def users_gradient() -> float:
@@ -280,7 +281,7 @@ def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
         dr.enable_grad(value)
         params[key] = value
         params.update()
-        dr.backward(dr.mean(mi.render(scene, params, spp=4, seed=5), axis=None))
+        dr.backward(dr.mean(mi.render(scene, params, spp=4, seed=shifted(5)), axis=None))
         gradient = float(dr.sum(dr.grad(value))[0])
         params[key] = dr.detach(value)
         params.update()
@@ -289,16 +290,16 @@ def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
     picture, gradient = users_picture(), users_gradient()
     renderer = SceneRenderer(scene, "reflectance", resolution=(8, 8), spp=4, max_depth=3)
     method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
-    undisturbed = method.attribute(seed=0, replicates=2)
+    undisturbed = method.attribute(seed=shifted(), replicates=2)
     torch.testing.assert_close(users_picture(), picture, **SAME)
-    pending = renderer(renderer.leaves(), seed=4).mean()  # a graph of ours is open meanwhile
+    pending = renderer(renderer.leaves(), seed=shifted(4)).mean()  # a graph of ours is open meanwhile
     assert users_gradient() == pytest.approx(gradient, rel=1e-4)
     pending.backward()
-    assert_same(dict(method.attribute(seed=0, replicates=2)), dict(undisturbed))
+    assert_same(dict(method.attribute(seed=shifted(), replicates=2)), dict(undisturbed))
     assert tuple(scene.sensors()[0].film().crop_size()) == (12, 12)
 
     params[key] = mi.Color3f(0.2)
     params.update()
-    darker = method.attribute(seed=0, replicates=2)
+    darker = method.attribute(seed=shifted(), replicates=2)
     assert darker.metric_value < undisturbed.metric_value
     torch.testing.assert_close(darker.parameter_values[key], torch.full((3,), 0.2))

@@ -62,11 +62,14 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         The tensors by name; ``attribution[name]`` is the same.
     standard_error
         Standard errors of the same shapes, or None where there were fewer than two passes: the spread of the
-        passes and, as an error of its own size, the ``bias``.
+        passes and, as errors of their own size, the ``bias`` and the ``quadrature_error``.
     bias
         By how much each gradient may be off for want of samples in the picture that a non-linear metric saw, and
         by what a denoiser changed there: an error of its own size, to first order. None where there were fewer
         than two passes.
+    quadrature_error
+        For integrals over a way, a ``(C,)`` tensor for each parameter: the error of the quadrature of its channel
+        totals, estimated from its own points. None for other methods.
     replicates
         For each parameter a ``(passes, C)`` tensor: its channel totals in every pass.
     covariance
@@ -76,7 +79,9 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         its standard error where there is one.
     convergence_delta, convergence_delta_error
         For methods that have one: by how much the sum of the attributions exceeds the difference that they
-        explain, and its standard error.
+        explain (``info["explained"]``), and its standard error, which holds that of the quadrature.
+        ``info["convergence"]`` is ``"adds up"`` where |delta| and two errors are within 5 % of that difference,
+        ``"does not add up"`` where |delta| less two errors is beyond, else ``"cannot be told"``.
     parameter_values
         What the parameters were: whole where they are small, a texture's mean over its texels; members of groups
         by their own names.
@@ -97,6 +102,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     convergence_delta: float | None = None
     convergence_delta_error: float | None = None
     bias: Tensors | None = None
+    quadrature_error: Tensors | None = None
     replicates: Tensors = field(default_factory=dict)
     covariance: Tensors | None = None
     parameter_values: Tensors = field(default_factory=dict)

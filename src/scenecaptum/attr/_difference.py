@@ -5,22 +5,31 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 
 from ._attribution import SceneAttribution, Tensors, covariances
+from ._completeness import convergence
+from ._quadrature_error import covariance_of_quadrature
 
 
 def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
     """Return ``a - b`` for attributions to the same parameters."""
     replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _share_noise(a, b) else {}
     bias = None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a}
+    values = {name: a[name] - b[name] for name in a}
+    quadrature_error = _quadrature_error(a, b)
     covariance = _covariance(a, b, replicates, bias)
+    if replicates and covariance is not None:  # which hold the noise only
+        for name, error in (quadrature_error or {}).items():
+            covariance[name] = covariance[name] + covariance_of_quadrature(error, values[name])
     return dataclasses.replace(
         a,
-        attributions={name: a[name] - b[name] for name in a},
+        attributions=values,
         standard_error=_errors(a, b, covariance if replicates else None),
         bias=bias,
+        quadrature_error=quadrature_error,
         replicates=replicates,
         covariance=covariance,
         parameter_values=_common(a.parameter_values, b.parameter_values),
@@ -28,8 +37,26 @@ def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
         convergence_delta_error=_hypot(a.convergence_delta_error, b.convergence_delta_error),
         metric_value=a.metric_value - b.metric_value,
         metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error),
-        info={**a.info, "metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)},
+        info=_info(a, b),
     )
+
+
+def _info(a: SceneAttribution, b: SceneAttribution) -> dict[str, Any]:
+    of_one = ("explained", "convergence", "quadrature_error")
+    info = {key: value for key, value in a.info.items() if key not in of_one}
+    info |= {"metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)}
+    delta = _minus(a.convergence_delta, b.convergence_delta)
+    ours, theirs = a.info.get("explained"), b.info.get("explained")
+    if delta is None or ours is None or theirs is None:
+        return info
+    error = _hypot(a.convergence_delta_error, b.convergence_delta_error)
+    return info | convergence(delta, error, ours - theirs, abs(ours) + abs(theirs))
+
+
+def _quadrature_error(a: SceneAttribution, b: SceneAttribution) -> dict[str, torch.Tensor] | None:
+    """Return the quadrature errors of both, as if they were independent: of which sign they are is not known."""
+    known = [one.quadrature_error for one in (a, b) if one.quadrature_error is not None]
+    return {name: torch.stack([one[name] for one in known]).norm(dim=0) for name in a} if known else None
 
 
 def _share_noise(a: SceneAttribution, b: SceneAttribution) -> bool:

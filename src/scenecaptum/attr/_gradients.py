@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from .._finite import check_gradient, check_image, located
+from .._finite import NotFiniteError, check_gradient, check_image, located
 from ..errors import SceneCaptumError
 from ._jackknife import Adjoints, is_linear, jackknife, still_linear, through_view
 from ._metric import TargetedMetric
@@ -100,6 +100,8 @@ class GradientSum:
         What the metric made of the last point.
     kept
         All points, where they are to be kept.
+    totals
+        For each point the channel totals of its passes, by name.
     """
 
     def __init__(self, values: Tensors, *, at_random: bool = False, keep: bool = False) -> None:
@@ -107,6 +109,7 @@ class GradientSum:
         self.share = 0.0
         self.seen: Adjoints | None = None
         self.kept: list[PointGradient] | None = [] if keep else None
+        self.totals: list[dict[str, list[torch.Tensor]]] = []
         self._passes: list[int] = []
         self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
         self._error = {name: torch.zeros_like(value) for name, value in values.items()}
@@ -121,6 +124,7 @@ class GradientSum:
         self.share += point.share
         self.seen = point.adjoints
         self._passes.append(point.passes)
+        self.totals.append({name: spread.totals for name, spread in point.spreads.items()})
         of_a_sample = point.share**2 / (point.passes * point.spp)
         self._whole += of_a_sample
         self._told += of_a_sample if point.passes > 1 else 0.0
@@ -390,7 +394,12 @@ def sum_gradients(
     sums: list[GradientSum] = []
     try:
         for index, point in enumerate(points):
-            found, interrupted = gradients.at(index, point)
+            try:
+                found, interrupted = gradients.at(index, point)
+            except NotFiniteError:
+                if point.share:
+                    raise
+                continue  # it would only have told an error
             if interrupted and (index or not all(one.passes for one in found)):
                 raise KeyboardInterrupt
             sums = sums or [GradientSum(point.values, at_random=at_random, keep=keep) for _ in found]

@@ -23,7 +23,7 @@ class InputXGradientScene(GradientMethod):
     Example
     -------
     >>> from scenecaptum import SceneRenderer, metrics
-    >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(32, 32), spp=16)
+    >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(32, 32), spp=256)
     >>> attribution = InputXGradientScene(renderer, metrics.MeanLuminance()).attribute()
     >>> share = sum(attribution["light.emitter.radiance.value"]) / attribution.metric_value
     >>> bool(abs(share - 1) < 0.1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from .._finite import located
 from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._attribution import SceneAttribution, _versions, surfaces_of
+from ._completeness import convergence
 from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
 from ._jackknife import through_view
@@ -133,6 +134,13 @@ class Effect:
 Effects: TypeAlias = "dict[str, Effect]"
 
 
+class Missed(NamedTuple):
+    """By how much effects exceed the difference that they explain, and this: the noise of both is the same."""
+
+    delta: float
+    explained: float
+
+
 class Perturbation:
     """A method that compares renders of changed scenes, and never differentiates."""
 
@@ -174,10 +182,12 @@ class Perturbation:
         self,
         measured: Measured,
         target: Targets,
-        effects_of: Callable[[torch.Tensor], tuple[Effects, float | None]],
+        effects_of: Callable[[torch.Tensor], tuple[Effects, Missed | None]],
         **info: Any,
     ) -> Result:
-        """Return a result for each target: ``effects_of`` turns ``(arms, replicates)`` into its effects and delta.
+        """Return a result for each target: ``effects_of`` turns ``(arms, replicates)`` into its effects.
+
+        Where these explain a difference, it also tells what they miss of it, but for the noise that both share.
 
         Raises
         ------
@@ -186,16 +196,21 @@ class Perturbation:
         """
         results = []
         for index in range(len(measured.metrics)):
-            effects, delta = effects_of(measured.pseudo[..., index])
+            effects, missed = effects_of(measured.pseudo[..., index])
             if not effects:
                 raise KeyboardInterrupt
-            results.append(self._result(measured, index, effects, delta, info))
+            results.append(self._result(measured, index, effects, missed, info))
         if measured.interrupted:
             raise AttributionInterrupted(*results)
         return results if isinstance(target, list) else results[0]
 
     def _result(
-        self, measured: Measured, index: int, effects: Effects, delta: float | None, info: Mapping[str, Any]
+        self,
+        measured: Measured,
+        index: int,
+        effects: Effects,
+        missed: Missed | None,
+        info: Mapping[str, Any],
     ) -> SceneAttribution:
         value, unbiased = measured.values[index].item(), measured.pseudo[0, :, index]
         count = len(unbiased)
@@ -217,6 +232,9 @@ class Perturbation:
             "versions": _versions(),
             **info,
         }
+        if missed is not None:
+            magnitude = sum(effect.value.abs().sum().item() for effect in effects.values())
+            about |= convergence(missed.delta, None, missed.explained, magnitude)
         labels = getattr(self.renderer, "labels", {})
         return SceneAttribution(
             attributions={name: effect.value.float() for name, effect in effects.items()},
@@ -225,7 +243,7 @@ class Perturbation:
             ),
             metric_value=value,
             metric_standard_error=None if drift is None else math.hypot(*drift),
-            convergence_delta=delta,
+            convergence_delta=None if missed is None else missed.delta,
             replicates=_all({name: effect.totals for name, effect in effects.items()}) or {},
             covariance=_all({name: effect.covariance for name, effect in effects.items()}),
             parameter_values=measured.inputs,

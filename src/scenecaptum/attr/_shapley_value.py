@@ -19,7 +19,7 @@ from ._gradients import input_values
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
 from ._passes import DEFAULT_PASSES
-from ._perturbation import Arm, Effect, Effects, Perturbation
+from ._perturbation import Arm, Effect, Effects, Missed, Perturbation
 from ._view import Denoise
 
 Coalition: TypeAlias = "frozenset[str]"
@@ -145,7 +145,7 @@ class ShapleyValueScene(Perturbation):
             Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
         )
 
-        def effects_of(pseudo: torch.Tensor) -> tuple[Effects, float | None]:
+        def effects_of(pseudo: torch.Tensor) -> tuple[Effects, Missed | None]:
             return _effects(game, pseudo, members)
 
         count, drawn = len(measured.budget.seeds), len(game.finished(len(measured.pseudo)))
@@ -272,7 +272,7 @@ def _sampled(
 
 def _effects(
     game: _Game, pseudo: torch.Tensor, members: Mapping[str, tuple[str, ...]]
-) -> tuple[Effects, float | None]:
+) -> tuple[Effects, Missed | None]:
     """Return every group's value, 0 where it changes nothing, and what they miss of the whole by rounding."""
     metric_of = dict(zip(game.coalitions, pseudo, strict=False))
     finished = game.finished(len(pseudo))
@@ -284,10 +284,10 @@ def _effects(
         return {}, None
     of = {player: shares[..., index] for index, player in enumerate(game.players)}
     nothing = torch.zeros_like(shares[..., 0])
-    gained = metric_of[frozenset(game.players)] - metric_of[frozenset()]
+    gained = (metric_of[frozenset(game.players)] - metric_of[frozenset()]).mean()
     return (
         {group: _effect(of.get(group, nothing), exact=game.orders is None) for group in members},
-        (shares.mean((0, 1)).sum() - gained.mean()).item(),
+        Missed((shares.mean((0, 1)).sum() - gained).item(), gained.item()),
     )
 
 

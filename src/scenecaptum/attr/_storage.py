@@ -19,7 +19,7 @@ from ._attribution import SceneAttribution
 FORMAT = "scenecaptum attribution 2"
 WITHOUT_CHECKSUM = "scenecaptum attribution 1"  # what earlier versions wrote; zip's own checks are all it has
 
-_TENSOR_FIELDS = ("attributions", "standard_error", "bias", "replicates", "covariance")
+_TENSOR_FIELDS = ("attributions", "standard_error", "bias", "quadrature_error", "replicates", "covariance")
 _SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta", "convergence_delta_error")
 _SURFACE_FIELDS = ("pixel", "object_index", "fraction")
 _TEXEL_FIELDS = ("entry", "texel", "weight")

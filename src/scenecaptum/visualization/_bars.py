@@ -24,7 +24,16 @@ from ._figures import (
     title_of,
 )
 from ._numbers import shorten
-from ._words import axis_words, caution_groups, count_words, pack, sampling_words, scene_cautions, sign_words
+from ._words import (
+    axis_words,
+    caution_groups,
+    convergence_words,
+    count_words,
+    pack,
+    sampling_words,
+    scene_cautions,
+    sign_words,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -189,6 +198,7 @@ def _remarks(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[str]
     hidden = len(attribution) - len(rows)
     parts = [
         *sampling_words(attribution),
+        *convergence_words(attribution),
         "whiskers: ± 1 standard error" if attribution.covariance is not None else "",
         "a colour's bar: ℓ2 norm over R, G, B" if any(len(row.total) == 3 for row in rows) else "",
         "" if any(row.saliency for row in rows) else "all saliencies are 0",

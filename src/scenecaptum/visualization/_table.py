@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from ._numbers import Format, align_decimals, columns, cut, pad, shorten, with_error
 from ._words import (
     caution_groups,
+    convergence_words,
     count_words,
     doubt_groups,
     method_name,
@@ -157,10 +158,12 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
 
 
 def _heading(attribution: SceneAttribution) -> list[str]:
-    parts = [metric_line(attribution), method_name(attribution), *sampling_words(attribution)]
-    if attribution.convergence_delta is not None:
-        parts.append(f"convergence delta {attribution.convergence_delta:.2g}")
-    return parts
+    return [
+        metric_line(attribution),
+        method_name(attribution),
+        *sampling_words(attribution),
+        *convergence_words(attribution),
+    ]
 
 
 def _gradient_heading(attribution: SceneAttribution, rows: Iterable[Ranked]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 
 
 _MOST_CAUTIONS = 5
+_ROUNDING = 1e-6  # of what is explained
 METRIC_WIDTH = 36  # letters of a metric's name in a figure
 
 
@@ -100,6 +102,25 @@ def noise_words(attribution: SceneAttribution) -> list[str]:
     """Say that the picture is too noisy for the metric, where it is."""
     caution = (attribution.info.get("picture") or {}).get("caution")
     return [f"caution: {caution}"] if caution else []
+
+
+def convergence_words(attribution: SceneAttribution) -> list[str]:
+    """Say whether contributions add up to the difference that they explain; nothing where they explain none."""
+    delta, error = attribution.convergence_delta, attribution.convergence_delta_error
+    if delta is None:
+        return []
+    verdict, explained = attribution.info.get("convergence"), attribution.info.get("explained")
+    if verdict is None or explained is None:
+        unknown = f"{verdict}: the metric is not finite at the baseline" if not math.isfinite(delta) else ""
+        return [unknown or f"convergence delta {delta:.2g}"]
+    if abs(delta) <= _ROUNDING * abs(explained):
+        delta = 0.0
+    value, bar = with_error(delta, error)
+    words = f"{verdict}: delta {value}{f' ± {bar}' if bar else ''} of {with_error(explained, error)[0]}"
+    quadrature = attribution.info.get("quadrature_error")
+    if error and quadrature and quadrature > error / 2:
+        words += ", mostly by quadrature: more steps help"
+    return [words]
 
 
 def against_words(attribution: SceneAttribution) -> list[str]:

@@ -16,6 +16,7 @@ from .._numbers import with_error
 from .._words import (
     axis_words,
     caution_groups,
+    convergence_words,
     doubt_groups,
     method_name,
     metric_name,
@@ -94,6 +95,7 @@ def _result(
         "written": [value, error],
         "method": method_name(attribution),
         "sampling": sampling_words(attribution),
+        "convergence": convergence_words(attribution),
         "cautions": list(cautions),
         "sceneCautions": scene_cautions(attribution),
         "doubts": list(doubts),

@@ -122,6 +122,7 @@ function drawNotes(result) {
     return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
   }));
   notes.push(...result.sceneCautions.map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`)));
+  notes.push(...result.convergence.map((text) => make("p", {}, text)));
   if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {
     notes.push(make("p", {}, ...["1", "-1", "0"].flatMap((sign, index) => [
