@@ -29,9 +29,12 @@ TIE = 0.05  # how near two saliencies are that count as tied, where no tolerance
 _FREE = 2**14  # samples of a whole picture, for which a pass takes little longer than for none
 _FIRST = 8  # samples of each pass of the first round, where the size of the picture is not known
 _FAR = 8.0  # a prediction of more growth than this is made again on the way
-_LEAST, _MOST = 1.1, 16.0  # growth of all samples by one round
+_LEAST, _MOST = 1.1, 8.0  # growth of all samples by one round
+_SECOND = 1.5  # least growth by the second round: the first does not miss what it has not seen
 _ROUNDS = 10
+_SAMPLES = 2**17  # per pixel, in all rounds
 _CLEAR = 6.0  # standard errors apart: no need to compare
+_MANY = 30.0  # effective samples: a pilot has not seen rare paths either
 _COMPARED = 4  # one sample for so many tells what another renderer would change: they share their seeds
 _SAFE = 0.95  # of the time that is left, to be filled by a round
 _SPENT = 0.05  # of a time limit, too little to begin another round
@@ -75,9 +78,9 @@ class Verdict:
     Attributes
     ----------
     widths
-        The parameters that have the share, which the report is about.
+        The parameters that may have the share, which the report is about.
     wanted
-        What the goal asks for: those parameters, or the differences between neighbours.
+        What the goal asks for: that these are known well enough, or the differences between neighbours.
     quantiles
         Of ``widths`` and of ``wanted``.
     order
@@ -94,8 +97,18 @@ class Verdict:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """The simultaneous half-width of each parameter that has the share, in the ℓ2 norm."""
+        """The simultaneous half-width of each parameter that may have the share, in the ℓ2 norm."""
         return {one.names[0]: self.quantiles[0] * one.error for one in self.widths if self.degrees}
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether there is no noise but rounding, of which no other round would tell more."""
+        return all(one.is_exact for one in self.widths)
+
+    @property
+    def is_calm(self) -> bool:
+        """Whether many samples make up all spread, as a pilot tells."""
+        return all(one.effective is not None and one.effective >= _MANY for one in self.wanted)
 
     @property
     def is_reached(self) -> bool:
@@ -129,25 +142,42 @@ class Verdict:
         return max((one.growth(quantile) for one in self.wanted), default=1.0)
 
 
-def judge(found: GradientSum, goal: Goal, members: Mapping[str, tuple[str, ...]] | None) -> Verdict:
-    """Compare what is known with what is wanted."""
-    quantities = _totals(found, members)
-    every = sum(one.size for one in quantities)
-    slack = goal.tolerance or 0.0
-    # Whose share is below by less than its error may have it.
-    widths = [one for one in quantities if (1 + slack) * one.size >= goal.share * every]
-    widths = widths or quantities[:1]
+def judge(
+    found: GradientSum,
+    goal: Goal,
+    members: Mapping[str, tuple[str, ...]] | None,
+    effective: Mapping[str, float] | None = None,
+) -> Verdict:
+    """Compare what is known with what is wanted.
+
+    ``effective`` are the samples that make up the spread of each parameter's gradient, in effect, where a renderer
+    tells.
+
+    A parameter is known well enough where its half-width is within the tolerance, or where even the upper limit of
+    its saliency is below the share of the lower limit of all saliency: an estimate that happens to be small says
+    nothing as long as its error is large.
+    """
+    quantities = _totals(found, members, effective or {})
     degrees = found.degrees_of_freedom
-    quantile = simultaneous_quantile(widths, degrees)
+    slack = goal.tolerance or 0.0
+    every = _sum_of_sizes(quantities)
+    near = [one for one in quantities if one.upper(_CLEAR) >= goal.share * every.lower(_CLEAR)]
+    quantile = simultaneous_quantile([*near, every], degrees)
+    floor = goal.share * every.lower(quantile)
+    widths = [one for one in near if one.upper(quantile) > floor] or quantities[:1]
     order = [one.names[0] for one in quantities]
     if goal.top is None:
-        wanted = [dataclasses.replace(one, target=slack * one.size) for one in widths]
+        wanted = [dataclasses.replace(one, target=max(slack * one.size, floor - one.size)) for one in near]
         return Verdict(widths, wanted, (quantile, quantile), order, degrees)
     wanted = _differences(quantities, goal.top, slack or TIE)
     return Verdict(widths, wanted, (quantile, simultaneous_quantile(wanted, degrees)), order, degrees)
 
 
-def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -> list[Quantity]:
+def _totals(
+    found: GradientSum,
+    members: Mapping[str, tuple[str, ...]] | None,
+    effective: Mapping[str, float],
+) -> list[Quantity]:
     """Return the channel totals of every parameter, or group, by falling size."""
     whole = 1 / found.share
     vectors = {
@@ -161,7 +191,10 @@ def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -
         )
         for name, mean in found.mean.items()
     }
+    # None has been met by a pilot: nothing is known.
+    counts = {name: count for name, count in effective.items() if count > 0}
     if members is not None:
+        counts = _of_groups(counts, {name: vector[1] for name, vector in vectors.items()}, members)
         vectors = {
             group: (
                 torch.stack([vectors[name][0].sum() for name in names]).sum(0, keepdim=True),
@@ -170,8 +203,35 @@ def _totals(found: GradientSum, members: Mapping[str, tuple[str, ...]] | None) -
             )
             for group, names in members.items()
         }
-    quantities = [Quantity((name,), *vector, target=0.0) for name, vector in vectors.items()]
+    quantities = [
+        Quantity((name,), *vector, target=0.0, effective=counts.get(name)) for name, vector in vectors.items()
+    ]
     return sorted(quantities, key=lambda one: -one.size)
+
+
+def _of_groups(
+    counts: Mapping[str, float], noise: Mapping[str, torch.Tensor], members: Mapping[str, tuple[str, ...]]
+) -> dict[str, float]:
+    """Return the effective samples of sums, whose members are taken to be independent."""
+    found = {}
+    for group, names in members.items():
+        variances = {name: noise[name].square().sum().item() for name in names}
+        fourth = sum(variances[name] ** 2 / counts[name] for name in names if name in counts)
+        if fourth and all(name in counts for name in names if variances[name]):
+            found[group] = sum(variances.values()) ** 2 / fourth
+    return found
+
+
+def _sum_of_sizes(quantities: list[Quantity]) -> Quantity:
+    """Return all saliency."""
+    changes = [_changes(one) for one in quantities]
+    return Quantity(
+        ("all saliency",),
+        quantities[0].total.new_tensor([sum(one.size for one in quantities)]),
+        torch.stack([noise for noise, _ in changes]).sum(0),
+        torch.stack([bias for _, bias in changes]).sum(0),
+        target=0.0,
+    )
 
 
 def _differences(quantities: list[Quantity], top: int, tie: float) -> list[Quantity]:
@@ -184,22 +244,32 @@ def _differences(quantities: list[Quantity], top: int, tie: float) -> list[Quant
     found = []
     for above, below in pairs:
         difference = above.size - below.size
+        (noise, bias), (less_noise, less_bias) = _changes(above), _changes(below)
         one = Quantity(
             (above.names[0], below.names[0]),
             above.total.new_tensor([difference]),
-            above.noise @ _along(above) - below.noise @ _along(below),
-            above.bias @ _along(above) - below.bias @ _along(below),
+            noise - less_noise,
+            bias - less_bias,
             max(difference, tie * above.size - difference),
+            min((one.effective for one in (above, below) if one.effective is not None), default=None),
         )
         if difference < _CLEAR * one.error:
             found.append(one)
     return found
 
 
-def _along(quantity: Quantity) -> torch.Tensor:
-    """Return the direction of a vector, along which an error changes its norm, as one column."""
+def _changes(quantity: Quantity) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return by how much noise and bias change the size, ``(passes, 1)`` and ``(1,)``.
+
+    These are their components along the vector. Where noise may have turned it, they count in full.
+    """
     norm = quantity.total.norm()
-    return (quantity.total / norm if norm > 0 else quantity.total)[:, None]
+    along = (quantity.total / norm if norm > 0 else quantity.total)[:, None]
+    noise, bias = quantity.noise @ along, quantity.bias @ along
+    known = math.sqrt(noise.square().sum().item() + bias.square().sum().item())
+    if quantity.size < _CLEAR * quantity.error and known > 0:
+        noise, bias = (quantity.error / known * one for one in (noise, bias))
+    return noise, bias
 
 
 def reach(
@@ -209,8 +279,12 @@ def reach(
 
     A first round, of ``first`` samples per pixel, tells how large the errors are and so how many samples the goal
     takes; the next takes these, or a third of them where they are many, to predict once more. A round that falls
-    short is followed by another. To look at errors and stop where they are small favours errors that are
-    underestimated; few looks, each with the degrees of freedom of all passes so far, keep that small.
+    short is followed by another, up to a number of rounds and of samples.
+
+    To look at errors and stop where they are small favours errors that are underestimated. Few looks keep that
+    small, each with the degrees of freedom of all replicates so far, or fewer where one of these has most of the
+    spread, or few paths of a pilot have it. And the first round does not end it, because rare paths that it has
+    missed are missing in its errors as well: the second has half its samples at least.
 
     Without a goal all samples are taken at once. With one, the effect of rendering ``against`` another renderer is
     measured afterwards.
@@ -302,10 +376,25 @@ class _Search:
             raise KeyboardInterrupt
         for one, into in zip(found, self.sums, strict=True):
             into.add(one)
-        self.verdicts = [judge(one, self.goal, self.run.members) for one in self.sums]
+        self.verdicts = [
+            judge(one, self.goal, self.run.members, self._effective(number))
+            for number, one in enumerate(self.sums)
+        ]
         self.seconds.append(self.time.now() - began)
         self.pass_time.note(spp, self.seconds[-1] / max(1, min(one.passes for one in found)))
         return interrupted
+
+    def _effective(self, number: int) -> Mapping[str, float]:
+        """Return how many samples make up the spread of each gradient of a metric, where the renderer tells."""
+        ask = getattr(self.run.renderer, "effective_samples", None)
+        if ask is None:
+            return {}
+        replicates = self.sums[number].replicates
+        spp = max(1, int(self.sums[number].share) // replicates)
+        found: Mapping[str, float] = ask(
+            self.run.values, self.rounds.propagated[number], spp=spp, replicates=replicates
+        )
+        return found
 
     def _first_size(self) -> tuple[int, int] | None:
         """Return the passes of the first round and their samples; a time limit may leave only few.
@@ -340,14 +429,15 @@ class _Search:
 
     def _next_size(self) -> tuple[int, int] | None:
         """Return the passes of the next round and their samples, or None where there is to be none."""
-        if len(self.seconds) == _ROUNDS or all(one.is_reached for one in self.verdicts):
+        sampled = self.sums[0].share
+        if self._is_over() or not self._samples_left():
             return None
         # What is predicted is as uncertain as the errors that it is predicted from.
         margin = 1 + 1 / math.sqrt(max(1, min(one.degrees for one in self.verdicts)))
         growth = margin * max(one.growth(self.passes) for one in self.verdicts)
-        growth = min(max(growth / 3 if growth > _FAR else growth, _LEAST), _MOST)
-        sampled = self.sums[0].share
-        samples = math.ceil((growth - 1) * sampled)
+        least_growth = _SECOND if len(self.seconds) == 1 else _LEAST
+        growth = min(max(growth / 3 if growth > _FAR else growth, least_growth), _MOST)
+        samples = min(math.ceil((growth - 1) * sampled), self._samples_left())
         most = 3 * self.passes
         if self.goal.time_limit is not None:
             left = self.time.left()
@@ -361,6 +451,23 @@ class _Search:
         passes = max(2, min(max(samples // (4 * self.first), least), most))
         fewest = self.first if self.goal.time_limit is None else 1
         return passes, max(fewest, samples // passes)
+
+    def _samples_left(self) -> int:
+        """Return how many samples per pixel there may be, or 0 where these are less than a first round."""
+        left = _SAMPLES - int(self.sums[0].share)
+        return left if left >= self.passes * self.first else 0
+
+    def _is_over(self) -> bool:
+        return len(self.seconds) == _ROUNDS or all(map(self.is_reached, self.verdicts))
+
+    def is_reached(self, verdict: Verdict) -> bool:
+        """Whether a goal is reached, and not by what a single round tells of its own noise.
+
+        Where the metric is linear and a pilot has seen no rare paths either, that is enough.
+        """
+        linear = all(one.seen is not None and one.seen.is_linear for one in self.sums)
+        enough = len(self.seconds) > 1 or verdict.is_exact or (linear and verdict.is_calm)
+        return verdict.is_reached and enough
 
     def _compare(self) -> None:
         """Measure what the other renderer would change, in a quarter of the samples."""
@@ -384,7 +491,7 @@ class _Search:
             own = Own(one.seen, self.rounds.image, self.rounds.samples, metric.through(one.seen.view))
             report = {
                 **self._report(verdict),
-                "stopped": self._stopped(interrupted),
+                "stopped": self.stopped(interrupted=interrupted),
                 "against": self.changes[number],
             }
             found.append(
@@ -401,12 +508,14 @@ class _Search:
             )
         return found
 
-    def _stopped(self, interrupted: bool) -> str:
+    def stopped(self, *, interrupted: bool = False) -> str:
         if interrupted:
             return "interrupted"
-        if all(one.is_reached for one in self.verdicts):
+        if all(map(self.is_reached, self.verdicts)):
             return "goal"
-        return "the number of rounds" if len(self.seconds) == _ROUNDS else "the time limit"
+        if len(self.seconds) == _ROUNDS:
+            return "the number of rounds"
+        return "the time limit" if self._samples_left() else "the number of samples"
 
     def _report(self, verdict: Verdict) -> dict[str, Any]:
         budget = self.rounds.budget
@@ -414,7 +523,7 @@ class _Search:
         return {
             **dataclasses.asdict(self.goal),
             "level": LEVEL,
-            "reached": None if self.goal.tolerance is self.goal.top is None else verdict.is_reached,
+            "reached": None if self.goal.tolerance is self.goal.top is None else self.is_reached(verdict),
             "relative_half_width": relative if math.isfinite(relative) else None,
             "half_widths": verdict.half_widths,
             "order": verdict.tiers(self.goal.top) if self.goal.top and verdict.degrees else None,
@@ -434,7 +543,7 @@ def _change(
 ) -> dict[str, Any]:
     """Say by how much the gradients that have the share would change, and how well that is known."""
     size = {one.names[0]: one.size for one in verdict.widths}
-    changes = [one for one in _totals(found, members) if one.names[0] in size]
+    changes = [one for one in _totals(found, members, {}) if one.names[0] in size]
     quantile = simultaneous_quantile(changes, found.degrees_of_freedom)
     norms = {one.names[0]: one.total.norm().item() for one in changes}
     widths = {one.names[0]: quantile * one.error for one in changes}

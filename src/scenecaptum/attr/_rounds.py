@@ -12,13 +12,14 @@ from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, without_checkpoint
 from ._gradients import Gradients, GradientSum, Point, PointGradient
-from ._jackknife import Adjoints, jackknife, through_view
+from ._jackknife import Adjoints, is_linear, jackknife, through_view
 from ._metric import TargetedMetric
-from ._passes import Budget
+from ._passes import NOISY_PICTURE_RATIO, Budget, pictures
 from ._view import Viewer
 
 _LEAST_SHARE = 0.5  # of a pass's time, for its samples
 _FARTHEST = 4  # times the samples that were timed: farther away times are not foretold
+_BACKWARD = 3  # times what a picture takes, for a backward pass with as many samples
 _GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
 
 
@@ -148,10 +149,10 @@ class Rounds(Gradients):
         super().__init__(renderer, metrics, Budget((), (), (), picture_ratio), viewer, bar)
         self._seed = seed
         self._time = time
-        self._began = 0.0  # the backward passes of this round
+        self._began = 0.0  # the pictures of this round, and then its backward passes
         self._more = 0  # backward passes that a bias takes
         self._pictures: list[tuple[torch.Tensor, int]] = []  # means, and the samples of each
-        self._propagated: list[torch.Tensor] = []  # by metric, in all rounds so far
+        self.propagated: list[torch.Tensor] = []  # by metric, in all rounds so far
 
     @property
     def points(self) -> int:
@@ -163,7 +164,12 @@ class Rounds(Gradients):
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
         seeds = {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._replays else {"seed": self._seed}
         # What a checkpoint has compiles nothing.
-        graph = without_checkpoint(self.renderer)(leaves, spp=spp, **seeds)
+        renderer = without_checkpoint(self.renderer)
+        graph = renderer(leaves, spp=spp, **seeds)
+        if not all(is_linear(one, [graph.detach()]) for one in self.metrics):
+            more = math.ceil((self._ratio - 1) * spp)
+            added = pictures(renderer, point.values, [self._seed ^ 2], more) if more else []
+            self.viewer.choose([graph.detach(), *added])  # for which guides may have to be rendered
         for metric in self.metrics:
             _, adjoint = metric.value_and_adjoint(graph)
             torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
@@ -171,6 +177,7 @@ class Rounds(Gradients):
     def take(self, point: Point, passes: int, spp: int) -> tuple[list[PointGradient], bool]:
         """Take one more round; return as ``at``, each share being the samples of the passes that were finished."""
         before, self.budget = self.budget, self.budget.with_round(passes, spp, self._seed)
+        self._began = self._time.now()
         try:
             found, interrupted = self.at(len(before.spp), point)
         except KeyboardInterrupt:
@@ -186,15 +193,36 @@ class Rounds(Gradients):
         )
         return found, interrupted
 
+    def _with_picture_samples(
+        self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
+    ) -> list[torch.Tensor]:
+        """Leave them out where what the pictures took so far leaves no time for them and the backward passes."""
+
+        def choose() -> tuple[int]:
+            rest = (self._ratio - 1 + _BACKWARD) * (self._time.now() - self._began)
+            return (int(self._time.left() < rest),)
+
+        if self._time.decide(("pictures", self._seed, self.budget.spp, self.budget.passes), choose) == (1,):
+            self.picture_spp = self.budget.spp[index]
+            return images
+        return super()._with_picture_samples(index, values, images)
+
+    @property
+    def _ratio(self) -> float:
+        """How many samples of the pictures there are at most for each of a backward pass."""
+        return self.budget.picture_ratio or NOISY_PICTURE_RATIO
+
     def _seen(
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
     ) -> list[Adjoints]:
         spp, old = self.picture_spp or 1, len(self._pictures)
-        pictures = [*self._pictures, *((image, spp) for image in images)]
-        samples = torch.tensor([count for _, count in pictures], dtype=torch.float32)
+        every = [*(image for image, _ in self._pictures), *images]
+        samples = torch.tensor(
+            [*(count for _, count in self._pictures), *[spp] * len(images)], dtype=torch.float32
+        )
         shares = (samples / samples.sum()).to(images[0])
-        self.image = torch.tensordot(shares, torch.stack([image for image, _ in pictures]), 1)
-        every, counts = [image for image, _ in pictures], samples.tolist()
+        self.image = torch.tensordot(shares, torch.stack(every), 1)
+        counts = samples.tolist()
         metrics = through_view(self.metrics, every, self.viewer, counts)
         seen = [jackknife(one, every, counts) for one in metrics]
         # The pseudo-values' mean is the adjoint without its bias.
@@ -205,9 +233,9 @@ class Rounds(Gradients):
         for number, one in enumerate(seen):
             new, mean = torch.stack(one.passes[old:]), propagated[number]
             if old:
-                mean = (mean - before * self._propagated[number]) / (1 - before)
+                mean = (mean - before * self.propagated[number]) / (1 - before)
             found.append(dataclasses.replace(one, passes=tuple(new - new.mean(0) + mean)))
-        self._propagated = propagated
+        self.propagated = propagated
         self._more = 0 if all(one.is_linear for one in seen) else 1
         self._keep(images, spp)
         self._began = self._time.now()

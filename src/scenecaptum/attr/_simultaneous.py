@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import torch
 
+from ._heavy_tails import FEW_SAMPLES
+
 LEVEL = 0.95
 
 _DRAWS = 2000  # the quantile is then good to 1 %
@@ -32,6 +34,9 @@ class Quantity:
         ``(C,)``: the bias that was taken out, an error of its own size. It falls as 1/samples.
     target
         The half-width that is wanted.
+    effective
+        How many samples make up its spread, in effect, where that is known: with few, most of what it may be has
+        not been seen.
     """
 
     names: tuple[str, ...]
@@ -39,6 +44,7 @@ class Quantity:
     noise: torch.Tensor
     bias: torch.Tensor
     target: float
+    effective: float | None = None
 
     @property
     def size(self) -> float:
@@ -51,9 +57,52 @@ class Quantity:
         """The root of the expected square of the ℓ2 norm of its error."""
         return math.sqrt(self.noise.square().sum().item() + self.bias.square().sum().item())
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether its error is nothing but rounding."""
+        return self.error <= _ROUNDING * self.size
+
+    def upper(self, quantile: float) -> float:
+        """Return the upper limit of its size."""
+        return self.size + quantile * self.error if self.error else self.size
+
+    def lower(self, quantile: float) -> float:
+        """Return the lower limit of its size."""
+        return max(0.0, self.size - quantile * self.error) if self.error else self.size
+
+    def degrees(self, most: int) -> int:
+        """Return how many degrees of freedom the variance has: at most so many, fewer with heavy tails.
+
+        As many as a variance of normal rows that is as uncertain: ``2/u``, where ``u`` is the relative variance
+        of this variance, ``κ/n + 2/(n − 1)`` with the excess kurtosis ``κ`` of the rows: an unbiased estimate, or
+        what so few effective samples make of it where that is more. Of eight rows of which one has nearly all, it
+        leaves two.
+
+        References
+        ----------
+        Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics Bulletin 2(6),
+        1946. Joanes and Gill, "Comparing measures of sample skewness and kurtosis", The Statistician 47(1), 1998.
+        """
+        squares = self.noise.double().square().sum(1)
+        count, variance = len(squares), squares.sum().item()
+        if count < 2 or not variance:
+            return most
+        tails = [1 / self.effective] if self.effective else []
+        if count >= 4:
+            fourth = count * squares.square().sum().item() / variance**2
+            excess = (count - 1) * ((count + 1) * fourth - 3 * (count - 1)) / ((count - 2) * (count - 3))
+            tails.append(excess / count)
+        uncertainty = max(tails, default=0.0) + 2 / (count - 1)
+        return max(1, min(most, round(2 / uncertainty))) if uncertainty > 0 else most
+
+    @property
+    def is_rare(self) -> bool:
+        """Whether so few samples make up its spread that this tells no error."""
+        return self.effective is not None and self.effective < FEW_SAMPLES
+
     def is_reached(self, quantile: float) -> bool:
-        """Whether its half-width is as small as wanted, or nothing but rounding."""
-        return quantile * self.error <= max(self.target, _ROUNDING * self.size)
+        """Whether its half-width is as small as wanted and can be trusted, or is nothing but rounding."""
+        return self.is_exact or (quantile * self.error <= self.target and not self.is_rare)
 
     def growth(self, quantile: float) -> float:
         """Return by which factor the samples have to grow for the half-width that is wanted.
@@ -63,7 +112,7 @@ class Quantity:
         noise, bias = self.noise.square().sum().item(), self.bias.square().sum().item()
         allowed = (self.target / quantile) ** 2 if quantile > 0 else math.inf
         if noise + bias <= allowed:
-            return 1.0
+            return FEW_SAMPLES / self.effective if self.effective and self.is_rare else 1.0
         return (noise + math.sqrt(noise**2 + 4 * bias * allowed)) / (2 * allowed) if allowed else math.inf
 
 
@@ -71,8 +120,9 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
     """Return ``q`` such that with probability ``level`` no quantity's error is larger than ``q`` of its ``error``.
 
     The errors of all are drawn together from the covariance that the passes tell, and each is divided by a
-    standard error that is as uncertain as one from so many degrees of freedom. Student's quantile is what this
-    comes to for a single number; Bonferroni's inequality would make more of parameters that move together.
+    standard error that is as uncertain as one from so many degrees of freedom, or from fewer where its rows have
+    heavy tails. Student's quantile is what this comes to for a single number; Bonferroni's inequality would make
+    more of parameters that move together.
 
     References
     ----------
@@ -92,7 +142,8 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
     generator = torch.Generator().manual_seed(0)
     largest = torch.zeros(_DRAWS)
     drawn = torch.randn(_DRAWS * (degrees + 1), len(factor), generator=generator) @ factor
-    for errors in drawn.split([one.noise.shape[1] for one in live], 1):
+    for one, errors in zip(live, drawn.split([one.noise.shape[1] for one in live], 1), strict=True):
         squares = errors.square().sum(1).reshape(_DRAWS, degrees + 1)
-        largest = torch.maximum(largest, squares[:, 0] / squares[:, 1:].mean(1))
+        told = squares[:, 1 : one.degrees(degrees) + 1]
+        largest = torch.maximum(largest, squares[:, 0] / told.mean(1))
     return largest.quantile(level).sqrt().item()

@@ -96,13 +96,16 @@ class VanillaSceneGradient(GradientMethod):
             Least number of independent passes. Their spread gives the standard errors; with 1 there are none,
             and no correction of the bias that a noisy image puts into a non-linear metric.
         tolerance
-            Goal: add passes until the 95 % interval of every parameter that has at least ``share`` of all saliency
-            reaches no further than ``tolerance`` times its saliency; they hold for all of these at once.
+            Goal: add replicates until the 95 % half-width of every parameter that has at least ``share`` of all
+            saliency is within ``tolerance`` times its saliency; they hold for all of these at once. A parameter
+            leaves the goal only when the upper limit of its saliency is below the share. After ten rounds or
+            131 072 samples per pixel it ends, reached or not.
         share
-            See ``tolerance``.
+            See ``tolerance``. Of the lower limit of all saliency.
         top
-            Goal: add passes until the order of the first ``top`` parameters is clear. Two that differ by less than
-            ``tolerance`` (0.05 by default) are tied.
+            Goal: add replicates until the order of the first ``top`` parameters is clear: each is above the next,
+            and the last above all others, by more than the half-width of the difference. Two that differ by less
+            than ``tolerance`` (0.05 by default) are tied.
         time_limit
             In seconds, without what compiling takes: the best that can be had in that time, or a goal if it is
             reached before.
@@ -123,8 +126,9 @@ class VanillaSceneGradient(GradientMethod):
         -------
         SceneAttribution
             Signed gradients with standard errors; a list of them for a list of targets. Where there was a goal,
-            ``info["planner"]`` says what was reached: the half-widths, the order with its ties, each round, and
-            what ``against`` would change.
+            ``info["planner"]`` says whether it is ``reached`` and what ``stopped`` it: the half-widths of all
+            parameters that may have the share, the order with its ties, each round, and what ``against`` would
+            change.
 
         Raises
         ------
