@@ -180,7 +180,8 @@ def take_pilot(integrator: Any, scene: Any, sensor: Any, rows: Rows, spp: int, s
     def counter(pixel: Any, response: Any) -> Counter:
         return Counter(rows, dr.gather(mi.UInt32, of_pixel, pixel), blocks, response, *sums)
 
-    integrator.count(scene, sensor, spp, seed, counter)
+    if scene.emitters():  # of which one is sampled
+        integrator.count(scene, sensor, spp, seed, counter)
     samples = spp * np.bincount(block)
     squares, fourths = (one.numpy()[: shape[0] * blocks].reshape(shape) / samples for one in sums)
     return Pilot(rows.parameters, squares, fourths, block)

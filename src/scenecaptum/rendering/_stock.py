@@ -53,3 +53,14 @@ class StockEngine(Engine):
             else torch.zeros_like(values[name])
             for name in tracked
         )
+
+    def spread(
+        self,
+        values: Values,
+        tracked: Sequence[str],
+        adjoint: torch.Tensor,
+        spp: int,
+        replicates: int,
+    ) -> dict[str, tuple[float, float]]:
+        """Return nothing: Mitsuba's own integrators have no pilot."""
+        return {}
