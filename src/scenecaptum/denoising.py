@@ -28,7 +28,18 @@ class Guides:
 
 
 def straight_through(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
-    """Return a denoised picture through which gradients pass unchanged: Open Image Denoise has no derivative."""
+    """Return a denoised picture through which gradients pass unchanged: Open Image Denoise has no derivative.
+
+    Parameters
+    ----------
+    image, guides
+        As for ``denoise``.
+
+    Raises
+    ------
+    SceneCaptumError
+        As ``denoise``.
+    """
     return image + (denoise(image, guides) - image).detach()
 
 

@@ -17,6 +17,8 @@ from ._view import RAW, View, Viewer
 # difference tells how fast it falls.
 CHANCE, CLEAR = 2.0, 4.0
 
+_AGREED = 3.0  # standard errors from 0
+
 _SLOWEST = 0.2  # exponent of the slowest fall of a bias that is taken into account
 _NEAR = 0.03  # of the way from the denoised picture to the noisy one: single bright pixels lie far beyond
 
@@ -104,21 +106,25 @@ def jackknife(
     bias_adjoint = _excess(moved, adjoint, step)
     _, near = _at_means(metric, stack, shares + step / 2 * changes)
     bias_adjoint = _trust(bias_adjoint, _excess(near, adjoint, step / 2)) * bias_adjoint
-    removed = _consistency((moved + adjoint) / 2 - near, _mean(stack, shares)) * bias_adjoint
+    agreed = _is_agreed((moved + adjoint) / 2 - near, _mean(stack, shares))
+    removed = bias_adjoint if agreed else torch.zeros_like(adjoint)
     deviations = torch.tensordot((directions / roots).T.to(moved), (moved - moved.mean(0)) / step, 1)
     singles, alone = _at_means(metric, stack, torch.eye(count, dtype=torch.float64))
     deviations = _larger(deviations, alone - torch.tensordot(shares.to(alone), alone, 1))
     left = 1.0
     if abs(drift) > CLEAR * error:
         left = _bias_left(drift, singles.mean().item() - value, 1 / shares.square().sum().item())
-    nearer = metric.view.nearer
-    moved_by = 0.0 if nearer is None else metric.through(nearer).value(_mean(stack, shares)) - value
+    bias_adjoint = left * bias_adjoint + _by_denoiser(metric, _mean(stack, shares), adjoint)
+    nearer, moved_by = metric.view.nearer, 0.0
+    if nearer is not None:
+        better, there = metric.through(nearer).value_and_adjoint(_mean(stack, shares))
+        moved_by, bias_adjoint = better - value, bias_adjoint + there - adjoint
     return Adjoints(
         value=value,
         standard_error=math.hypot(error, left * drift, moved_by),
         bias=left * drift,
         passes=tuple(adjoint - removed + deviations),
-        bias_adjoint=left * bias_adjoint + _by_denoiser(metric, _mean(stack, shares), adjoint),
+        bias_adjoint=bias_adjoint,
         drift=(drift, error),
         denoised=None if nearer is None else value + moved_by,
         view=metric.view,
@@ -191,10 +197,10 @@ def _trust(far: torch.Tensor, near: torch.Tensor) -> float:
     return min(1.0, max(0.0, 1 - noise / square)) if square else 0.0
 
 
-def _consistency(bends: torch.Tensor, image: torch.Tensor) -> float:
-    """Return how much of a bias to take out, between 0 and 1, from what each of the means says of it.
+def _is_agreed(bends: torch.Tensor, image: torch.Tensor) -> bool:
+    """Whether all means of the pictures say the same of a bias, so that it is worth taking out.
 
-    Where a metric bends alike in many pixels, all means agree. Where it bends in a few that happen to lie near a
+    Where a metric bends alike in many pixels, they agree. Where it bends in a few that happen to lie near a
     threshold, they do not: taking their mean out would add more noise than it removes bias.
 
     Parameters
@@ -205,8 +211,7 @@ def _consistency(bends: torch.Tensor, image: torch.Tensor) -> float:
         Weighs the pixels by their light.
     """
     told = (bends * image).double().flatten(1).sum(1)
-    mean, variance = told.mean().item(), told.var().item() / len(told)
-    return max(0.0, 1 - variance / mean**2) if mean else 0.0
+    return bool(told.mean().abs() > _AGREED * told.std() / math.sqrt(len(told)))
 
 
 @lru_cache(maxsize=64)
@@ -251,12 +256,12 @@ def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tenso
 
 
 def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
-    """Whether a metric has the same adjoint at two pictures: the first two, or one and another made of it.
+    """Whether a metric has the same adjoint at two pictures: the first two, or one and a darker one made of it.
 
     One that has no derivative is not linear, as far as can be told.
     """
     first = images[0]
-    other = images[1] if len(images) > 1 else torch.lerp(first, first.roll(1, 0), 0.5)
+    other = images[1] if len(images) > 1 else torch.lerp(first, first.roll(1, 0), 0.5) / 2
     adjoint, moved = (metric.value_and_derivative(image)[1] for image in (first, other))
     return adjoint is not None and moved is not None and _is_rounding(moved - adjoint, adjoint)
 

@@ -142,7 +142,7 @@ class Missed(NamedTuple):
 
 
 class Perturbation:
-    """A method that compares renders of changed scenes, and never differentiates."""
+    """A method that compares renders of changed scenes, and never differentiates one."""
 
     def __init__(self, renderer: Any, metric: Metric) -> None:
         self.renderer = renderer

@@ -137,7 +137,7 @@ def product_of(
     moved = _Moved(scenes, direction, stencil.places)
     values = {name: scenes.values[name] for name in names}
     found: SceneAttribution = VanillaSceneGradient(moved, slope).attribute(
-        values, scenes.metric.target, **options
+        values, scenes.metric.target, **options, denoise=scenes.metric.view.denoises
     )
     assert found.image is not None
     info = {key: value for key, value in found.info.items() if key != "scale"}
