@@ -42,8 +42,8 @@ def add(commands: Any) -> None:
         "--tolerance",
         type=float,
         metavar="X",
-        help="add samples until the 95 %% interval of every parameter with 5 %% of all saliency reaches no "
-        "further than X times its own, such as 0.05",
+        help="add samples until the 95 %% half-width of every parameter that may have 5 %% of all saliency is "
+        "within X times its own, such as 0.05; the table says where that is out of reach",
     )
     parser.add_argument(
         "--time-limit",
@@ -174,6 +174,7 @@ def _json(attribution: SceneAttribution) -> str:
 
 
 def _numbers(attribution: SceneAttribution) -> dict[str, Any]:
+    picture = attribution.info.get("picture") or {}
     return {
         "metric": {
             "name": attribution.info["metric"],
@@ -181,7 +182,7 @@ def _numbers(attribution: SceneAttribution) -> dict[str, Any]:
             "standard_error": attribution.metric_standard_error,
             "bias": attribution.info["metric_bias"],
             "interval_95": attribution.metric_interval(0.95),
-            "caution": attribution.info["picture"]["caution"],
+            "caution": picture.get("caution"),
         },
         "ranking": [row._asdict() for row in attribution.ranking()],
         "info": dict(attribution.info),
@@ -196,7 +197,7 @@ def _write_csv(attribution: SceneAttribution, path: Path) -> None:
         columns = ["rank", "name", "label", "saliency", "saliency_error"]
         gradients = [f"gradient_{c + 1}" for c in channels] + [f"error_{c + 1}" for c in channels]
         writer.writerow([*columns, *gradients, "metric_caution"])
-        caution = attribution.info["picture"]["caution"] or ""
+        caution = (attribution.info.get("picture") or {}).get("caution") or ""
         for row in rows:
             padding = [""] * (len(channels) - len(row.total))
             errors = ("",) * len(row.total) if row.total_error is None else row.total_error

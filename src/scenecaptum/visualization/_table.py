@@ -63,7 +63,11 @@ def table_text(attribution: SceneAttribution, top: int | None = ROWS) -> str:
     """
     table = _table(attribution, top)
     width = shutil.get_terminal_size(fallback=(_WIDTH, 24)).columns
-    lines = pack(table.heading, width)
+    lines = [
+        part
+        for line in pack(table.heading, width)
+        for part in textwrap.wrap(line, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
+    ]
     lines += ["", *_grid([table.columns, *table.rows], width)]
     for note in table.notes:
         lines += textwrap.wrap(note, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
