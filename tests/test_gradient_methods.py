@@ -25,6 +25,7 @@ from scenecaptum import (
 )
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._passes import Budget
+from scenecaptum.attr._quadrature_error import covariance_of_quadrature
 
 # Captum sets requires_grad on the detached inputs it is given, and says so.
 pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already require gradients")
@@ -374,8 +375,12 @@ def test_groups_add_up_their_members_and_their_errors(box):
     assert sum(kinds.values()).item() == pytest.approx(sum(v.sum().item() for v in alone.values()), rel=1e-4)
     assert kinds.convergence_delta == pytest.approx(alone.convergence_delta, abs=1e-5)
     # The channels of a colour share their paths: their errors add as their covariance says.
-    together = alone.covariance[LIGHT].sum().sqrt().float()
-    torch.testing.assert_close(kinds.standard_error["emitters"], together, rtol=1e-3, atol=0)
+    # The error of a sum's quadrature is its own.
+    spread, together = (
+        (found.covariance[name] - covariance_of_quadrature(found.quadrature_error[name], found[name])).sum()
+        for found, name in ((kinds, "emitters"), (alone, LIGHT))
+    )
+    torch.testing.assert_close(spread, together, rtol=1e-3, atol=0)
     assert kinds.heatmap().shape == (16, 16)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from extremes.scenes import GREY, mean, room
+from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient
 
@@ -28,7 +29,7 @@ def picture(mi: Any, texels: Any) -> dict[str, Any]:
 def gradient(renderer: SceneRenderer, name: str, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """The picture, and how its mean changes."""
     leaf = renderer.inputs[name].requires_grad_()
-    image = renderer({name: leaf}, seed=3, spp=32, **options)
+    image = renderer({name: leaf}, seed=shifted(3), spp=32, **options)
     return image.detach(), torch.autograd.grad(image.mean(), leaf)[0]
 
 
@@ -67,16 +68,18 @@ def test_a_colour_counts_as_the_mean_of_its_channels(
         ):
             torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-8)
     tangent = torch.func.jvp(
-        lambda x: ours({name: x}, seed=3, spp=32).mean(), *[(ours.inputs[name],)], (torch.tensor(1.0),)
+        lambda x: ours({name: x}, seed=shifted(3), spp=32).mean(),
+        *[(ours.inputs[name],)],
+        (torch.tensor(1.0),),
     )
     torch.testing.assert_close(tangent[1], gradient(ours, name)[1], rtol=1e-3, atol=1e-8)
 
 
 def test_it_is_ranked_as_one_number(mi: Any, masked: SceneRenderer) -> None:
     """And its derivative is the finite difference."""
-    found = VanillaSceneGradient(masked, mean).attribute(seed=0, spp=256)
+    found = VanillaSceneGradient(masked, mean).attribute(seed=shifted(0), spp=256)
     plain = SceneRenderer(room(mi, ball=mask(0.5), lamp=20.0), "opacity")
-    same = VanillaSceneGradient(plain, mean).attribute(seed=0, spp=256)
+    same = VanillaSceneGradient(plain, mean).attribute(seed=shifted(0), spp=256)
     assert found.saliency()[OPACITY] == pytest.approx(same.saliency()[OPACITY], rel=1e-3)
     step = 0.05
     slopes = torch.stack(
@@ -86,7 +89,7 @@ def test_it_is_ranked_as_one_number(mi: Any, masked: SceneRenderer) -> None:
                 for side in (-1, 1)
             )
             / (2 * step)
-            for seed in range(8)
+            for seed in seeds(8)
         ]
     ).double()
     error = (slopes.var() / 8 + found.standard_error[OPACITY].double() ** 2).sqrt()
@@ -109,14 +112,14 @@ def test_a_coloured_picture_counts_as_its_luminance(mi: Any) -> None:
 
 def test_what_is_written_is_what_is_rendered(mi: Any, masked: SceneRenderer) -> None:
     opaque = SceneRenderer(room(mi, ball=GREY, lamp=20.0), "reflectance")
-    torch.testing.assert_close(masked({OPACITY: torch.tensor(1.0)}, seed=1), opaque(seed=1))
+    torch.testing.assert_close(masked({OPACITY: torch.tensor(1.0)}, seed=shifted(1)), opaque(seed=shifted(1)))
 
 
 def test_a_scene_of_the_users_keeps_its_colour(mi: Any) -> None:
     scene = mi.load_dict(room(mi, ball=mask(COLOUR)), optimize=False)
     renderer = SceneRenderer(scene, "opacity")
     gradient(renderer, OPACITY)
-    renderer({OPACITY: torch.tensor(0.1)}, seed=1)
+    renderer({OPACITY: torch.tensor(0.1)}, seed=shifted(1))
     assert np.array(mi.traverse(scene)[OPACITY]).ravel().tolist() == pytest.approx([0.2, 0.5, 0.8])
 
 

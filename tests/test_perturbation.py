@@ -326,12 +326,17 @@ def test_several_targets_share_their_renders(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_gradient_is_taken(method):
+def test_no_render_is_differentiated_and_the_metric_need_not_have_a_derivative(method):
+    class Primal(PartsRenderer):
+        def __call__(self, inputs, *, seed, spp):
+            assert not torch.is_grad_enabled()
+            return super().__call__(inputs, seed=seed, spp=spp)
+
     def hard(image: torch.Tensor) -> torch.Tensor:
-        assert not torch.is_grad_enabled()
         return (image > 0.5).float().mean()
 
-    method(PartsRenderer(), hard).attribute()
+    for metric in (hard, torch.mean):
+        method(Primal(), metric).attribute()
 
 
 # ------------------------------------------------------------------------------------------------ interruption

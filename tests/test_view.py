@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from seeds import seeds, shifted
 
 import scenecaptum as sc
 from scenecaptum import Camera, FeatureAblationScene, SceneRenderer, VanillaSceneGradient, metrics
@@ -51,7 +52,7 @@ def glare() -> Any:
 
 def test_the_choice_is_measured_and_so_are_the_errors():
     noisy, calm = Fireflies(), Fireflies(chance=1.0)
-    images = [noisy(noisy.inputs, seed=seed, spp=4) for seed in range(8)]
+    images = [noisy(noisy.inputs, seed=seed, spp=4) for seed in seeds(8)]
     view = choose_view("auto", images, None, None)
     assert view.denoises
     truth = noisy.exact(noisy.inputs)
@@ -66,7 +67,11 @@ def test_the_choice_is_measured_and_so_are_the_errors():
     assert error([denoise(one) for one in halves]) < 0.2 * view.raw_error
     assert view.denoised_error < 0.5 * view.raw_error
 
-    clean = [calm(calm.inputs, seed=seed, spp=4) + 1e-5 * torch.rand(SIZE, SIZE, 3) for seed in range(8)]
+    clean = [
+        calm(calm.inputs, seed=seed, spp=4)
+        + 1e-5 * torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(seed))
+        for seed in seeds(8)
+    ]
     assert not choose_view("auto", clean, None, None).denoises
 
 
@@ -74,7 +79,7 @@ def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
     renderer, rating = Fireflies(), glare()
     exact = rating(renderer.exact(renderer.inputs)).item()
     held = raw_held = near = cautions = 0
-    for seed in range(20):
+    for seed in seeds(20):
         denoised, raw = (
             VanillaSceneGradient(renderer, rating).attribute(seed=seed, spp=32, denoise=mode)
             for mode in ("auto", False)
@@ -97,7 +102,7 @@ def test_gradients_at_a_denoised_picture_are_those_of_the_converged_one():
     leaves = {name: value.clone().requires_grad_() for name, value in renderer.inputs.items()}
     exact = torch.autograd.grad(rating(renderer.exact(leaves)), list(leaves.values()))
     misses = 0
-    for seed in range(10):
+    for seed in seeds(10):
         found = VanillaSceneGradient(renderer, rating).attribute(seed=seed, spp=64)
         for (name, value), true in zip(found.items(), exact, strict=True):
             misses += bool(abs(value - true) > 4 * found.standard_error[name] + 1e-4 * abs(true))
@@ -107,7 +112,8 @@ def test_gradients_at_a_denoised_picture_are_those_of_the_converged_one():
 def test_a_linear_metric_sees_the_picture_as_it_is():
     renderer = Fireflies()
     plain, other = (
-        VanillaSceneGradient(renderer, torch.mean).attribute(seed=3, denoise=mode) for mode in (False, True)
+        VanillaSceneGradient(renderer, torch.mean).attribute(seed=shifted(3), denoise=mode)
+        for mode in (False, True)
     )
     assert not other.info["picture"]["denoised"]
     assert other.info["picture"]["spp"] == 16
@@ -116,7 +122,7 @@ def test_a_linear_metric_sees_the_picture_as_it_is():
 
 
 def test_a_caution_is_printed_and_saved(tmp_path):
-    found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=0, denoise=False)
+    found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=shifted(0), denoise=False)
     caution = found.info["picture"]["caution"]
     assert caution.startswith("the picture is too noisy for this metric: ")
     assert caution in " ".join(str(found).split())
@@ -131,11 +137,14 @@ def test_a_caution_is_printed_and_saved(tmp_path):
 def test_samples_of_the_picture_are_a_budget_of_their_own():
     renderer, rating = Fireflies(), glare()
     few, many = (
-        VanillaSceneGradient(renderer, rating).attribute(seed=0, picture_spp=spp) for spp in (16, 512)
+        VanillaSceneGradient(renderer, rating).attribute(seed=shifted(0), picture_spp=spp)
+        for spp in (16, 512)
     )
     assert (few.info["picture"]["spp"], many.info["picture"]["spp"]) == (16, 512)
     assert many.metric_standard_error < few.metric_standard_error
-    by_goal = VanillaSceneGradient(renderer, rating).attribute(seed=0, tolerance=0.5, spp=16, picture_spp=64)
+    by_goal = VanillaSceneGradient(renderer, rating).attribute(
+        seed=shifted(0), tolerance=0.5, spp=16, picture_spp=64
+    )
     assert by_goal.info["picture"]["spp"] == 4 * by_goal.info["spp"]
 
 
@@ -145,7 +154,7 @@ def test_every_method_sees_what_it_is_told_to_see(method):
     half = dict.fromkeys(renderer.inputs, 0.5)
     baselines = {} if method is sc.SmoothGradScene else {"baselines": half}
     renderer.bounds = dict.fromkeys(renderer.inputs, (0.0, 2.0))
-    found = method(renderer, rating).attribute(seed=0, spp=64, denoise=True, **baselines)
+    found = method(renderer, rating).attribute(seed=shifted(0), spp=64, denoise=True, **baselines)
     assert found.info["picture"]["denoised"]
     exact = rating(renderer.exact(renderer.inputs)).item()
     assert abs(found.metric_value - exact) < 5 * found.metric_standard_error
@@ -160,10 +169,12 @@ def test_a_metric_without_derivatives_sees_the_denoised_picture():
     baselines = {"wall": 0.0, "window": 0.0}
     for mode, error in ((True, 8), ("auto", 8)):
         found = FeatureAblationScene(renderer, bright).attribute(
-            seed=0, spp=8, denoise=mode, baselines=baselines
+            seed=shifted(0), spp=8, denoise=mode, baselines=baselines
         )
         assert abs(found.metric_value - exact) <= error
-    raw = FeatureAblationScene(renderer, bright).attribute(seed=0, spp=8, denoise=False, baselines=baselines)
+    raw = FeatureAblationScene(renderer, bright).attribute(
+        seed=shifted(0), spp=8, denoise=False, baselines=baselines
+    )
     assert raw.metric_value > exact + 8
 
 
@@ -190,7 +201,7 @@ def test_what_does_not_fit_is_said():
 
 
 def test_gradients_pass_the_denoiser_unchanged():
-    image = Fireflies()(Fireflies().inputs, seed=0, spp=4).requires_grad_()
+    image = Fireflies()(Fireflies().inputs, seed=shifted(0), spp=4).requires_grad_()
     seen = straight_through(image)
     torch.testing.assert_close(seen.detach(), denoise(image))
     (gradient,) = torch.autograd.grad(seen.square().sum(), image)
@@ -244,6 +255,6 @@ def test_captum_sees_denoised_pictures_where_it_is_asked_for(mirrored):
     def metric(image: torch.Tensor) -> torch.Tensor:
         return image.square().mean()
 
-    forward, inputs = mirrored.as_captum(metric, seed=4, denoise=True)
-    image = mirrored(seed=4)
+    forward, inputs = mirrored.as_captum(metric, seed=shifted(4), denoise=True)
+    image = mirrored(seed=shifted(4))
     assert math.isclose(forward(*inputs).item(), metric(denoise(image, mirrored.guides)).item(), rel_tol=1e-4)
