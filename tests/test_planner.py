@@ -244,7 +244,8 @@ def test_a_fifth_of_the_tolerance_takes_25_times_the_samples():
         )
         for tolerance in (0.05, 0.01)
     }
-    assert 25 / 1.5 < spent[0.01] / spent[0.05] < 25 * 1.5, spent
+    # The first rounds, whose errors are uncertain, ask for up to twice as many as would do.
+    assert 25 / 2 < spent[0.01] / spent[0.05] < 25 * 2, spent
 
 
 def test_rounds_together_propagate_the_adjoint_of_all_pictures():
