@@ -103,7 +103,7 @@ def in_the_hall(mi: Any) -> SceneAttribution:
 
 
 def test_faint_lamps_and_what_they_light_are_marked(in_the_hall: SceneAttribution) -> None:
-    """Their 95 % intervals hold the truth in 8 to 77 % of runs: see ``benchmarks/interval_coverage.py``."""
+    """Their 95 % intervals hold the truth in 55 to 77 % of runs: see ``benchmarks/interval_coverage.py``."""
     rare = ("store_lamp.emitter", "store.", "crate.", "urn.", "door.diffuse", "vestibule.", "stone.")
     doubtful = in_the_hall.untrusted_errors()
     for start in rare:
