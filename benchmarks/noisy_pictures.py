@@ -7,12 +7,13 @@
 interval of the metric holds the value of a converged picture, or the result carries the caution. Seeds use parts
 of one pool of pictures, which is kept in FOLDER; the converged picture has samples of its own.
 
-`gradients` compares the leading gradients with finite differences at many samples, with common random numbers.
+`gradients` compares the leading gradients with finite differences of the rating at the converged picture.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from scenecaptum.attr._passes import DEFAULT_PASSES, NOISY_PICTURE_RATIO
 from scenecaptum.attr._picture_info import describe_picture
 from scenecaptum.attr._student import student_t
 from scenecaptum.attr._view import Viewer
-from scenecaptum.validation._scenes import Scenes, mean_and_error
+from scenecaptum.validation._scenes import mean_and_error
 
 RATINGS = {"ugr": metrics.UnifiedGlareRating, "dgp": metrics.DaylightGlareProbability}
 
@@ -46,6 +47,9 @@ def main() -> None:
     parser.add_argument(
         "--converged", type=int, default=16384, help="samples per pixel of the converged picture"
     )
+    parser.add_argument(
+        "--changed", type=int, default=1024, help="samples per pixel of the pictures of changed scenes"
+    )
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     sensor = int(options.sensor) if options.sensor.isdigit() else options.sensor
@@ -64,7 +68,7 @@ def main() -> None:
 
 
 def values(renderer: SceneRenderer, rating: torch.nn.Module, options: argparse.Namespace) -> None:
-    name = f"{Path(options.scene).resolve().parent.name}-{options.sensor}"
+    name = room_name(options)
     reference = pool(renderer, options.folder / f"{name}-converged.npy", options.converged // 256, 256, 1)
     half = len(reference) // 2
     parts = [rating(one.mean(0)).item() for one in (reference, reference[:half], reference[half:])]
@@ -100,7 +104,7 @@ def rate(
             None,
             denoised=seen.denoised,
             interval=(seen.value - width, seen.value + width),
-            half_class=rating.half_class,
+            half_class=float(rating.half_class),
         )
         holds, caution = abs(seen.value - exact) <= width, about["caution"] is not None
         held, cautions, either = held + holds, cautions + caution, either + (holds or caution)
@@ -118,22 +122,25 @@ def rate(
 
 
 def gradients(renderer: SceneRenderer, rating: torch.nn.Module, options: argparse.Namespace) -> None:
+    """Print the leading gradients beside differences of the rating at the converged picture.
+
+    What a change of the scene does to the picture has little noise, by common random numbers: half of it is added
+    to the converged picture, and taken away from it.
+    """
+
+    def rise(picture: torch.Tensor, half: torch.Tensor) -> float:
+        upper, lower = ((picture + sign * half).clamp_min(0) for sign in (1, -1))
+        return (rating(upper) - rating(lower)).item()
+
     attribution = VanillaSceneGradient(renderer, rating).attribute(spp=options.spp[0], seed=0)
     print(attribution)
-    scenes = Scenes.split(renderer, rating, None, seed=1, spp=options.converged, replicates=DEFAULT_PASSES)
+    path = options.folder / f"{room_name(options)}-converged.npy"
+    reference = pool(renderer, path, options.converged // 256, 256, 1)
+    count = DEFAULT_PASSES
+    pictures = reference[: len(reference) // count * count].reshape(count, -1, *reference.shape[1:]).mean(1)
     for row in attribution.ranking(5):
-        value = renderer.inputs[row.name]
-        low, high = renderer.bounds[row.name]
-        step = min(
-            0.05,
-            0.5 * float((high - value.max()).clamp_min(0)),
-            0.5 * float((value.min() - low).clamp_min(0)),
-        )
-        step = step or 0.02
-        upper, lower = ((value + sign * step).clamp(low, high) for sign in (1, -1))
-        slope = (scenes.measure({row.name: upper}) - scenes.measure({row.name: lower})) / (
-            upper - lower
-        ).max().item()
+        half, distance = half_change(renderer, row.name, options.changed // count, count)
+        slope = pseudo_values(rise, pictures, half) / (2 * distance)
         exact, error = mean_and_error(slope)
         told, own = sum(row.total), float(attribution.covariance[row.name].sum().sqrt())
         z = (told - exact) / np.hypot(own, error)
@@ -141,6 +148,35 @@ def gradients(renderer: SceneRenderer, rating: torch.nn.Module, options: argpars
             f"{row.label}: gradient {told:+.3f} ± {own:.3f}, difference {exact:+.3f} ± {error:.3f}, z {z:+.2f}",
             flush=True,
         )
+
+
+def half_change(renderer: SceneRenderer, name: str, spp: int, count: int) -> tuple[torch.Tensor, float]:
+    """Return half of what a step up and one down differ by in the picture, replicates of it, and the step."""
+    value, (low, high) = renderer.inputs[name], renderer.bounds[name]
+    step = min(0.05, float(high - value.max()), float(value.min() - low))
+    if step < 0.01:
+        raise SystemExit(f"{name} is too near to a bound for a step of 0.01 either way")
+    seeds = np.random.SeedSequence([3, spp]).generate_state(count).tolist()
+    sides = [
+        torch.stack([renderer({name: value + sign * step}, seed=seed, spp=spp).detach() for seed in seeds])
+        for sign in (1, -1)
+    ]
+    return (sides[0] - sides[1]) / 2, step
+
+
+def pseudo_values(function: Callable[..., float], *replicates: torch.Tensor) -> torch.Tensor:
+    """Return the jackknife pseudo-values of a function of means."""
+    count = len(replicates[0])
+    whole = function(*(one.mean(0) for one in replicates))
+    without = [
+        function(*((one.sum(0) - one[left_out]) / (count - 1) for one in replicates))
+        for left_out in range(count)
+    ]
+    return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
+
+
+def room_name(options: argparse.Namespace) -> str:
+    return f"{Path(options.scene).resolve().parent.name}-{options.sensor}"
 
 
 def pool(renderer: SceneRenderer, path: Path, count: int, spp: int, stream: int) -> torch.Tensor:

