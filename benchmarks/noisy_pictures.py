@@ -104,7 +104,7 @@ def rate(
             None,
             denoised=seen.denoised,
             interval=(seen.value - width, seen.value + width),
-            half_class=float(rating.half_class),
+            half_class=rating.half_class,
         )
         holds, caution = abs(seen.value - exact) <= width, about["caution"] is not None
         held, cautions, either = held + holds, cautions + caution, either + (holds or caution)

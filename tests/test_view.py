@@ -200,6 +200,16 @@ def test_what_does_not_fit_is_said():
         denoise(torch.zeros(5, 5))
 
 
+@pytest.mark.parametrize("factor", [2.0**-100, 1e-30, 0.7, 1e30])
+def test_a_brighter_picture_is_denoised_as_much(factor):
+    renderer = Fireflies()
+    image = renderer(renderer.inputs, seed=shifted(), spp=8)
+    expected = denoise(image)
+    assert (expected - image).norm() > 0.1 * image.norm()
+    torch.testing.assert_close(denoise(image * factor) / factor, expected, rtol=1e-3, atol=1e-4)
+    assert not denoise(torch.zeros_like(image)).any()
+
+
 def test_gradients_pass_the_denoiser_unchanged():
     image = Fireflies()(Fireflies().inputs, seed=shifted(0), spp=4).requires_grad_()
     seen = straight_through(image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -92,6 +93,13 @@ def denoise(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
     if image.ndim > CHANNELS:
         each = [None] * len(image) if guides is None else map(Guides, guides.albedo, guides.normal)
         return torch.stack([denoise(*pair) for pair in zip(image, each, strict=True)])
-    color = image.detach().to("cpu", torch.float32).clamp_min(0).numpy()
+    light = image.detach().to("cpu", torch.float64).clamp_min(0)
+    mean = light.mean().item()
+    if mean == 0 or not math.isfinite(mean):
+        return image.detach().clamp_min(0)
+    # The denoiser takes very faint pictures for black. A power of two scales without rounding.
+    exposure = math.ldexp(1.0, math.frexp(mean)[1])
+    color = (light / exposure).to(torch.float32).numpy()
     known = {} if guides is None else {"albedo": guides.albedo.numpy(), "normal": guides.normal.numpy()}
-    return torch.from_numpy(pyoidn.denoise(color, hdr=True, clean_aux=bool(known), **known)).to(image)
+    found = pyoidn.denoise(color, hdr=True, clean_aux=bool(known), **known)
+    return (torch.from_numpy(found).double() * exposure).to(image)
