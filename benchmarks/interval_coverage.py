@@ -4,16 +4,18 @@ For each metric, many independent attributions of few samples are compared with 
 parameter that the reference resolves: the share of its channels' intervals that cover the reference, how many
 runs were marked ``?``, and how many of those runs that miss it. Then, for all of them: how many are covered in
 less than 85 % of the runs, of how many of these at least 80 % of the misses are marked, and how often a parameter
-that is covered in 90 % and more is marked all the same. On the Cornell box, the default, the reference must be
-five times as precise as the bars.
+that is covered in 90 % and more is marked all the same; in brackets the same without the pilot, where one pass
+that has nearly all of the spread is the only reason for a mark. On the Cornell box, the default, the reference
+must be five times as precise as the bars.
 
     python benchmarks/interval_coverage.py [--repeats 200] [--spp 64] [--method vanilla|integrated]
-        [--scene cornell-box|office|hall|PATH] [--resolution 48x27] [--reference 32768]
+        [--scene cornell-box|office|hall|PATH] [--resolution 48x27] [--reference 32768] [--inputs reflectance …]
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,12 +47,12 @@ def box() -> SceneRenderer:
     )
 
 
-def room(scene: str, resolution: str) -> SceneRenderer:
-    """Return a renderer of all of a room's parameters: a bundled one, the hall, or that of a file."""
+def room(scene: str, resolution: str, inputs: list[str]) -> SceneRenderer:
+    """Return a renderer of a room: a bundled one, the hall, or that of a file."""
     activate()
     width, height = map(int, resolution.split("x"))
     source = hall() if scene == "hall" else Path(scene) if Path(scene).is_file() else scene
-    return SceneRenderer(source, "all", resolution=(width, height), max_depth=6)
+    return SceneRenderer(source, inputs, resolution=(width, height), max_depth=6)
 
 
 def rated(renderer: SceneRenderer) -> Mapping[str, torch.nn.Module]:
@@ -68,21 +70,26 @@ class Coverage:
     ----------
     covered
         Of the intervals that hold the reference.
+    misses
+        How many runs miss it in any channel.
     marked
-        Of the runs whose error bar is marked.
-    misses, marked_misses
-        How many runs miss it in any channel, and how many of these are marked.
+        Of the runs whose error bar is marked, with the pilot and without.
+    marked_misses
+        How many of the runs that miss it are marked, with the pilot and without.
     """
 
     covered: float
-    marked: float
     misses: int
-    marked_misses: int
+    marked: tuple[float, float]
+    marked_misses: tuple[int, int]
 
     @property
-    def warned(self) -> bool:
-        """Whether it is covered, or the runs that miss it say so."""
-        return self.covered >= COVERED or self.marked_misses >= MARKED * self.misses
+    def warned(self) -> tuple[bool, bool]:
+        """Whether it is covered, or the runs that miss it say so, with the pilot and without."""
+        with_pilot, without = (
+            self.covered >= COVERED or marked >= MARKED * self.misses for marked in self.marked_misses
+        )
+        return with_pilot, without
 
 
 def coverage(
@@ -103,16 +110,19 @@ def coverage(
     live = {name: channels for name, channels in live.items() if channels.any()}
     covered: dict[str, list[torch.Tensor]] = {name: [] for name in live}
     bars: dict[str, list[torch.Tensor]] = {name: [] for name in live}
-    marked: dict[str, list[bool]] = {name: [] for name in live}
+    marked: dict[str, list[tuple[bool, bool]]] = {name: [] for name in live}
     for seed in range(repeats):
         one = attribute(seed=seed, spp=spp, **settings)
         doubtful = one.untrusted_errors()
+        without_pilot = dataclasses.replace(
+            one, info={**one.info, "effective_samples": {}}
+        ).untrusted_errors()
         intervals = one.interval(0.95)
         for name, channels in live.items():
             low, high = intervals[name]
             covered[name].append(((low <= truth[name]) & (truth[name] <= high))[channels])
             bars[name].append(one.standard_error[name])
-            marked[name].append(name in doubtful)
+            marked[name].append((name in doubtful, name in without_pilot))
     for name, errors in bars.items():
         bar = torch.stack(errors).square().mean(0).sqrt()
         worst = (truth.standard_error[name] / bar)[live[name]].max().item()
@@ -125,22 +135,27 @@ def _summary(covered: torch.Tensor, marked: torch.Tensor) -> Coverage:
     missed = ~covered.flatten(1).all(1)
     return Coverage(
         covered.float().mean().item(),
-        marked.float().mean().item(),
         int(missed.sum()),
-        int((missed & marked).sum()),
+        tuple(marked.float().mean(0).tolist()),
+        tuple((missed[:, None] & marked).sum(0).tolist()),
     )
 
 
 def verdict(found: Mapping[str, Coverage]) -> str:
     """Say in a line how a room fares."""
     low = [one for one in found.values() if one.covered < COVERED]
-    well = [one.marked for one in found.values() if one.covered >= WELL]
+    well = [one for one in found.values() if one.covered >= WELL]
     mean = sum(one.covered for one in found.values()) / len(found)
-    false = f"{sum(well) / len(well):.1%}" if well else "–"
+    warned, before = (sum(one.warned[which] for one in low) for which in (0, 1))
+    misses = sum(one.misses for one in low)
+    seen, seen_before = (sum(one.marked_misses[which] for one in low) for which in (0, 1))
+    false, false_before = (
+        f"{sum(one.marked[which] for one in well) / max(1, len(well)):.1%}" for which in (0, 1)
+    )
     return (
         f"{len(found)} parameters resolved, {mean:.1%} covered; {len(low)} covered in less than {COVERED:.0%}, "
-        f"of which {sum(one.warned for one in low)} warned of; of those covered in {WELL:.0%} and more "
-        f"{false} of the runs are marked"
+        f"of which {warned} warned of ({before}), with {seen} ({seen_before}) of {misses} misses marked; of the "
+        f"{len(well)} covered in {WELL:.0%} and more {false} ({false_before}) of the runs are marked"
     )
 
 
@@ -154,11 +169,15 @@ def main() -> None:
     parser.add_argument("--scene")
     parser.add_argument("--resolution", default="48x27")
     parser.add_argument("--reference", type=int, default=REFERENCE)
+    parser.add_argument("--inputs", nargs="+", default=["all"])
+    parser.add_argument("--metric", choices=SPP, help="only this one")
     options = parser.parse_args()
-    renderer = room(options.scene, options.resolution) if options.scene else box()
+    renderer = room(options.scene, options.resolution, options.inputs) if options.scene else box()
     size = "×".join(map(str, renderer.resolution))
     print(f"{options.scene or 'cornell-box'} {size}, {options.repeats} repeats, {options.method}")
     for name, metric in rated(renderer).items():
+        if options.metric not in (None, name):
+            continue
         spp = SPP[name] if options.spp is None else options.spp
         print(f"{name}, {spp} samples per pixel")
         precise = None if options.scene else PRECISE
@@ -168,8 +187,8 @@ def main() -> None:
         for parameter, one in found.items():
             label = renderer.labels[parameter]
             print(
-                f"  {label:28s} {one.covered:6.1%} covered, {one.marked:6.1%} marked, "
-                f"{one.marked_misses} of {one.misses} misses"
+                f"  {label:28s} {one.covered:6.1%} covered, {one.marked[0]:6.1%} marked, "
+                f"{one.marked_misses[0]} of {one.misses} misses"
             )
         print(f"  {verdict(found)}", flush=True)
 
