@@ -21,6 +21,7 @@ _AGREED = 3.0  # standard errors from 0
 
 _SLOWEST = 0.2  # exponent of the slowest fall of a bias that is taken into account
 _NEAR = 0.03  # of the way from the denoised picture to the noisy one: single bright pixels lie far beyond
+_REACH = 2.0  # standard errors that a bias counts for which is known by its size only
 
 
 @dataclass(frozen=True)
@@ -114,14 +115,15 @@ def jackknife(
     left = 1.0
     if abs(drift) > CLEAR * error:
         left = _bias_left(drift, singles.mean().item() - value, 1 / shares.square().sum().item())
-    bias_adjoint = left * bias_adjoint + _by_denoiser(metric, _mean(stack, shares), adjoint)
+    bent, turned = _by_denoiser(metric, stack, shares, adjoint)
+    bias_adjoint = left * bias_adjoint + turned
     nearer, moved_by = metric.view.nearer, 0.0
     if nearer is not None:
         better, there = metric.through(nearer).value_and_adjoint(_mean(stack, shares))
         moved_by, bias_adjoint = better - value, bias_adjoint + there - adjoint
     return Adjoints(
         value=value,
-        standard_error=math.hypot(error, left * drift, moved_by),
+        standard_error=math.hypot(error, left * drift, moved_by, bent / _REACH),
         bias=left * drift,
         passes=tuple(adjoint - removed + deviations),
         bias_adjoint=bias_adjoint,
@@ -155,13 +157,28 @@ def _bias_left(doubled: float, single: float, count: float) -> float:
     return float(1 / (2**exponent - 1))
 
 
-def _by_denoiser(metric: TargetedMetric, image: torch.Tensor, adjoint: torch.Tensor) -> torch.Tensor:
-    """Return by how much what the denoiser has changed moves the adjoint, to first order: ``H (I − S)``."""
+def _by_denoiser(
+    metric: TargetedMetric, images: torch.Tensor, shares: torch.Tensor, adjoint: torch.Tensor
+) -> tuple[float, torch.Tensor]:
+    """Return by how much what the denoiser has changed may move the value and the adjoint.
+
+    Let T be the true picture. The value holds the first order of ``T − S`` and lacks the second,
+    ``⟨T − S, H (T − S)⟩ / 2``. A noisy picture stands for T on either side, another on one than on the other, so
+    that their noise has no part in it; ``H`` is told by going as far as the noise of the mean picture does. The
+    adjoint lacks ``H (T − S)``.
+    """
     if not metric.view.denoises:
-        return torch.zeros_like(adjoint)
-    seen = metric.view(image)
-    _, moved = metric.value_and_adjoint_at(torch.lerp(seen, image.clamp_min(0), _NEAR))
-    return (moved - adjoint) / _NEAR
+        return 0.0, torch.zeros_like(adjoint)
+    mean = _mean(images, shares)
+    seen = metric.view(mean)
+    bent = 0.0
+    for share, image in zip(shares.tolist(), images.clamp_min(0), strict=True):
+        step = math.sqrt(share)
+        _, moved = metric.value_and_adjoint_at(torch.lerp(seen, image, step))
+        others = mean - seen - share * (image - seen)
+        bent += share / step * ((moved - adjoint).double() * others.double()).sum().item() / 2
+    _, near = metric.value_and_adjoint_at(torch.lerp(seen, mean.clamp_min(0), _NEAR))
+    return bent / (1 - shares.square().sum().item()), (near - adjoint) / _NEAR
 
 
 def _mean(images: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
@@ -256,12 +273,13 @@ def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tenso
 
 
 def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
-    """Whether a metric has the same adjoint at two pictures: the first two, or one and a darker one made of it.
+    """Whether a metric has the same adjoint at two pictures: two that differ, or one and a darker one made of it.
 
     One that has no derivative is not linear, as far as can be told.
     """
     first = images[0]
-    other = images[1] if len(images) > 1 else torch.lerp(first, first.roll(1, 0), 0.5) / 2
+    darker = torch.lerp(first, first.roll(1, 0), 0.5) / 2
+    other = next((image for image in images[1:] if not torch.equal(image, first)), darker)
     adjoint, moved = (metric.value_and_derivative(image)[1] for image in (first, other))
     return adjoint is not None and moved is not None and _is_rounding(moved - adjoint, adjoint)
 
