@@ -22,7 +22,7 @@ import torch
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.attr._jackknife import jackknife, through_view
 from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import DEFAULT_PASSES, NOISY_PICTURE_RATIO
+from scenecaptum.attr._passes import DEFAULT_PASSES, NOISY_PICTURE_RATIO, channel_totals
 from scenecaptum.attr._picture_info import describe_picture
 from scenecaptum.attr._student import student_t
 from scenecaptum.attr._view import Viewer
@@ -139,29 +139,34 @@ def gradients(renderer: SceneRenderer, rating: torch.nn.Module, options: argpars
     count = DEFAULT_PASSES
     pictures = reference[: len(reference) // count * count].reshape(count, -1, *reference.shape[1:]).mean(1)
     for row in attribution.ranking(5):
-        half, distance = half_change(renderer, row.name, options.changed // count, count)
-        slope = pseudo_values(rise, pictures, half) / (2 * distance)
-        exact, error = mean_and_error(slope)
-        told, own = sum(row.total), float(attribution.covariance[row.name].sum().sqrt())
+        half, way = half_change(renderer, row.name, options.changed // count, count)
+        exact, error = mean_and_error(pseudo_values(rise, pictures, half) / 2)
+        told = float((attribution[row.name] * way).sum())
+        total = float(channel_totals(attribution[row.name]).sum())
+        own = abs(told / total) * float(attribution.covariance[row.name].sum().sqrt())
         z = (told - exact) / np.hypot(own, error)
         print(
-            f"{row.label}: gradient {told:+.3f} ± {own:.3f}, difference {exact:+.3f} ± {error:.3f}, z {z:+.2f}",
+            f"{row.label}: by the gradient {told:+.4f} ± {own:.4f}, difference {exact:+.4f} ± {error:.4f}, "
+            f"z {z:+.2f}",
             flush=True,
         )
 
 
-def half_change(renderer: SceneRenderer, name: str, spp: int, count: int) -> tuple[torch.Tensor, float]:
-    """Return half of what a step up and one down differ by in the picture, replicates of it, and the step."""
+def half_change(
+    renderer: SceneRenderer, name: str, spp: int, count: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return half of what a step up and one down differ by in the picture, replicates of it, and half the way.
+
+    Either step is 0.05, and less for what would cross a bound.
+    """
     value, (low, high) = renderer.inputs[name], renderer.bounds[name]
-    step = min(0.05, float(high - value.max()), float(value.min() - low))
-    if step < 0.01:
-        raise SystemExit(f"{name} is too near to a bound for a step of 0.01 either way")
+    upper, lower = ((value + sign * 0.05).clamp(low, high) for sign in (1, -1))
     seeds = np.random.SeedSequence([3, spp]).generate_state(count).tolist()
     sides = [
-        torch.stack([renderer({name: value + sign * step}, seed=seed, spp=spp).detach() for seed in seeds])
-        for sign in (1, -1)
+        torch.stack([renderer({name: moved}, seed=seed, spp=spp).detach() for seed in seeds])
+        for moved in (upper, lower)
     ]
-    return (sides[0] - sides[1]) / 2, step
+    return (sides[0] - sides[1]) / 2, (upper - lower) / 2
 
 
 def pseudo_values(function: Callable[..., float], *replicates: torch.Tensor) -> torch.Tensor:
