@@ -62,7 +62,7 @@ def test_a_network_that_has_learnt_something_is_told_from_random_ones():
 def test_a_metric_that_ignores_its_weights_is_found_out():
     checks = [randomisation_check(Lamps(noise=1.0), Deaf(), stages=1, seed=seed) for seed in seeds(4)]
     # Each happens by chance once in 70.
-    assert sum(check.ranking_changes + check.signs_change for check in checks) <= 1
+    assert sum(check.ranking_changes + check.signs_change for check in checks) <= 2
     for check in checks:
         own, random = check.magnitudes
         assert abs(own.mean() - random.mean()) < allowed(8) * own.std(), str(check)

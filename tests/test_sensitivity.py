@@ -103,7 +103,7 @@ def test_scattered_points_repeat_and_follow_the_seed():
 def test_morris_and_sobol_are_asked_the_same_question(function):
     """What SALib is given, and what is read from it, is judged by the closed form as well."""
     function = function()
-    found = compare_sensitivity(function, torch.mean, points=256, base_samples=256, trajectories=8, top=2)
+    found = compare_sensitivity(function, torch.mean, points=256, base_samples=1024, trajectories=8, top=2)
     for k, total in enumerate(function.total, start=1):
         name = f"x{k}"
         error = max(found.sobol.errors[name], 1e-4)
