@@ -1,7 +1,8 @@
 """How often the 95 % intervals of an attribution cover the truth, and whether a doubtful one is marked.
 
 For each metric, many independent attributions of few samples are compared with a reference. Printed for each
-parameter that the reference resolves: the share of its channels' intervals that cover the reference, how many
+parameter that the reference resolves: the share of its channels' intervals (of a texture: those of its totals, by
+which it is ranked) that cover the reference, how many
 runs were marked ``?``, and how many of those runs that miss it. Then, for all of them: how many are covered in
 less than 85 % of the runs, of how many of these at least 80 % of the misses are marked, and how often a parameter
 that is covered in 90 % and more is marked all the same; in brackets the same without the pilot, where one pass
@@ -24,7 +25,16 @@ from typing import Any
 import torch
 from _hall import hall
 
-from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, activate, metrics
+from scenecaptum import (
+    IntegratedGradientsScene,
+    SceneAttribution,
+    SceneRenderer,
+    VanillaSceneGradient,
+    activate,
+    metrics,
+)
+from scenecaptum.attr._passes import channel_totals
+from scenecaptum.attr._student import student_t
 
 RESOLUTION, DEPTH, REFERENCE = 24, 4, 32768
 SPP = {"mean luminance": 64, "unified glare rating": 256}
@@ -106,7 +116,8 @@ def coverage(
     make, settings = METHODS[method]
     attribute = make(renderer, metric).attribute
     truth = attribute(seed=10**6, spp=reference, replicates=64, **settings)
-    live = {n: (v != 0) & (v.abs() > RESOLVED * truth.standard_error[n]) for n, v in truth.items()}
+    exact, own = totals(truth)
+    live = {n: (v != 0) & (v.abs() > RESOLVED * own[n]) for n, v in exact.items()}
     live = {name: channels for name, channels in live.items() if channels.any()}
     covered: dict[str, list[torch.Tensor]] = {name: [] for name in live}
     bars: dict[str, list[torch.Tensor]] = {name: [] for name in live}
@@ -117,18 +128,28 @@ def coverage(
         without_pilot = dataclasses.replace(
             one, info={**one.info, "effective_samples": {}}
         ).untrusted_errors()
-        intervals = one.interval(0.95)
+        found, errors = totals(one)
+        reach = student_t(0.95, one.info["degrees_of_freedom"])
         for name, channels in live.items():
-            low, high = intervals[name]
-            covered[name].append(((low <= truth[name]) & (truth[name] <= high))[channels])
-            bars[name].append(one.standard_error[name])
+            off = (found[name] - exact[name]).abs()
+            covered[name].append((off <= reach * errors[name])[channels])
+            bars[name].append(errors[name])
             marked[name].append((name in doubtful, name in without_pilot))
-    for name, errors in bars.items():
-        bar = torch.stack(errors).square().mean(0).sqrt()
-        worst = (truth.standard_error[name] / bar)[live[name]].max().item()
+    for name, each in bars.items():
+        bar = torch.stack(each).square().mean(0).sqrt()
+        worst = (own[name] / bar)[live[name]].max().item()
         if precise is not None and worst > precise:
             raise RuntimeError(f"{name}: the reference's error is {worst:.2f} of the bar, allowed {precise}")
     return {name: _summary(torch.stack(covered[name]), torch.tensor(marked[name])) for name in live}
+
+
+def totals(found: SceneAttribution) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+    """Return each parameter's channel totals and their standard errors."""
+    assert found.covariance is not None
+    return (
+        {name: channel_totals(value).double() for name, value in found.items()},
+        {name: one.diagonal().double().sqrt() for name, one in found.covariance.items()},
+    )
 
 
 def _summary(covered: torch.Tensor, marked: torch.Tensor) -> Coverage:

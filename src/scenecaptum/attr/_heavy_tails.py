@@ -21,7 +21,7 @@ FALSE_ALARMS = 0.01
 
 # Effective number of samples that make up a spread: where these are fewer, intervals may hold the truth in less
 # than 85 % of runs (benchmarks/interval_coverage.py).
-FEW_SAMPLES = 3.0
+FEW_SAMPLES = 7.0
 
 # A spread so small, relative to what spreads, is rounding.
 ROUNDING = 1e-5

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import torch
 
-from ._heavy_tails import FEW_SAMPLES
-
 LEVEL = 0.95
 
 _DRAWS = 2000  # the quantile is then good to 1 %
 _DEGREES = 40  # more change a quantile by less than 3 %
+_LEAST_EFFECTIVE = 3.0  # samples, below which a spread is no reason to stop
 _ROUNDING = 1e-5  # single precision says no more of a sum over many samples
 
 
@@ -98,7 +97,7 @@ class Quantity:
     @property
     def is_rare(self) -> bool:
         """Whether so few samples make up its spread that this tells no error."""
-        return self.effective is not None and self.effective < FEW_SAMPLES
+        return self.effective is not None and self.effective < _LEAST_EFFECTIVE
 
     def is_reached(self, quantile: float) -> bool:
         """Whether its half-width is as small as wanted and can be trusted, or is nothing but rounding."""
@@ -112,7 +111,7 @@ class Quantity:
         noise, bias = self.noise.square().sum().item(), self.bias.square().sum().item()
         allowed = (self.target / quantile) ** 2 if quantile > 0 else math.inf
         if noise + bias <= allowed:
-            return FEW_SAMPLES / self.effective if self.effective and self.is_rare else 1.0
+            return _LEAST_EFFECTIVE / self.effective if self.effective and self.is_rare else 1.0
         return (noise + math.sqrt(noise**2 + 4 * bias * allowed)) / (2 * allowed) if allowed else math.inf
 
 
