@@ -86,9 +86,9 @@ def test_what_no_path_meets_is_marked(mi: Any, tmp_path: Path) -> None:
     found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute()
     name = "hidden.bsdf.reflectance.value"
     assert found[name].abs().max() == 0
-    assert found.untrusted_errors() == {
-        name: "no path of a pilot has met it: its light is rare, or there is none"
-    }
+    reasons = found.untrusted_errors()
+    assert reasons[name] == "no path of a pilot has met it: its light is rare, or there is none"
+    assert not any(one.startswith("floor") for one in reasons)
     found.save(tmp_path / "found.npz")
     assert SceneAttribution.load(tmp_path / "found.npz").untrusted_errors() == found.untrusted_errors()
     assert (found - found).untrusted_errors() == found.untrusted_errors()
