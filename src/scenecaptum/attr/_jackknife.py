@@ -115,20 +115,15 @@ def jackknife(
     left = 1.0
     if abs(drift) > CLEAR * error:
         left = _bias_left(drift, singles.mean().item() - value, 1 / shares.square().sum().item())
-    bent, turned = _by_denoiser(metric, stack, shares, adjoint)
-    bias_adjoint = left * bias_adjoint + turned
-    nearer, moved_by = metric.view.nearer, 0.0
-    if nearer is not None:
-        better, there = metric.through(nearer).value_and_adjoint(_mean(stack, shares))
-        moved_by, bias_adjoint = better - value, bias_adjoint + there - adjoint
+    moved_by, turned_by = _by_view(metric, stack, shares, value, adjoint)
     return Adjoints(
         value=value,
-        standard_error=math.hypot(error, left * drift, moved_by, bent / _REACH),
+        standard_error=math.hypot(error, left * drift, moved_by),
         bias=left * drift,
         passes=tuple(adjoint - removed + deviations),
-        bias_adjoint=bias_adjoint,
+        bias_adjoint=left * bias_adjoint + turned_by,
         drift=(drift, error),
-        denoised=None if nearer is None else value + moved_by,
+        denoised=None if metric.view.nearer is None else value + moved_by,
         view=metric.view,
     )
 
@@ -157,6 +152,23 @@ def _bias_left(doubled: float, single: float, count: float) -> float:
     return float(1 / (2**exponent - 1))
 
 
+def _by_view(
+    metric: TargetedMetric,
+    images: torch.Tensor,
+    shares: torch.Tensor,
+    value: float,
+    adjoint: torch.Tensor,
+) -> tuple[float, torch.Tensor]:
+    """Return how far the view may put off the value and the adjoint: errors of their own size."""
+    if metric.view.nearer is not None:
+        better, there = metric.through(metric.view.nearer).value_and_adjoint(_mean(images, shares))
+        return better - value, there - adjoint
+    if metric.view.denoises:
+        bent, turned = _by_denoiser(metric, images, shares, adjoint)
+        return bent / _REACH, turned
+    return 0.0, torch.zeros_like(adjoint)
+
+
 def _by_denoiser(
     metric: TargetedMetric, images: torch.Tensor, shares: torch.Tensor, adjoint: torch.Tensor
 ) -> tuple[float, torch.Tensor]:
@@ -167,8 +179,6 @@ def _by_denoiser(
     that their noise has no part in it; ``H`` is told by going as far as the noise of the mean picture does. The
     adjoint lacks ``H (T − S)``.
     """
-    if not metric.view.denoises:
-        return 0.0, torch.zeros_like(adjoint)
     mean = _mean(images, shares)
     seen = metric.view(mean)
     bent = 0.0

@@ -70,7 +70,7 @@ class Quantity:
         return max(0.0, self.size - quantile * self.error) if self.error else self.size
 
     def degrees(self, most: int) -> int:
-        """Return how many degrees of freedom the variance has: at most so many, fewer with heavy tails.
+        """Return the degrees of freedom of the variance: ``most``, or fewer where the rows have heavy tails.
 
         As many as a variance of normal rows that is as uncertain: ``2/u``, where ``u`` is the relative variance
         of this variance, ``κ/n + 2/(n − 1)`` with the excess kurtosis ``κ`` of the rows: an unbiased estimate, or
@@ -119,9 +119,9 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
     """Return ``q`` such that with probability ``level`` no quantity's error is larger than ``q`` of its ``error``.
 
     The errors of all are drawn together from the covariance that the passes tell, and each is divided by a
-    standard error that is as uncertain as one from so many degrees of freedom, or from fewer where its rows have
-    heavy tails. Student's quantile is what this comes to for a single number; Bonferroni's inequality would make
-    more of parameters that move together.
+    standard error as uncertain as one with these degrees of freedom, or fewer where its rows have heavy tails.
+    Student's quantile is what this comes to for a single number; Bonferroni's inequality would make more of
+    parameters that move together.
 
     References
     ----------
