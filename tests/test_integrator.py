@@ -13,7 +13,7 @@ from seeds import seeds
 
 from scenecaptum import SceneRenderer, metrics
 
-SEEDS = 8
+SEEDS = 16
 luminance = metrics.MeanLuminance()
 
 MIRROR = {"type": "conductor", "eta": 1.2, "k": 3.0, "specular_reflectance": 0.9}

@@ -13,7 +13,7 @@ from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics
 
-SEEDS = 8
+SEEDS = 16
 luminance = metrics.MeanLuminance()
 
 ALBEDO = "fog.interior_medium.albedo.value.value"
