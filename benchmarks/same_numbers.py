@@ -1,0 +1,131 @@
+"""Whether a rebuild left the numbers alone: every method's attributions, recorded before and compared after.
+
+``record`` writes what each method attributes in the Cornell box, the office and the living room with fixed seeds;
+``compare`` computes the same again and prints the largest difference of each run, relative to the largest value of
+that input. Gradients repeat to about 1e-6: sums on the device have no fixed order.
+
+    python benchmarks/same_numbers.py record FILE
+    python benchmarks/same_numbers.py compare FILE
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from scenecaptum import (
+    FeatureAblationScene,
+    GradientShapScene,
+    InputXGradientScene,
+    IntegratedGradientsScene,
+    OcclusionScene,
+    SceneRenderer,
+    ShapleyValueScene,
+    SmoothGradScene,
+    VanillaSceneGradient,
+    activate,
+    metrics,
+)
+from scenecaptum.scene import BUNDLED
+
+SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
+LIMIT = 1e-5
+
+METHODS: tuple[tuple[Any, dict[str, Any]], ...] = (
+    (VanillaSceneGradient, {}),
+    (VanillaSceneGradient, {"denoise": True}),
+    (VanillaSceneGradient, {"tolerance": 0.2}),
+    (InputXGradientScene, {}),
+    (IntegratedGradientsScene, {"n_steps": 4}),
+    (SmoothGradScene, {"nt_samples": 3}),
+    (GradientShapScene, {"n_samples": 3}),
+    (FeatureAblationScene, {"replicates": 3}),
+    (ShapleyValueScene, {"n_samples": 2, "replicates": 2}),
+)
+WINDOWS = (OcclusionScene, {"replicates": 2, "sliding_window_shapes": 16})
+
+
+def renderers() -> Iterator[tuple[str, SceneRenderer]]:
+    """Yield the three rooms, small and with few inputs."""
+    for name in ("cornell-box", "office"):
+        yield (
+            name,
+            SceneRenderer(BUNDLED[name](), inputs="materials", resolution=(24, 24), spp=8, max_depth=4),
+        )
+    room = SCENES / "living-room" / "scene.xml"
+    if room.is_file():
+        inputs = ["reflectance", "roughness", "*.scale"]
+        yield "living room", SceneRenderer(room, inputs=inputs, resolution=(32, 18), spp=8, max_depth=4)
+    else:
+        print(f"left out: {room} is not there")
+
+
+def attributions() -> Iterator[tuple[str, dict[str, torch.Tensor]]]:
+    """Yield what each method attributes: a name for the run, and its values and errors."""
+    for room, renderer in renderers():
+        glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
+        for metric in (metrics.MeanLuminance(), glare):
+            for method, options in METHODS:
+                run = f"{room} · {type(metric).__name__} · {method.__name__} {options or ''}"
+                yield run, numbers(method(renderer, metric).attribute(seed=3, **options))
+    office = SceneRenderer(BUNDLED["office"](), inputs="textures", resolution=(24, 24), spp=8, max_depth=4)
+    if office.inputs:
+        method, options = WINDOWS
+        attribution = method(office, metrics.MeanLuminance()).attribute(seed=3, **options)
+        yield f"office · textures · {method.__name__}", numbers(attribution)
+
+
+def numbers(attribution: Any) -> dict[str, torch.Tensor]:
+    """Return the values, their errors and the metric of an attribution."""
+    values = {f"value {name}": value.double() for name, value in attribution.items()}
+    errors = {f"error {name}": error.double() for name, error in attribution.standard_error.items()}
+    metric = torch.tensor([float(attribution.metric_value), float(attribution.metric_standard_error or 0)])
+    return values | errors | {"metric": metric.double()}
+
+
+def distance(now: torch.Tensor, before: torch.Tensor) -> float:
+    """Return the largest difference, relative to the largest value."""
+    scale = before.abs().max().item()
+    return ((now - before).abs().max().item() / scale) if scale else now.abs().max().item()
+
+
+def compare(file: Path) -> int:
+    """Print how far each run is from what was recorded, and return how many are beyond the limit."""
+    before = torch.load(file, weights_only=True)
+    beyond = 0
+    for run, now in attributions():
+        if run not in before:
+            print(f"   new      {run}")
+            continue
+        if now.keys() != before[run].keys():
+            print(f"   names    {run}: {sorted(now.keys() ^ before[run].keys())}")
+            beyond += 1
+            continue
+        worst = max(now, key=lambda name: distance(now[name], before[run][name]))
+        far = distance(now[worst], before[run][worst])
+        beyond += far > LIMIT
+        print(f"{far:9.1e} {'!' if far > LIMIT else ' '} {run} ({worst})")
+    print(f"{beyond} of {len(before)} runs differ by more than {LIMIT:g}")
+    return int(beyond > 0)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("action", choices=("record", "compare"))
+    parser.add_argument("file", type=Path)
+    args = parser.parse_args()
+    activate()
+    if args.action == "compare":
+        return compare(args.file)
+    torch.save(dict(attributions()), args.file)
+    print(f"written to {args.file}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
