@@ -1,4 +1,4 @@
-# Everything runs in .venv, made on first use: `make demo` in a fresh clone installs what it needs by itself.
+# Everything runs in .venv, which is created on first use: `make demo` in a fresh clone installs what it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -8,15 +8,15 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 
 help:
 	@echo "make demo       render a small scene, attribute a metric to it, write figures to out/"
-	@echo "make test       lint, then every test that takes seconds"
+	@echo "make test       lint, then all tests but the long ones"
 	@echo "make test-long  the tests that take minutes, with the counts they print"
 	@echo "make lint       ruff and mypy"
 	@echo "make docs       the documentation as HTML in docs/_build/; a warning is an error"
-	@echo "make package    build wheel and sdist, install them elsewhere, and run the demo there"
-	@echo "make notebooks  run the notebooks in examples/notebooks/ and keep their outputs; takes minutes"
+	@echo "make package    build wheel and sdist, install them in new environments, and run the demo there"
+	@echo "make notebooks  run the notebooks in examples/notebooks/ and store their outputs; takes minutes"
 	@echo "make clean      remove outputs and caches (not .venv)"
 	@echo
-	@echo "PYTHON=python3.12 chooses the Python that .venv is made with (3.10 or newer)."
+	@echo "PYTHON=python3.12 chooses the Python for .venv (3.10 or newer)."
 
 demo: .venv/.llvm
 	$(BIN)/scenecaptum demo --out out
@@ -50,7 +50,7 @@ $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "scenecaptum needs Python 3.10 or newer; try make PYTHON=python3.11")'
 	$(PYTHON) -m venv .venv
 
-# Stamps: a step is repeated when what it was made from has changed.
+# Stamp files: a step runs again when its inputs have changed.
 .venv/.base: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) -e .
 	@touch $@

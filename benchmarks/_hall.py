@@ -1,7 +1,7 @@
-"""A long hall in which much is rare: faint lamps in niches and side rooms, beside bright panels.
+"""A long hall with many rare light paths: faint lamps in niches and side rooms, beside bright panels.
 
-Most of its parameters are seen by few pixels, or by none, and half of its lamps light nothing but their own niche:
-a test of error bars that the bundled rooms, which are evenly lit, are not.
+Most of its parameters are visible in few pixels or none, and half of its lamps light only their own niche. It is a
+harder test of error bars than the bundled rooms, which are evenly lit.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Plugin = dict[str, Any]
 Interval = tuple[float, float]
 
 WIDTH, LENGTH, HEIGHT = 6.0, 30.0, 4.5  # metres
-DEEP, WIDE, TALL = 1.2, 1.6, 2.4  # of a niche
+NICHE_DEPTH, NICHE_WIDTH, NICHE_HEIGHT = 1.2, 1.6, 2.4
 
 
 def hall() -> Plugin:
@@ -73,31 +73,33 @@ def _materials() -> dict[str, Plugin]:
 
 
 def _side(name: str, sign: int, niches: tuple[float, ...]) -> dict[str, Plugin]:
-    """Return a wall of boxes with niches between them, each with walls of its own and something in it."""
-    inner, outer = sign * WIDTH / 2, sign * (WIDTH / 2 + DEEP)
+    """Return a wall of boxes with niches between them, each with its own material and an object in it."""
+    inner, outer = sign * WIDTH / 2, sign * (WIDTH / 2 + NICHE_DEPTH)
     wall, thin = _ordered(inner, outer), 0.05
-    things = {"left": ("clay", "vase", "bronze"), "right": ("marble", "stone", "urn")}[name]
+    objects = {"left": ("clay", "vase", "bronze"), "right": ("marble", "stone", "urn")}[name]
     shapes, start = {}, 0.0
-    for index, (at, thing) in enumerate(zip(niches, things, strict=True)):
+    for index, (at, item) in enumerate(zip(niches, objects, strict=True)):
         number = 2 * index + (1 if sign < 0 else 2)
         shapes[f"wall_{name}_{index}"] = _span(wall, (start, at), (0, HEIGHT), f"wall_{name}")
-        shapes[f"lintel_{name}_{index}"] = _span(wall, (at, at + WIDE), (TALL, HEIGHT), f"wall_{name}")
-        shapes[f"niche_{number}_back"] = _span(
-            _ordered(outer, outer + sign * thin), (at, at + WIDE), (0, TALL), f"niche_{number}"
+        shapes[f"lintel_{name}_{index}"] = _span(
+            wall, (at, at + NICHE_WIDTH), (NICHE_HEIGHT, HEIGHT), f"wall_{name}"
         )
-        # A lining, so that what a niche is made of is all that its lamp lights directly.
-        for side, y in (("near", (at, at + thin)), ("far", (at + WIDE - thin, at + WIDE))):
-            shapes[f"niche_{number}_{side}"] = _span(wall, y, (0, TALL), f"niche_{number}")
-        shapes[f"niche_{number}_floor"] = _span(wall, (at, at + WIDE), (-0.1, 0), f"niche_{number}")
-        middle = [(inner + outer) / 2, at + WIDE / 2]
-        shapes[f"{thing}_shape"] = _ball([*middle, 0.9], 0.4, thing)
-        start = at + WIDE
+        shapes[f"niche_{number}_back"] = _span(
+            _ordered(outer, outer + sign * thin), (at, at + NICHE_WIDTH), (0, NICHE_HEIGHT), f"niche_{number}"
+        )
+        # A lining, so that the lamp of a niche lights only the niche's material directly.
+        for side, y in (("near", (at, at + thin)), ("far", (at + NICHE_WIDTH - thin, at + NICHE_WIDTH))):
+            shapes[f"niche_{number}_{side}"] = _span(wall, y, (0, NICHE_HEIGHT), f"niche_{number}")
+        shapes[f"niche_{number}_floor"] = _span(wall, (at, at + NICHE_WIDTH), (-0.1, 0), f"niche_{number}")
+        middle = [(inner + outer) / 2, at + NICHE_WIDTH / 2]
+        shapes[f"{item}_shape"] = _ball([*middle, 0.9], 0.4, item)
+        start = at + NICHE_WIDTH
     shapes[f"wall_{name}_last"] = _span(wall, (start, LENGTH), (0, HEIGHT), f"wall_{name}")
     return shapes
 
 
 def _end() -> dict[str, Plugin]:
-    """Return the end: a vestibule behind an opening, and behind that, round a corner, a store."""
+    """Return the end: a vestibule behind an opening, and a store around the corner."""
     half, y, far = WIDTH / 2, LENGTH, LENGTH + 4
     return {
         "end_left": _span((-half, -0.9), (y, y + 0.2), (0, HEIGHT), "end_wall"),
@@ -129,7 +131,7 @@ def _furniture() -> dict[str, Plugin]:
 
 
 def _lamps() -> dict[str, Plugin]:
-    """Return eleven lamps, the faintest of which has a millionth of the power of the brightest."""
+    """Return eleven lamps; the faintest has a millionth of the power of the brightest."""
     half = WIDTH / 2
     panels = {
         f"panel_{index}": {
@@ -141,14 +143,14 @@ def _lamps() -> dict[str, Plugin]:
         }
         for index, (y, power) in enumerate(((4.0, 20.0), (12.0, 12.0), (20.0, 4.0)))
     }
-    wall = half + DEEP / 2
+    wall = half + NICHE_DEPTH / 2
     bulbs = {
-        "bulb_1": ([-wall, 5.0 + WIDE / 2, 2.1], 1.0),
-        "bulb_2": ([wall, 9.0 + WIDE / 2, 2.1], 8.0),
-        "bulb_3": ([-wall, 13.0 + WIDE / 2, 2.1], 0.5),
-        "bulb_4": ([wall, 17.0 + WIDE / 2, 2.1], 3.0),
-        "bulb_5": ([-wall, 21.0 + WIDE / 2, 2.1], 30.0),
-        "bulb_6": ([wall, 25.0 + WIDE / 2, 2.1], 1.5),
+        "bulb_1": ([-wall, 5.0 + NICHE_WIDTH / 2, 2.1], 1.0),
+        "bulb_2": ([wall, 9.0 + NICHE_WIDTH / 2, 2.1], 8.0),
+        "bulb_3": ([-wall, 13.0 + NICHE_WIDTH / 2, 2.1], 0.5),
+        "bulb_4": ([wall, 17.0 + NICHE_WIDTH / 2, 2.1], 3.0),
+        "bulb_5": ([-wall, 21.0 + NICHE_WIDTH / 2, 2.1], 30.0),
+        "bulb_6": ([wall, 25.0 + NICHE_WIDTH / 2, 2.1], 1.5),
         "vestibule_lamp": ([0.0, LENGTH + 2.0, 2.6], 10.0),
         "store_lamp": ([half + 2.0, LENGTH + 3.2, 2.4], 20.0),
     }
@@ -174,8 +176,8 @@ def _diffuse(*value: float) -> Plugin:
     return {"type": "diffuse", "reflectance": _rgb(*value)}
 
 
-def _ordered(one: float, other: float) -> Interval:
-    return min(one, other), max(one, other)
+def _ordered(a: float, b: float) -> Interval:
+    return min(a, b), max(a, b)
 
 
 def _ball(center: list[float], radius: float, material: str | Plugin) -> Plugin:
@@ -185,6 +187,6 @@ def _ball(center: list[float], radius: float, material: str | Plugin) -> Plugin:
 
 def _span(x: Interval, y: Interval, z: Interval, material: str) -> Plugin:
     """Return the box that fills the three given intervals."""
-    place = _transform().translate([sum(one) / 2 for one in (x, y, z)])
+    center = _transform().translate([sum(interval) / 2 for interval in (x, y, z)])
     size = [(high - low) / 2 for low, high in (x, y, z)]
-    return {"type": "cube", "to_world": place.scale(size), "bsdf": {"type": "ref", "id": material}}
+    return {"type": "cube", "to_world": center.scale(size), "bsdf": {"type": "ref", "id": material}}

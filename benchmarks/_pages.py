@@ -1,4 +1,4 @@
-"""Writing measured tables into the pages of the documentation."""
+"""Write measured tables into the pages of the documentation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def replace_table(page: Path, name: str, rows: Sequence[Sequence[str]]) -> None:
-    """Put a table, its headings first, between ``<!-- name -->`` and ``<!-- end of name -->`` in a page."""
+    """Replace the text between ``<!-- name -->`` and ``<!-- end of name -->`` by a table, headings first."""
     heading, *body = (f"| {' | '.join(row)} |" for row in rows)
     table = "\n".join([heading, "|" + "---|" * len(rows[0]), *body])
     text, count = re.subn(

@@ -1,7 +1,7 @@
-"""Whether the ranking by glare is real: each leading parameter is moved along its own gradient, room by room.
+"""Run the ablation test of the ranking by glare: move each leading parameter along its own gradient, room by room.
 
-Prints for every room what was predicted and what was measured, with the verdict, and writes the figure, in which
-crosses are the fixed step of the paper.
+Prints the predicted and the measured change for every room, with the verdict, and writes the figure, where crosses
+are the fixed step of the paper.
 
     python benchmarks/ablation.py [--room living-room] [--metric ugr] [--spp 256] [--top 12] [--out out/ablation]
 """

@@ -1,8 +1,8 @@
 """Compare the derivatives of every plugin's parameters with finite differences, and write the table.
 
-The judge is independent: Mitsuba's own ``path`` or ``volpath`` renders the scene, loaded without this package,
-with the parameter moved up and down under one seed. The whole table takes about an hour on four cores; the cache
-keeps what is done, case by case.
+The reference is independent: Mitsuba's own ``path`` or ``volpath`` renders the scene, loaded without this package,
+with the parameter moved up and down and common random numbers. The whole table takes about an hour on four cores;
+the cache stores each finished case.
 
     python benchmarks/derivatives.py [--only 'rough*'] [--quick] [--resume] [--write docs/derivatives.md]
 """
@@ -31,16 +31,16 @@ from derivative_table import ABOVE, BELOW, CASES, WITHOUT_PARAMETERS, Case, Row
 from scenecaptum import SceneRenderer, activate
 from scenecaptum.errors import SceneCaptumError
 
-SEEDS = 16  # what a standard error is estimated from
+SEEDS = 16  # for the estimate of a standard error
 FIRST_SPP, MOST_SPP = 64, 4096
 AIM = 0.04  # relative standard error at which sampling stops
-GOOD = 0.10  # and up to which a row counts as resolved
-# A one-sided difference starts a little inside: some plugins treat the bound itself apart (at an index of exactly
-# 1 the plastics jump by 0.1 %).
+GOOD = 0.10  # largest relative standard error of a resolved row
+# A one-sided difference starts slightly inside the bounds, because some plugins treat the bound itself specially
+# (at an index of exactly 1 the plastics jump by 0.1 %).
 START = 1e-3  # steps
-STEP_BIAS = 0.005  # what a difference quotient is allowed for its step, as a fraction of its value
-BUDGET, QUICK_BUDGET = 30.0, 4.0  # seconds for the difference of a row, and for ours of three rows
-# Seeds of the three sides, apart so that their errors are independent.
+STEP_BIAS = 0.005  # allowed bias of a difference quotient from its step, as a fraction of its value
+BUDGET, QUICK_BUDGET = 30.0, 4.0  # seconds for the difference of a row, and for our derivatives of three rows
+# Separate seeds, so that the errors of the three estimates are independent.
 OURS, DIFFERENCE, STOCK = 0, 100_000, 200_000
 SIDES = {ABOVE: " ↑", BELOW: " ↓"}
 
@@ -49,7 +49,7 @@ Targets = Mapping[str, Row]  # by the parameter's full name
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean over seeds with its standard error, and the samples per pixel that it took."""
+    """A mean over seeds with its standard error, and its total samples per pixel."""
 
     value: float
     error: float
@@ -61,12 +61,12 @@ class Estimate:
         return self.error / abs(self.value) if self.value else (math.inf if self.error else 0.0)
 
     @property
-    def is_nothing(self) -> bool:
-        """Whether it is 0 but for rounding, where the metric itself is about 1."""
+    def is_zero(self) -> bool:
+        """Whether it is 0 up to rounding, for a metric of about 1."""
         return abs(self.value) + self.error < 1e-5
 
     def __str__(self) -> str:
-        """Write the value to the digits that its error leaves."""
+        """Format the value to the precision of its error."""
         if not math.isfinite(self.value) or not math.isfinite(self.error):
             return str(self.value)
         if self.error == 0:
@@ -96,7 +96,7 @@ class Outcome:
     note: str = ""
 
     def __str__(self) -> str:
-        """Write the row as a line of text."""
+        """Format the row as a line of text."""
         value = "" if self.value is None else f"{self.value:.4g}"
         z = "" if self.z is None else f"{self.z:+.1f}"
         return (
@@ -109,13 +109,13 @@ class Outcome:
 
 
 def weights(width: int, height: int) -> np.ndarray[Any, Any]:
-    """Return the weight of each pixel in the metric: uneven, so that light that only moves about still counts."""
+    """Return the pixel weights of the metric: non-uniform, to be sensitive to light that moves in the image."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     return ((0.4 + 1.2 * u) * (1.4 - 0.8 * v) / (3 * width * height))[..., None]
 
 
-class Judge:
-    """A scene in Mitsuba's hands alone: difference quotients of its pictures, and the derivatives of ``prb``."""
+class MitsubaReference:
+    """A scene in Mitsuba without this package: difference quotients of its images, and derivatives of ``prb``."""
 
     def __init__(self, case: Case) -> None:
         self._mi = activate()
@@ -145,7 +145,7 @@ class Judge:
             return None
 
     def quotient(self, name: str, seed: int, spp: int) -> float:
-        """Return the second-order difference quotient of the metric, all samples under one seed."""
+        """Return the second-order difference quotient of the metric, with common random numbers."""
         row = self.targets[name]
         assert row.step is not None
 
@@ -171,8 +171,8 @@ class Judge:
             self._params[name] = self._copy(own)
         self._params.update()
 
-    def put_back(self, name: str) -> None:
-        """Give a parameter its own value again."""
+    def restore(self, name: str) -> None:
+        """Restore a parameter's own value."""
         self._move(name, 0)
 
     def difference(self, name: str, budget: float) -> Estimate:
@@ -180,11 +180,11 @@ class Judge:
         try:
             (found,) = sample(lambda seed, spp: [self.quotient(name, seed, spp)], DIFFERENCE, budget)
         finally:
-            self.put_back(name)
+            self.restore(name)
         return found
 
     def stock(self, spp: int) -> dict[str, Estimate | str]:
-        """Return the derivatives of Mitsuba's ``prb`` or ``prbvolpath``, or why there are none."""
+        """Return the derivatives by Mitsuba's ``prb`` or ``prbvolpath``, or the reason why there are none."""
         import drjit as dr
 
         kind = {"path": "prb", "volpath": "prbvolpath"}[self._settings["type"]]
@@ -202,7 +202,7 @@ class Judge:
             integrator.render_backward(
                 self._scene, self._params, self._mi.TensorXf(adjoint), 0, seed=seed, spp=spp
             )
-            found = [self._along(name, np.array(dr.grad(leaf))) for name, leaf in leaves.items()]
+            found = [self._directional(name, np.array(dr.grad(leaf))) for name, leaf in leaves.items()]
             dr.clear_grad(list(leaves.values()))
             return found
 
@@ -213,14 +213,14 @@ class Judge:
         found = dict(zip(leaves, estimates(draws, spp), strict=True))
         return {name: found.get(name, "not tracked") for name in self.targets}
 
-    def _along(self, name: str, gradient: np.ndarray[Any, Any]) -> float:
+    def _directional(self, name: str, gradient: np.ndarray[Any, Any]) -> float:
         own = np.array(self._own[name], dtype=np.float64)
         pattern = own / own.mean() if self.targets[name].scaled else 1.0
         return float((gradient * pattern).sum(dtype=np.float64))
 
 
 class Ours:
-    """The same scene in this package's hands."""
+    """The same scene in this package."""
 
     def __init__(self, case: Case, targets: Targets) -> None:
         self.renderer = SceneRenderer(case.build(), list(targets))
@@ -228,13 +228,13 @@ class Ours:
         self._weights = torch.from_numpy(weights(*self.renderer.resolution)).float()
 
     def gradients(self, seed: int, spp: int) -> list[float]:
-        """Return the derivatives of the metric, each along its row's direction."""
+        """Return the directional derivatives of the metric, one for each row."""
         leaves = self.renderer.leaves()
         (self.renderer(leaves, seed=seed, spp=spp) * self._weights).sum().backward()
-        return [self._along(row, leaves[name]) for name, row in self._targets.items()]
+        return [self._directional(row, leaves[name]) for name, row in self._targets.items()]
 
     @staticmethod
-    def _along(row: Row, leaf: torch.Tensor) -> float:
+    def _directional(row: Row, leaf: torch.Tensor) -> float:
         assert leaf.grad is not None
         pattern = leaf.detach() / leaf.detach().mean() if row.scaled else torch.ones_like(leaf)
         return float((leaf.grad * pattern).double().sum())
@@ -244,7 +244,7 @@ class Ours:
 
 
 def estimates(draws: np.ndarray[Any, Any], spp: int) -> list[Estimate]:
-    """Return the mean and standard error of each column of independent draws of so many samples per pixel."""
+    """Return the mean and standard error of each column of independent draws with ``spp`` samples per pixel."""
     count = len(draws)
     return [
         Estimate(float(column.mean()), float(column.std(ddof=1) / math.sqrt(count)), count * spp)
@@ -255,7 +255,7 @@ def estimates(draws: np.ndarray[Any, Any], spp: int) -> list[Estimate]:
 def sample(
     draw: Callable[[int, int], Sequence[float]], first_seed: int, budget: float, spp: int = FIRST_SPP
 ) -> list[Estimate]:
-    """Draw under new seeds, with ever more samples, until all means are good or the seconds are spent."""
+    """Draw with new seeds and increasing samples until all means are precise or the time budget is spent."""
     end = time.perf_counter() + budget
     count, seed = SEEDS, first_seed
     while True:
@@ -264,7 +264,7 @@ def sample(
         seed += count
         found = estimates(draws, spp)
         worst = max(estimate.relative_error for estimate in found)
-        # A round of so many times the samples takes at most so many times as long.
+        # The time of a round grows at most linearly with its samples.
         affordable = (end - time.perf_counter()) / (time.perf_counter() - began)
         if worst <= AIM or affordable < 1.5 or not np.isfinite(draws).all():
             return found
@@ -274,16 +274,16 @@ def sample(
         count = max(SEEDS, round(total / spp))
 
 
-# ------------------------------------------------------------------------------------------------ judging
+# ------------------------------------------------------------------------------------------------ comparing
 
 
 def run_case(case: Case, known: Sequence[Outcome], budget: float, with_stock: bool) -> list[Outcome]:
-    """Measure every row of a case; where the judge's side is known, only ours."""
+    """Measure every row of a case; if the reference is known, only our derivatives."""
     if not known:
         try:
-            known = judge_case(case, budget, with_stock)
+            known = measure_reference(case, budget, with_stock)
         except RuntimeError as error:
-            note = f"Mitsuba's own path tracer does not render it: {_told(error)}"
+            note = f"Mitsuba's own path tracer does not render it: {_error_text(error)}"
             return [
                 Outcome(
                     case.name, case.plugin, row.parameter, None, _step_text(row), "unsupported", note=note
@@ -302,28 +302,32 @@ def run_case(case: Case, known: Sequence[Outcome], budget: float, with_stock: bo
     return outcomes
 
 
-def judge_case(case: Case, budget: float, with_stock: bool) -> list[Outcome]:
-    """Return the rows of a case with the judge's side only."""
-    judge = Judge(case)
-    differences = {n: judge.difference(n, budget) for n, row in judge.targets.items() if row.step is not None}
-    stock = judge.stock(4 * FIRST_SPP) if with_stock and differences else {}
+def measure_reference(case: Case, budget: float, with_stock: bool) -> list[Outcome]:
+    """Return the rows of a case with the reference only."""
+    reference = MitsubaReference(case)
+    differences = {
+        name: reference.difference(name, budget)
+        for name, row in reference.targets.items()
+        if row.step is not None
+    }
+    stock = reference.stock(4 * FIRST_SPP) if with_stock and differences else {}
     return [
         Outcome(
             case=case.name,
             plugin=case.plugin,
             parameter=name,
-            value=judge.value(name),
+            value=reference.value(name),
             step=_step_text(row),
             verdict="",
             difference=differences.get(name),
             stock=stock.get(name),
         )
-        for name, row in judge.targets.items()
+        for name, row in reference.targets.items()
     ]
 
 
 def measure_ours(case: Case, targets: Targets, budget: float) -> tuple[dict[str, Estimate], dict[str, str]]:
-    """Return our derivatives, and for the parameters without one what the user is told."""
+    """Return our derivatives, and the error message or caution of parameters that have one."""
     try:
         ours = Ours(case, targets)
         notes = {name: f"caution: {caution}" for name, caution in ours.renderer.plan.cautions}
@@ -331,50 +335,50 @@ def measure_ours(case: Case, targets: Targets, budget: float) -> tuple[dict[str,
         return dict(zip(targets, sample(ours.gradients, OURS, seconds), strict=True)), notes
     except Exception as error:
         if len(targets) == 1:
-            return {}, dict.fromkeys(targets, _told(error))
+            return {}, dict.fromkeys(targets, _error_text(error))
     finally:
         ours = None
         gc.collect()
-    # One of several failed, and only one at a time shows which.
-    able, notes = {}, {}
+    # At least one of several failed: try them separately.
+    supported, notes = {}, {}
     for name, row in targets.items():
         try:
             SceneRenderer(case.build(), [name])
-            able[name] = row
+            supported[name] = row
         except Exception as error:
-            notes[name] = _told(error)
+            notes[name] = _error_text(error)
         gc.collect()
-    parts = [able] if 0 < len(able) < len(targets) else [{name: row} for name, row in able.items()]
+    some_failed = 0 < len(supported) < len(targets)
+    parts = [supported] if some_failed else [{name: row} for name, row in supported.items()]
     found: dict[str, Estimate] = {}
     for part in parts:
-        estimates, more = measure_ours(case, part, budget)
+        estimates, part_notes = measure_ours(case, part, budget)
         found.update(estimates)
-        notes.update(more)
+        notes.update(part_notes)
     return found, notes
 
 
 def z_score(ours: Estimate, difference: Estimate) -> float:
-    """Return how many standard errors lie between the two, the bias of the step counted as one of them."""
+    """Return the difference of the two in standard errors, which include the bias of the step."""
     error = math.hypot(ours.error, difference.error, STEP_BIAS * difference.value)
-    apart = ours.value - difference.value
-    return apart / error if error else (0.0 if apart == 0 else math.copysign(math.inf, apart))
+    deviation = ours.value - difference.value
+    return deviation / error if error else (0.0 if deviation == 0 else math.copysign(math.inf, deviation))
 
 
 def verdict(ours: Estimate | None, difference: Estimate | None, z: float | None) -> str:
-    """Say whether our derivative is right."""
     if ours is None:
         return "unsupported"
     if difference is None or z is None:
         return "unresolved"
-    if ours.is_nothing and difference.is_nothing:
+    if ours.is_zero and difference.is_zero:
         return "right"
     if not math.isfinite(ours.value) or abs(z) >= 4:
         return "wrong"
     return "right" if max(ours.relative_error, difference.relative_error) <= GOOD else "unresolved"
 
 
-def _told(error: BaseException) -> str:
-    """Return an error on one line: ours whole, the beginning of the innermost of Mitsuba's."""
+def _error_text(error: BaseException) -> str:
+    """Return an error on one line: our message in full, or the beginning of Mitsuba's innermost one."""
     while not isinstance(error, SceneCaptumError) and error.__cause__ is not None:
         error = error.__cause__
     text = " ".join(str(error).split())
@@ -385,7 +389,7 @@ def _told(error: BaseException) -> str:
 
 
 def run_plugin(plugin: str, chosen: set[str], options: argparse.Namespace) -> None:
-    """Run cases of one plugin, in a process of its own: Dr.Jit's calls reach every scene of a process."""
+    """Run the cases of one plugin in a separate process, because Dr.Jit's calls cover every scene of a process."""
     budget = QUICK_BUDGET if options.quick else BUDGET
     for case in CASES:
         if case.plugin != plugin or case.name not in chosen:
@@ -402,7 +406,7 @@ def run_plugin(plugin: str, chosen: set[str], options: argparse.Namespace) -> No
 
 
 def outcomes_in(cache: Path) -> list[Outcome]:
-    """Read the outcomes of the cases that still have the same rows, in their order."""
+    """Read the outcomes of those cases whose rows are unchanged, in the order of the cases."""
     record = json.loads(cache.read_text()) if cache.exists() else {}
     found = []
     for case in CASES:
@@ -424,7 +428,6 @@ def _outcome(entry: dict[str, Any]) -> Outcome:
 
 
 def summary(outcomes: Sequence[Outcome]) -> str:
-    """Count the verdicts."""
     counts = Counter(outcome.verdict for outcome in outcomes)
     return ", ".join(f"{counts[v]} {v}" for v in ("right", "wrong", "unresolved", "unsupported"))
 
@@ -434,21 +437,21 @@ def summary(outcomes: Sequence[Outcome]) -> str:
 INTRODUCTION = """# Derivatives against finite differences
 
 Every BSDF, texture, emitter and medium plugin of Mitsuba, and every continuous parameter that it exposes, each in
-a small scene: a ball or two, a floor, a block, a lamp, and a sky that is not uniform; or a floor in which the
-camera sees a lamp. Made by `python benchmarks/derivatives.py --write docs/derivatives.md` with {versions}:
+a small scene: a ball or two, a floor, a block, a lamp, and a non-uniform sky; or a floor that reflects a lamp into
+the camera. Measured by `python benchmarks/derivatives.py --write docs/derivatives.md` with {versions}:
 **{summary}**.
 
-- *Ours* is the derivative of a weighted mean of the picture that `SceneRenderer` returns, along all elements of
-  the parameter alike (of a bump map: in proportion to them). *Difference* is the finite difference of the same
-  number, from Mitsuba's own `path` or `volpath` (same depth, no Russian roulette) on a scene that this package has
-  not touched: of second order, under one seed, central or from above (↑) or below (↓), with the given step. Each
-  is a mean over at least {seeds} seeds ± its standard error.
-- *z* is their distance in standard errors; {bias:.1%} of the difference is allowed for its step.
+- *Ours* is the derivative of a weighted mean of the image from `SceneRenderer`, summed over all elements of the
+  parameter (for a bump map, weighted by their values). *Difference* is the finite difference of the same number,
+  from Mitsuba's own `path` or `volpath` (same depth, no Russian roulette) on a scene loaded without this package:
+  of second order, with common random numbers, central or from above (↑) or below (↓), with the given step. Each is
+  a mean over at least {seeds} seeds ± its standard error.
+- *z* is their distance in standard errors; {bias:.1%} of the difference is added to the error for its step.
 - *prb* is Mitsuba's own `prb` or `prbvolpath` on the same scene; *raises*: it refuses the scene; *not tracked*:
   the parameter has no derivative there.
 - *right*: |z| < 4, and both errors are at most {good:.0%} of their values. *wrong*: |z| ≥ 4. *unresolved*: the
-  errors are larger, after the given samples per pixel. *unsupported*: with what the user is told. Of what only
-  steers the sampling, and of poses, only that is given.
+  errors are larger, after the given samples per pixel. *unsupported*: followed by the error message. Parameters
+  that only control the sampling, and poses, have only this message.
 """
 
 
@@ -487,7 +490,7 @@ def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 
 def _short(parameter: str) -> str:
-    """Return the parameter's name without its object and what every name has."""
+    """Return the parameter's name without its object and the common parts."""
     dropped = ("bsdf", "emitter", "value", "data")
     _, *rest = parameter.split(".")
     return ".".join(part for part in rest if part not in dropped) or parameter
@@ -495,12 +498,12 @@ def _short(parameter: str) -> str:
 
 def _verdict_text(outcome: Outcome) -> str:
     if outcome.verdict == "unresolved":
-        tried = ", ".join(
+        samples = ", ".join(
             f"{side} {estimate.spp} spp"
             for side, estimate in (("ours", outcome.ours), ("difference", outcome.difference))
             if estimate is not None
         )
-        return f"unresolved ({tried})"
+        return f"unresolved ({samples})"
     return outcome.verdict + (f": {outcome.note}" if outcome.verdict == "unsupported" else "")
 
 
@@ -509,10 +512,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", metavar="GLOB", default="*", help="cases to run: a plugin, or plugin/title")
-    parser.add_argument("--quick", action="store_true", help="a few seconds a row, and no stock prb")
+    parser.add_argument("--quick", action="store_true", help="a few seconds per row, without stock prb")
     parser.add_argument("--cache", type=Path, metavar="FILE", default=Path("out/derivatives.json"))
-    parser.add_argument("--resume", action="store_true", help="skip the cases that the cache holds")
-    parser.add_argument("--ours", action="store_true", help="keep the differences and prb of the cache")
+    parser.add_argument("--resume", action="store_true", help="skip the cases in the cache")
+    parser.add_argument("--ours", action="store_true", help="reuse the differences and prb of the cache")
     parser.add_argument(
         "--write", type=Path, metavar="FILE", help="write the whole cache as a Markdown table"
     )

@@ -1,10 +1,10 @@
-"""How noisy the derivatives with respect to lights are, beside differences of ±20 % with common random numbers.
+"""Compare the noise of derivatives with respect to lights with differences of ±20 % with common random numbers.
 
-The picture is linear in the brightness of each light, so such a difference is exact. Both see the same adjoint
-image, that of a converged picture, and each side of the difference has as many samples as our backward pass.
-Printed for each light: the derivative by its brightness (a radiance or a texture is moved as a whole), standard
-deviations over the repeats, and the ratio of variances with a 95 % interval (bootstrap over the repeats). Below 1
-ours is the less noisy one.
+The image is linear in the brightness of each light, so such a difference is exact. Both use the same adjoint
+image, that of a converged render, and each side of the difference has as many samples as our backward pass. The
+script prints for each light: the derivative with respect to its brightness (a radiance or a texture is scaled as a
+whole), standard deviations over the repeats, and the ratio of variances with a 95 % interval (bootstrap over the
+repeats). Below 1, our derivative is less noisy.
 
     python benchmarks/emitters.py [--repeats 32] [--spp 16] [--scene GLOB] [--metric GLOB] [--inputs emitters|all]
 """
@@ -26,13 +26,13 @@ RESOLUTION, DEPTH = (48, 27), 6
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 ROOMS = ("classroom", "kitchen", "living-room", "hall", "office")
 BRIGHTNESS = ("radiance", "intensity", "irradiance", "data", "scale", "sky_scale", "sun_scale")
-MOVED = 0.2  # to both sides
+STEP = 0.2  # relative change, to both sides
 CONVERGED = 512  # samples per pixel
 BOOTSTRAPS = 2000
 
 
 def rooms(pattern: str) -> Iterator[tuple[str, object]]:
-    """Name the rooms that are there."""
+    """Yield the available rooms by name."""
     activate()
     for name in ROOMS:
         path = SCENES / name / "scene.xml"
@@ -47,7 +47,7 @@ def rooms(pattern: str) -> Iterator[tuple[str, object]]:
 
 
 def lights(renderer: SceneRenderer) -> list[str]:
-    """Name the inputs in which the picture is linear."""
+    """Return the inputs in which the image is linear."""
     table = renderer.parameters_table()
     return [n for n in renderer.inputs if table[n].kind == "emitters" and table[n].role in BRIGHTNESS]
 
@@ -55,8 +55,8 @@ def lights(renderer: SceneRenderer) -> list[str]:
 def adjoint_of(renderer: SceneRenderer, metric: torch.nn.Module) -> torch.Tensor:
     with torch.no_grad():
         parts = [renderer(renderer.inputs, seed=9000 + k, spp=CONVERGED // 8) for k in range(8)]
-    picture = torch.stack(parts).mean(0).requires_grad_()
-    (adjoint,) = torch.autograd.grad(metric(picture), picture)
+    image = torch.stack(parts).mean(0).requires_grad_()
+    (adjoint,) = torch.autograd.grad(metric(image), image)
     return adjoint
 
 
@@ -76,11 +76,11 @@ def difference(
             image = renderer({name: factor * renderer.inputs[name]}, seed=20_000 + seed, spp=spp)
         return (adjoint.double() * image).sum()
 
-    return torch.stack([(moved(n, 1 + MOVED) - moved(n, 1 - MOVED)) / (2 * MOVED) for n in names])
+    return torch.stack([(moved(n, 1 + STEP) - moved(n, 1 - STEP)) / (2 * STEP) for n in names])
 
 
 def interval(mine: torch.Tensor, theirs: torch.Tensor) -> tuple[float, float]:
-    """Return a 95 % interval of the ratio of variances, both samples of ``(repeats,)`` drawn anew."""
+    """Return a 95 % bootstrap interval of the ratio of variances of two ``(repeats,)`` samples."""
     generator = torch.Generator().manual_seed(0)
 
     def variances(draws: torch.Tensor) -> torch.Tensor:
@@ -121,12 +121,12 @@ def main() -> None:
                 .T
                 for side in (ours, difference)
             )
-            for light, one, other in zip(names, mine, theirs, strict=True):
-                low, high = interval(one, other)
+            for light, a, b in zip(names, mine, theirs, strict=True):
+                low, high = interval(a, b)
                 print(
-                    f"  {renderer.labels[light]:28s} ours {one.mean():+.4g}, σ {one.std():.2g};"
-                    f" difference {other.mean():+.4g}, σ {other.std():.2g};"
-                    f" ratio of variances {one.var() / other.var():.3g} ({low:.2g} to {high:.2g})",
+                    f"  {renderer.labels[light]:28s} ours {a.mean():+.4g}, σ {a.std():.2g};"
+                    f" difference {b.mean():+.4g}, σ {b.std():.2g};"
+                    f" ratio of variances {a.var() / b.var():.3g} ({low:.2g} to {high:.2g})",
                     flush=True,
                 )
 

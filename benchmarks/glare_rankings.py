@@ -1,7 +1,8 @@
-"""How the ranking by glare differs from the ranking by brightness, on real rooms.
+"""Compare the ranking by glare with the ranking by brightness, on real rooms.
 
-Prints Kendall's τ between the two rankings of a scene's materials and lights, the parameters that lead each, how
-much of all saliency lies on lights, mirrors and glossy surfaces (the rest is matt), and writes both heatmaps.
+Prints Kendall's τ between the two rankings of a scene's materials and lights, the leading parameters of each, and
+the share of the total saliency on lights, mirrors and glossy surfaces (the rest is diffuse), and writes both
+heatmaps.
 
     python benchmarks/glare_rankings.py [--spp 64] [--out out/rankings]
 """
@@ -22,19 +23,19 @@ LEADING = 6
 
 
 def kendall(first: SceneAttribution, second: SceneAttribution) -> float:
-    """Return τ: the share of pairs of parameters ranked alike, minus the share ranked otherwise."""
+    """Return τ: the share of concordant pairs of parameters, minus the share of discordant ones."""
     names = list(first)
-    one, other = (np.array([a.saliency()[name] for name in names]) for a in (first, second))
-    signs = [np.sign(values[:, None] - values) for values in (one, other)]
+    saliencies = (np.array([result.saliency()[name] for name in names]) for result in (first, second))
+    signs = [np.sign(values[:, None] - values) for values in saliencies]
     pairs = np.triu_indices(len(names), 1)
     return float((signs[0] * signs[1])[pairs].mean())
 
 
-def share_of_what_shines(attribution: SceneAttribution, renderer: SceneRenderer) -> float:
-    """Return the share of the summed saliency that is not that of matt surfaces."""
+def specular_share(attribution: SceneAttribution, renderer: SceneRenderer) -> float:
+    """Return the share of the total saliency that is not on diffuse surfaces."""
     saliency, table = attribution.saliency(), renderer.parameters_table()
-    matt = sum(saliency[name] for name in attribution if table[name].plugin == "SmoothDiffuse")
-    return 1 - matt / sum(saliency.values())
+    diffuse = sum(saliency[name] for name in attribution if table[name].plugin == "SmoothDiffuse")
+    return 1 - diffuse / sum(saliency.values())
 
 
 def main() -> None:
@@ -60,8 +61,10 @@ def main() -> None:
         for name, attribution in found.items():
             attribution.plot_heatmap().savefig(arguments.out / f"{room}-{name}.png", dpi=100)
             leading = ", ".join(f"{row.label} {row.saliency:.3g}" for row in attribution.ranking(LEADING))
-            share = share_of_what_shines(attribution, renderer)
-            print(f"  {name} {attribution.metric_value:.4g}: {share:.0%} on what shines; {leading}")
+            share = specular_share(attribution, renderer)
+            print(
+                f"  {name} {attribution.metric_value:.4g}: {share:.0%} on lights and glossy surfaces; {leading}"
+            )
 
 
 if __name__ == "__main__":

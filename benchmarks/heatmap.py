@@ -1,7 +1,7 @@
-"""What a heatmap costs beside the attribution that it shows.
+"""Measure the cost of a heatmap, relative to its attribution.
 
-Printed are the seconds of the attribution, which traces what each pixel shows, and of that tracing and the
-painting alone, with every texture texel by texel.
+Prints the seconds of the attribution, which traces the surfaces that pixels show, and of this tracing and the
+heatmap alone, with every texture texel by texel.
 
     python benchmarks/heatmap.py [--scene FILE] [--resolution 1280 720] [--spp 16]
 """
@@ -21,12 +21,12 @@ SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "
 ROOM = SCENES / "living-room" / "scene.xml"
 
 
-def timed(what: str, function: Callable[[], Any], of: float | None = None) -> tuple[Any, float]:
+def timed(label: str, function: Callable[[], Any], total: float | None = None) -> tuple[Any, float]:
     start = time.perf_counter()
     result = function()
     seconds = time.perf_counter() - start
-    share = "" if of is None else f"  {seconds / of:6.1%}"
-    print(f"{what:44s} {seconds:7.2f} s{share}", flush=True)
+    share = "" if total is None else f"  {seconds / total:6.1%}"
+    print(f"{label:44s} {seconds:7.2f} s{share}", flush=True)
     return result, seconds
 
 
@@ -55,7 +55,7 @@ def main() -> None:
         "attribution", lambda: VanillaSceneGradient(room, metrics.MeanLuminance()).attribute()
     )
     fresh = renderer(*options.resolution)
-    timed("tracing what pixels and texels show", fresh.surfaces_with_texels, whole)
+    timed("surfaces and texels of the pixels", fresh.surfaces_with_texels, whole)
     timed("heatmap", attribution.heatmap, whole)
     timed("heatmap, texel by texel", lambda: attribution.heatmap(texels=True), whole)
 

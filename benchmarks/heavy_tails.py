@@ -1,7 +1,7 @@
-"""How far mean and median of the passes are off where samples have heavy tails, and how often that is noticed.
+"""Measure the errors of the mean and the median over replicates for heavy-tailed samples.
 
-A result of eight passes is made over and over from samples whose mean is known: normal ones, skewed ones, rare
-bright ones; and from a mirror ball beside a small bright lamp, against many more samples of it.
+Many results of eight replicates are computed from samples with a known mean: normal, skewed, and rare bright ones;
+and from a mirror ball beside a small bright lamp, compared with many more samples of the same scene.
 
     python benchmarks/heavy_tails.py [--runs 2000] [--rendered 64] [--write docs/extremes.md]
 """
@@ -24,21 +24,21 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from _pages import replace_table
 from extremes.scenes import mean, rgb, room
 
-PASSES = 8
+REPLICATES = 8
 COLUMNS = (
     "samples",
-    "in a pass",
-    "off: mean",
-    "off: median",
+    "per replicate",
+    "RMS error of the mean",
+    "RMS error of the median",
     "bias of the median",
-    "95 % holds: mean",
-    "median",
+    "95 % coverage of the mean",
+    "95 % coverage of the median",
     "`?` shown",
 )
 
 
 def lognormal(sigma: float) -> Callable[[np.random.Generator, int], np.ndarray]:
-    """Return samples of mean 1 whose logarithm has this standard deviation."""
+    """Return a sampler of mean 1 whose logarithm has this standard deviation."""
     return lambda rng, count: np.exp(sigma * rng.standard_normal(count) - sigma**2 / 2)
 
 
@@ -48,7 +48,7 @@ def pareto(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def fireflies(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return samples of mean 1, half of which comes from one in a thousand."""
+    """Return samples of mean 1, half of which comes from one sample in a thousand."""
     return 0.5 + 500 * (rng.random(count) < 1e-3)
 
 
@@ -62,7 +62,7 @@ CASES: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
 
 
 def result(rows: np.ndarray) -> SceneAttribution:
-    """Return a result of one parameter from its passes."""
+    """Return a result with one parameter from its replicates."""
     replicates = {"x": torch.from_numpy(rows)[:, None]}
     covariance = covariances(replicates, None)
     return SceneAttribution(
@@ -71,21 +71,21 @@ def result(rows: np.ndarray) -> SceneAttribution:
         metric_value=0.0,
         replicates=replicates,
         covariance=covariance,
-        info={"passes": PASSES, "degrees_of_freedom": PASSES - 1},
+        info={"replicates": REPLICATES, "degrees_of_freedom": REPLICATES - 1},
     )
 
 
 def simulated(runs: int) -> Iterator[tuple[str, int, list[SceneAttribution], str, float]]:
-    """Yield a case at a time: what it is, its samples in a pass, its results, a name of theirs, and the truth."""
+    """Yield for each case its title, samples per replicate, results, the parameter's name, and the true value."""
     rng = np.random.default_rng(0)
     for name, draw in CASES.items():
         for count in (8, 128, 2048):
-            rows = (draw(rng, PASSES * count).reshape(PASSES, count).mean(1) for _ in range(runs))
-            yield name, count, [result(one) for one in rows], "x", 1.0
+            rows = (draw(rng, REPLICATES * count).reshape(REPLICATES, count).mean(1) for _ in range(runs))
+            yield name, count, [result(values) for values in rows], "x", 1.0
 
 
 def rendered(runs: int) -> Iterator[tuple[str, int, list[SceneAttribution], str, float]]:
-    """Yield the same of a mirror ball that throws the light of a small, bright lamp onto a floor."""
+    """Yield the same for a mirror ball that reflects a small, bright lamp onto a floor."""
     mi = activate()
     name = "ball.bsdf.specular_reflectance.value"
     mirror = {"type": "conductor", "material": "none", "specular_reflectance": rgb(0.8)}
@@ -95,41 +95,49 @@ def rendered(runs: int) -> Iterator[tuple[str, int, list[SceneAttribution], str,
     truth = np.mean([method.attribute(seed=10_000 + k, spp=2**17)[name].sum().item() for k in range(4)])
     for spp in (64, 1024):
         found = [method.attribute(seed=seed, spp=spp) for seed in range(runs)]
-        yield "mirror ball, small lamp, floor", spp // PASSES, found, name, float(truth)
+        yield "mirror ball, small lamp, floor", spp // REPLICATES, found, name, float(truth)
 
 
 def row(case: str, count: int, found: list[SceneAttribution], name: str, truth: float) -> list[str]:
     """Return a line of the table."""
-    medians = [one.median_of_means() for one in found]
-    values = [np.array([one[name].sum().item() for one in kept]) / truth - 1 for kept in (found, medians)]
-    holds = [np.mean([_holds(one, name, truth) for one in kept]) for kept in (found, medians)]
-    off = [f"{100 * math.sqrt(np.mean(one**2)):.3g} %" for one in values]
-    bias, error = 100 * values[1].mean(), 100 * values[1].std() / math.sqrt(len(found))
-    noticed = np.mean([name in one.untrusted_errors() for one in found])
+    medians = [attribution.median_of_means() for attribution in found]
+    deviations = [
+        np.array([attribution[name].sum().item() for attribution in estimates]) / truth - 1
+        for estimates in (found, medians)
+    ]
+    coverage = [
+        np.mean([_covers(attribution, name, truth) for attribution in estimates])
+        for estimates in (found, medians)
+    ]
+    errors = [f"{100 * math.sqrt(np.mean(values**2)):.3g} %" for values in deviations]
+    bias, bias_error = 100 * deviations[1].mean(), 100 * deviations[1].std() / math.sqrt(len(found))
+    marked = np.mean([name in attribution.untrusted_errors() for attribution in found])
     return [
         case,
         str(count),
-        *off,
-        f"{bias:+.2g} ± {error if error > 1e-3 else 0:.1g} %",
-        *(f"{100 * one:.0f} %" for one in holds),
-        f"{100 * noticed:.3g} %",
+        *errors,
+        f"{bias:+.2g} ± {bias_error if bias_error > 1e-3 else 0:.1g} %",
+        *(f"{100 * share:.0f} %" for share in coverage),
+        f"{100 * marked:.3g} %",
     ]
 
 
-def _holds(one: SceneAttribution, name: str, truth: float) -> bool:
+def _covers(attribution: SceneAttribution, name: str, truth: float) -> bool:
+    """Return whether the 95 % interval of a parameter contains the true value."""
     from scenecaptum.attr._student import student_t
 
-    error = one.covariance[name].sum().sqrt().item()  # type: ignore[index]
-    return abs(one[name].sum().item() - truth) <= student_t(0.95, one.info["degrees_of_freedom"]) * error
+    error = attribution.covariance[name].sum().sqrt().item()  # type: ignore[index]
+    half_width = student_t(0.95, attribution.info["degrees_of_freedom"]) * error
+    return abs(attribution[name].sum().item() - truth) <= half_width
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--runs", type=int, default=2000, help="results made of each distribution")
-    parser.add_argument("--rendered", type=int, default=64, help="results rendered, or 0")
-    parser.add_argument("--write", type=Path, help="the page whose table is replaced")
+    parser.add_argument("--runs", type=int, default=2000, help="results of each distribution")
+    parser.add_argument("--rendered", type=int, default=64, help="rendered results, or 0")
+    parser.add_argument("--write", type=Path, help="replace the table in this page")
     options = parser.parse_args()
     lines: list[list[str]] = [list(COLUMNS)]
     for case in (*simulated(options.runs), *(rendered(options.rendered) if options.rendered else ())):

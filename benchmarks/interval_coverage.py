@@ -1,13 +1,13 @@
-"""How often the 95 % intervals of an attribution cover the truth, and whether a doubtful one is marked.
+"""Measure the coverage of an attribution's 95 % intervals, and whether intervals that miss are marked.
 
-For each metric, many independent attributions of few samples are compared with a reference. Printed for each
-parameter that the reference resolves: the share of its channels' intervals (of a texture: those of its totals, by
-which it is ranked) that cover the reference, how many
-runs were marked ``?``, and how many of those runs that miss it. Then, for all of them: how many are covered in
-less than 85 % of the runs, of how many of these at least 80 % of the misses are marked, and how often a parameter
-that is covered in 90 % and more is marked all the same; in brackets the same without the pilot, where one pass
-that has nearly all of the spread is the only reason for a mark. On the Cornell box, the default, the reference
-must be five times as precise as the bars.
+For each metric, many independent attributions with few samples are compared with a reference. The script prints
+for each parameter that the reference resolves: the share of its channels' intervals (for a texture, of its totals,
+by which it is ranked) that cover the reference, how many runs were marked ``?``, and how many of the runs that
+miss were marked. Then it prints for all parameters: how many are covered in less than 85 % of the runs, for how
+many of these at least 80 % of the misses are marked, and how often a parameter that is covered in 90 % or more is
+marked nevertheless. Brackets have the same numbers without the pilot, where a replicate with nearly all of the
+spread is the only reason for a mark. On the Cornell box, the default, the reference must be five times as precise
+as the error bars.
 
     python benchmarks/interval_coverage.py [--repeats 200] [--spp 64] [--method vanilla|integrated]
         [--scene cornell-box|office|hall|PATH] [--resolution 48x27] [--reference 32768] [--inputs reflectance …]
@@ -38,8 +38,8 @@ from scenecaptum.attr._student import student_t
 
 RESOLUTION, DEPTH, REFERENCE = 24, 4, 32768
 SPP = {"mean luminance": 64, "unified glare rating": 256}
-PRECISE = 0.2  # of the bar: how large the error of the reference may be
-RESOLVED = 4.0  # errors of the reference, from which on its value counts as known
+PRECISE = 0.2  # largest error of the reference, relative to the error bar
+RESOLVED = 4.0  # standard errors of the reference above which a value counts as resolved
 COVERED, MARKED, WELL = 0.85, 0.8, 0.9
 
 METHODS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
@@ -58,7 +58,7 @@ def box() -> SceneRenderer:
 
 
 def room(scene: str, resolution: str, inputs: list[str]) -> SceneRenderer:
-    """Return a renderer of a room: a bundled one, the hall, or that of a file."""
+    """Return a renderer of a bundled scene, the hall, or a scene file."""
     activate()
     width, height = map(int, resolution.split("x"))
     source = hall() if scene == "hall" else Path(scene) if Path(scene).is_file() else scene
@@ -74,18 +74,18 @@ def rated(renderer: SceneRenderer) -> Mapping[str, torch.nn.Module]:
 
 @dataclass
 class Coverage:
-    """What became of one parameter: shares of its runs.
+    """Coverage of one parameter.
 
     Attributes
     ----------
     covered
-        Of the intervals that hold the reference.
+        Share of the intervals that cover the reference.
     misses
-        How many runs miss it in any channel.
+        Number of runs that miss it in any channel.
     marked
-        Of the runs whose error bar is marked, with the pilot and without.
+        Share of the runs whose error bar is marked, with the pilot and without.
     marked_misses
-        How many of the runs that miss it are marked, with the pilot and without.
+        Number of the runs that miss and are marked, with the pilot and without.
     """
 
     covered: float
@@ -95,7 +95,7 @@ class Coverage:
 
     @property
     def warned(self) -> tuple[bool, bool]:
-        """Whether it is covered, or the runs that miss it say so, with the pilot and without."""
+        """Whether it is covered or its misses are marked, with the pilot and without."""
         with_pilot, without = (
             self.covered >= COVERED or marked >= MARKED * self.misses for marked in self.marked_misses
         )
@@ -112,7 +112,7 @@ def coverage(
     *,
     precise: float | None = PRECISE,
 ) -> dict[str, Coverage]:
-    """Return how the intervals fare, by parameter; with ``precise``, check the reference."""
+    """Return the coverage by parameter; with ``precise``, check the error of the reference."""
     make, settings = METHODS[method]
     attribute = make(renderer, metric).attribute
     truth = attribute(seed=10**6, spp=reference, replicates=64, **settings)
@@ -123,20 +123,20 @@ def coverage(
     bars: dict[str, list[torch.Tensor]] = {name: [] for name in live}
     marked: dict[str, list[tuple[bool, bool]]] = {name: [] for name in live}
     for seed in range(repeats):
-        one = attribute(seed=seed, spp=spp, **settings)
-        doubtful = one.untrusted_errors()
+        attribution = attribute(seed=seed, spp=spp, **settings)
+        untrusted = attribution.untrusted_errors()
         without_pilot = dataclasses.replace(
-            one, info={**one.info, "effective_samples": {}}
+            attribution, info={**attribution.info, "effective_samples": {}}
         ).untrusted_errors()
-        found, errors = totals(one)
-        reach = student_t(0.95, one.info["degrees_of_freedom"])
+        found, errors = totals(attribution)
+        quantile = student_t(0.95, attribution.info["degrees_of_freedom"])
         for name, channels in live.items():
-            off = (found[name] - exact[name]).abs()
-            covered[name].append((off <= reach * errors[name])[channels])
+            deviation = (found[name] - exact[name]).abs()
+            covered[name].append((deviation <= quantile * errors[name])[channels])
             bars[name].append(errors[name])
-            marked[name].append((name in doubtful, name in without_pilot))
-    for name, each in bars.items():
-        bar = torch.stack(each).square().mean(0).sqrt()
+            marked[name].append((name in untrusted, name in without_pilot))
+    for name, errors_of_runs in bars.items():
+        bar = torch.stack(errors_of_runs).square().mean(0).sqrt()
         worst = (own[name] / bar)[live[name]].max().item()
         if precise is not None and worst > precise:
             raise RuntimeError(f"{name}: the reference's error is {worst:.2f} of the bar, allowed {precise}")
@@ -148,7 +148,7 @@ def totals(found: SceneAttribution) -> tuple[dict[str, torch.Tensor], dict[str, 
     assert found.covariance is not None
     return (
         {name: channel_totals(value).double() for name, value in found.items()},
-        {name: one.diagonal().double().sqrt() for name, one in found.covariance.items()},
+        {name: matrix.diagonal().double().sqrt() for name, matrix in found.covariance.items()},
     )
 
 
@@ -163,20 +163,20 @@ def _summary(covered: torch.Tensor, marked: torch.Tensor) -> Coverage:
 
 
 def verdict(found: Mapping[str, Coverage]) -> str:
-    """Say in a line how a room fares."""
-    low = [one for one in found.values() if one.covered < COVERED]
-    well = [one for one in found.values() if one.covered >= WELL]
-    mean = sum(one.covered for one in found.values()) / len(found)
-    warned, before = (sum(one.warned[which] for one in low) for which in (0, 1))
-    misses = sum(one.misses for one in low)
-    seen, seen_before = (sum(one.marked_misses[which] for one in low) for which in (0, 1))
-    false, false_before = (
-        f"{sum(one.marked[which] for one in well) / max(1, len(well)):.1%}" for which in (0, 1)
+    """Return the summary of a scene on one line."""
+    low = [parameter for parameter in found.values() if parameter.covered < COVERED]
+    well = [parameter for parameter in found.values() if parameter.covered >= WELL]
+    mean = sum(parameter.covered for parameter in found.values()) / len(found)
+    warned, without = (sum(parameter.warned[which] for parameter in low) for which in (0, 1))
+    misses = sum(parameter.misses for parameter in low)
+    marked, marked_without = (sum(parameter.marked_misses[which] for parameter in low) for which in (0, 1))
+    false, false_without = (
+        f"{sum(parameter.marked[which] for parameter in well) / max(1, len(well)):.1%}" for which in (0, 1)
     )
     return (
         f"{len(found)} parameters resolved, {mean:.1%} covered; {len(low)} covered in less than {COVERED:.0%}, "
-        f"of which {warned} warned of ({before}), with {seen} ({seen_before}) of {misses} misses marked; of the "
-        f"{len(well)} covered in {WELL:.0%} and more {false} ({false_before}) of the runs are marked"
+        f"{warned} ({without}) of them with marks, {marked} ({marked_without}) of their {misses} misses marked; "
+        f"of the {len(well)} covered in {WELL:.0%} or more {false} ({false_without}) of the runs are marked"
     )
 
 
@@ -185,13 +185,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--repeats", type=int, default=200)
-    parser.add_argument("--spp", type=int, help="instead of those of each metric")
+    parser.add_argument("--spp", type=int, help="samples per pixel (default: by metric)")
     parser.add_argument("--method", choices=METHODS, default="vanilla")
     parser.add_argument("--scene")
     parser.add_argument("--resolution", default="48x27")
     parser.add_argument("--reference", type=int, default=REFERENCE)
     parser.add_argument("--inputs", nargs="+", default=["all"])
-    parser.add_argument("--metric", choices=SPP, help="only this one")
+    parser.add_argument("--metric", choices=SPP, help="only this metric")
     options = parser.parse_args()
     renderer = room(options.scene, options.resolution, options.inputs) if options.scene else box()
     size = "×".join(map(str, renderer.resolution))
@@ -205,11 +205,11 @@ def main() -> None:
         found = coverage(
             renderer, metric, spp, options.repeats, options.method, options.reference, precise=precise
         )
-        for parameter, one in found.items():
+        for parameter, shares in found.items():
             label = renderer.labels[parameter]
             print(
-                f"  {label:28s} {one.covered:6.1%} covered, {one.marked[0]:6.1%} marked, "
-                f"{one.marked_misses[0]} of {one.misses} misses"
+                f"  {label:28s} {shares.covered:6.1%} covered, {shares.marked[0]:6.1%} marked, "
+                f"{shares.marked_misses[0]} of {shares.misses} misses"
             )
         print(f"  {verdict(found)}", flush=True)
 

@@ -1,12 +1,12 @@
-"""How much memory a large picture and its backward pass take, pass by pass.
+"""Peak memory of a large render and its backward pass, by chunk.
 
-Renders at 1280×720 with as many samples as fill four passes of the planned size, propagates the derivative of mean
-luminance with respect to every material, and prints the largest resident memory of each pass.
+Renders at 1280×720 with as many samples as fill four chunks, differentiates mean luminance with respect to every
+material, and prints the peak resident memory of each chunk.
 
-    python benchmarks/memory.py [SCENE] [--passes 4]
+    python benchmarks/memory.py [SCENE] [--chunks 4]
 
-With ``--predict``: attributes at several sizes, each in a process of its own, and compares the largest resident
-memory (beyond that of the loaded scene) with what the library predicted.
+With ``--predict``: attributes at several sizes, each in its own process, and compares the peak resident memory
+(beyond that of the loaded scene) with the library's prediction.
 
     python benchmarks/memory.py --predict
 """
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, activate, metrics
-from scenecaptum.rendering import _passes
+from scenecaptum.rendering import _chunks
 
 RESOLUTION = (1280, 720)
 PAGE = 4096
@@ -38,30 +38,30 @@ def resident() -> int:
 
 
 class Peaks:
-    """Watches memory in the background, and keeps the largest of every pass."""
+    """Records the peak memory of every stage in a background thread."""
 
     def __init__(self) -> None:
-        self.found: list[tuple[str, int]] = []
+        self.stages: list[tuple[str, int]] = []
         self._stop = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _watch(self) -> None:
         while not self._stop.wait(0.02):
-            if self.found:
-                label, peak = self.found[-1]
-                self.found[-1] = (label, max(peak, resident()))
+            if self.stages:
+                label, peak = self.stages[-1]
+                self.stages[-1] = (label, max(peak, resident()))
 
     def begin(self, label: str) -> None:
-        """Let what follows count under this label."""
-        self.found.append((label, resident()))
+        """Start a stage."""
+        self.stages.append((label, resident()))
 
     def end(self) -> None:
-        """Stop watching."""
+        """Stop recording."""
         self._stop.set()
 
 
 CASES = (
-    # What grows: samples of a pass, pixels, pictures, texels.
+    # Vary samples of a chunk, pixels, images and texels.
     "cornell-box 64x64 64 8",
     "cornell-box 256x256 512 8",
     "cornell-box 1280x720 8 8",
@@ -75,7 +75,7 @@ CASES = (
 
 
 def scene_of(name: str) -> Any:
-    """Return a scene by name; ``wall-4096`` is a wall whose texture has so many texels to a side."""
+    """Return a scene by name; ``wall-4096`` is a wall with a texture of 4096×4096 texels."""
     if not name.startswith("wall-"):
         return name
     mi = activate()
@@ -97,22 +97,22 @@ def scene_of(name: str) -> Any:
 
 
 def attribute(case: str) -> None:
-    """Attribute once, and print what was predicted and what was taken."""
+    """Attribute once, and print the predicted and the measured memory."""
     scene, size, spp, replicates = case.split()
     width, _, height = size.partition("x")
     renderer = SceneRenderer(scene_of(scene), "all", resolution=(int(width), int(height)))
     predicted = renderer.memory(spp=int(spp) // int(replicates), pictures=int(replicates))
-    # The peak is counted from here.
+    # Reset the peak.
     Path("/proc/self/clear_refs").write_text("5")
     before = resident()
     VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(
         spp=int(spp), replicates=int(replicates)
     )
     status = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
-    taken = 1024 * int(status["VmHWM"].split()[0]) - before
+    measured = 1024 * int(status["VmHWM"].split()[0]) - before
     print(
-        f"{case:32s} predicted {predicted / MEBIBYTE:6.0f} MiB  taken {taken / MEBIBYTE:6.0f} MiB  "
-        f"{predicted / taken:5.2f}",
+        f"{case:32s} predicted {predicted / MEBIBYTE:6.0f} MiB  measured {measured / MEBIBYTE:6.0f} MiB  "
+        f"{predicted / measured:5.2f}",
         flush=True,
     )
 
@@ -122,7 +122,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scene", nargs="?", default="cornell-box")
-    parser.add_argument("--passes", type=int, default=4)
+    parser.add_argument("--chunks", type=int, default=4)
     parser.add_argument(
         "--predict", nargs="*", metavar="CASE", help="scene, size, spp and replicates in quotes"
     )
@@ -134,26 +134,26 @@ def main() -> None:
             process.join()
         return
     renderer = SceneRenderer(arguments.scene, "materials", resolution=RESOLUTION)
-    spp = arguments.passes * (_passes.SAMPLES // (RESOLUTION[0] * RESOLUTION[1]))
+    spp = arguments.chunks * (_chunks.MAX_SAMPLES // (RESOLUTION[0] * RESOLUTION[1]))
     peaks = Peaks()
     peaks.begin("loaded")
     from scenecaptum.rendering import _engine
 
-    split, stage = _engine.passes, "picture"
+    split, stage = _engine.chunks, "render"
 
-    def watched(*what: Any) -> Iterator[_passes.Pass]:
-        for index, one in enumerate(split(*what)):
-            peaks.begin(f"{stage}, pass {index + 1} of {one.spp} spp")
-            yield one
+    def recorded(*arguments: Any) -> Iterator[_chunks.Chunk]:
+        for index, chunk in enumerate(split(*arguments)):
+            peaks.begin(f"{stage}, chunk {index + 1} of {chunk.spp} spp")
+            yield chunk
 
-    _engine.passes = watched
+    _engine.chunks = recorded
     leaves = renderer.leaves()
     metric = metrics.MeanLuminance()(renderer(leaves, seed=0, seed_grad=1, spp=spp))
-    peaks.begin("pilot pictures")
+    peaks.begin("noise map")
     stage = "backward"
     metric.backward()
     peaks.end()
-    for label, peak in peaks.found:
+    for label, peak in peaks.stages:
         print(f"{label:32s} {peak / MEBIBYTE:6.0f} MiB")
 
 

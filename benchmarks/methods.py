@@ -1,10 +1,10 @@
-"""What each attribution method costs, relative to plain gradients with the same total of samples.
+"""Measure the cost of each attribution method, relative to plain gradients with the same total of samples.
 
-The methods take turns in one process; printed are the medians of seconds and of the ratio to the plain gradient of
-the same turn. Samples are split over steps and noisy scenes, so what is left to cost more is the overhead of many
-small passes, the samples that are rounded up, and what shows the metric the inputs themselves. Methods that change
-the scene and render it again do not differentiate, which takes a third of the time of a sample that does; but each
-of their scenes gets a sample at least in each of 8 replicates.
+The methods take turns in one process. The script prints the medians of the seconds and of their ratio to the plain
+gradient of the same turn. Samples are split over steps and noisy scenes, so additional time is the overhead of
+many small renders, of rounding up the samples, and of evaluating the metric at the inputs themselves. Perturbation
+methods do not differentiate: a sample of theirs takes a third of the time, but each of their scenes gets at least
+one sample in each of 8 replicates.
 
     python benchmarks/methods.py [--scene FILE] [--resolution 320 180] [--spp 64] [--turns 3]
 """
@@ -42,7 +42,7 @@ METHODS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 def seconds(
     method: Callable[..., Any], renderer: SceneRenderer, seed: int, **settings: Any
 ) -> tuple[float, int]:
-    """Return how long an attribution takes, and how many samples per pixel its gradients took."""
+    """Return the seconds of an attribution, and the samples per pixel of its gradients."""
     start = time.perf_counter()
     attribution = method(renderer, metrics.MeanLuminance()).attribute(seed=seed, **settings)
     return time.perf_counter() - start, attribution.info["spp"]
@@ -65,15 +65,15 @@ def main() -> None:
         max_depth=6,
     )
     print(f"{Path(options.scene).parent.name or options.scene}, {renderer}")
-    took: dict[str, list[float]] = {name: [] for name in METHODS}
+    times: dict[str, list[float]] = {name: [] for name in METHODS}
     for turn in range(options.turns + 1):  # the first compiles
         for name, (method, settings) in METHODS.items():
             elapsed, spp = seconds(method, renderer, turn, **settings)
             if turn:
-                took[name].append(elapsed)
+                times[name].append(elapsed)
             if turn == options.turns:
-                ratios = [a / b for a, b in zip(took[name], took["VanillaSceneGradient"], strict=False)]
-                median = statistics.median(took[name])
+                ratios = [a / b for a, b in zip(times[name], times["VanillaSceneGradient"], strict=False)]
+                median = statistics.median(times[name])
                 print(f"{name:36s} {median:6.1f} s  {statistics.median(ratios):5.2f}×  {spp} spp", flush=True)
 
 

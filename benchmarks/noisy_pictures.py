@@ -1,13 +1,13 @@
-"""What a glare rating makes of a noisy picture: its intervals against a converged picture, and its gradients.
+"""Compare the intervals and gradients of a glare rating of noisy images with those of a converged image.
 
     python benchmarks/noisy_pictures.py values SCENE FOLDER --sensor fisheye --metric dgp
     python benchmarks/noisy_pictures.py gradients SCENE FOLDER
 
-`values` repeats what `attribute(spp=N)` does with its pictures for several seeds, and counts how often the 95 %
-interval of the metric holds the value of a converged picture, or the result carries the caution. Seeds use parts
-of one pool of pictures, which is kept in FOLDER; the converged picture has samples of its own.
+`values` processes images in the same way as `attribute(spp=N)` for several seeds, and counts how often the 95 %
+interval of the metric covers the value of a converged image, and how often the result has the caution. Seeds use
+disjoint parts of a pool of images, which is stored in FOLDER; the converged image has independent samples.
 
-`gradients` compares the leading gradients with finite differences of the rating at the converged picture.
+`gradients` compares the leading gradients with finite differences of the rating at the converged image.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import numpy as np
 import torch
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.attr._jackknife import jackknife, through_view
+from scenecaptum.attr._jackknife import jackknife, with_image_transform
 from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import DEFAULT_PASSES, NOISY_PICTURE_RATIO, channel_totals
+from scenecaptum.attr._passes import DEFAULT_REPLICATES, NOISY_PICTURE_RATIO, channel_totals
 from scenecaptum.attr._picture_info import describe_picture
 from scenecaptum.attr._student import student_t
-from scenecaptum.attr._view import Viewer
+from scenecaptum.attr._view import TransformSelector
 from scenecaptum.validation._scenes import mean_and_error
 
 RATINGS = {"ugr": metrics.UnifiedGlareRating, "dgp": metrics.DaylightGlareProbability}
@@ -37,7 +37,7 @@ def main() -> None:
     )
     parser.add_argument("mode", choices=("values", "gradients"))
     parser.add_argument("scene")
-    parser.add_argument("folder", type=Path, help="keeps pictures, so that a run that was ended goes on")
+    parser.add_argument("folder", type=Path, help="stores images, so that an interrupted run can be resumed")
     parser.add_argument("--metric", choices=RATINGS, default="ugr")
     parser.add_argument("--sensor", default="0")
     parser.add_argument("--resolution", type=int, nargs=2, default=(160, 90))
@@ -45,10 +45,10 @@ def main() -> None:
     parser.add_argument("--spp", type=int, nargs="+", default=[16, 64, 256])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument(
-        "--converged", type=int, default=16384, help="samples per pixel of the converged picture"
+        "--converged", type=int, default=16384, help="samples per pixel of the converged image"
     )
     parser.add_argument(
-        "--changed", type=int, default=1024, help="samples per pixel of the pictures of changed scenes"
+        "--changed", type=int, default=1024, help="samples per pixel of the images of changed scenes"
     )
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
@@ -71,15 +71,15 @@ def values(renderer: SceneRenderer, rating: torch.nn.Module, options: argparse.N
     name = room_name(options)
     reference = pool(renderer, options.folder / f"{name}-converged.npy", options.converged // 256, 256, 1)
     half = len(reference) // 2
-    parts = [rating(one.mean(0)).item() for one in (reference, reference[:half], reference[half:])]
+    parts = [rating(images.mean(0)).item() for images in (reference, reference[:half], reference[half:])]
     exact = parts[0]
     print(f"converged, {options.converged} spp: {exact:.4f}; its halves {parts[1]:.4f} and {parts[2]:.4f}")
     for spp in options.spp:
-        each = int(spp * NOISY_PICTURE_RATIO / DEFAULT_PASSES)  # samples of a replicate's picture
+        each = int(spp * NOISY_PICTURE_RATIO / DEFAULT_REPLICATES)  # samples of a replicate's image
         size = min(each, 32)
-        count = options.seeds * DEFAULT_PASSES * each // size
-        pictures = pool(renderer, options.folder / f"{name}-{size}spp.npy", count, size, 2)
-        replicates = pictures.reshape(options.seeds, DEFAULT_PASSES, each // size, *pictures.shape[1:]).mean(
+        count = options.seeds * DEFAULT_REPLICATES * each // size
+        images = pool(renderer, options.folder / f"{name}-{size}spp.npy", count, size, 2)
+        replicates = images.reshape(options.seeds, DEFAULT_REPLICATES, each // size, *images.shape[1:]).mean(
             2
         )
         rate(renderer, rating, list(replicates), spp, exact)
@@ -88,17 +88,19 @@ def values(renderer: SceneRenderer, rating: torch.nn.Module, options: argparse.N
 def rate(
     renderer: SceneRenderer, rating: torch.nn.Module, seeds: list[torch.Tensor], spp: int, exact: float
 ) -> None:
-    """Print how often the intervals hold a value, how wide they are, and how often the caution is given."""
-    held = cautions = either = denoised = 0
-    widths, plain, found, raw = [], [0.0], [], []
+    """Print the coverage and the width of the intervals, and the frequency of the caution."""
+    covered = cautions = either = denoised = 0
+    widths, unmarked_widths, values, raw = [], [0.0], [], []
     for replicates in seeds:
         images = list(replicates)
-        (metric,) = through_view([TargetedMetric(rating)], images, Viewer("auto", renderer))
+        (metric,) = with_image_transform(
+            [TargetedMetric(rating)], images, TransformSelector("auto", renderer)
+        )
         seen = jackknife(metric, images)
         assert seen.standard_error is not None
         width = student_t(0.95, len(images) - 1) * seen.standard_error
         about = describe_picture(
-            seen.view,
+            seen.transform,
             seen.value,
             seen.drift,
             None,
@@ -106,47 +108,47 @@ def rate(
             interval=(seen.value - width, seen.value + width),
             half_class=rating.half_class,
         )
-        holds, caution = abs(seen.value - exact) <= width, about["caution"] is not None
-        held, cautions, either = held + holds, cautions + caution, either + (holds or caution)
-        denoised += seen.view.denoises
+        covers, caution = abs(seen.value - exact) <= width, about["caution"] is not None
+        covered, cautions, either = covered + covers, cautions + caution, either + (covers or caution)
+        denoised += seen.transform.denoises
         widths.append(width)
-        plain += [] if caution else [width]
-        found.append(seen.value)
+        unmarked_widths += [] if caution else [width]
+        values.append(seen.value)
         raw.append(rating(replicates.mean(0)).item())
     print(
-        f"{spp:4d} spp: {np.mean(found):8.4f} (sd {np.std(found):.4f}; raw {np.mean(raw):.4f}), of {len(seeds)}: "
-        f"held {held}, caution {cautions}, either {either}, denoised {denoised}; half-width: median "
-        f"{np.median(widths):.4f}, largest without the caution {max(plain):.4f}",
+        f"{spp:4d} spp: {np.mean(values):8.4f} (sd {np.std(values):.4f}; raw {np.mean(raw):.4f}), "
+        f"of {len(seeds)}: covered {covered}, caution {cautions}, either {either}, denoised {denoised}; "
+        f"half-width: median {np.median(widths):.4f}, largest without the caution {max(unmarked_widths):.4f}",
         flush=True,
     )
 
 
 def gradients(renderer: SceneRenderer, rating: torch.nn.Module, options: argparse.Namespace) -> None:
-    """Print the leading gradients beside differences of the rating at the converged picture.
+    """Print the leading gradients and finite differences of the rating at the converged image.
 
-    What a change of the scene does to the picture has little noise, by common random numbers: half of it is added
-    to the converged picture, and taken away from it.
+    The change of the image between two scenes has little noise, because of common random numbers: half of it is
+    added to the converged image, and subtracted from it.
     """
 
-    def rise(picture: torch.Tensor, half: torch.Tensor) -> float:
-        upper, lower = ((picture + sign * half).clamp_min(0) for sign in (1, -1))
+    def rise(image: torch.Tensor, half: torch.Tensor) -> float:
+        upper, lower = ((image + sign * half).clamp_min(0) for sign in (1, -1))
         return (rating(upper) - rating(lower)).item()
 
     attribution = VanillaSceneGradient(renderer, rating).attribute(spp=options.spp[0], seed=0)
     print(attribution)
     path = options.folder / f"{room_name(options)}-converged.npy"
     reference = pool(renderer, path, options.converged // 256, 256, 1)
-    count = DEFAULT_PASSES
-    pictures = reference[: len(reference) // count * count].reshape(count, -1, *reference.shape[1:]).mean(1)
+    count = DEFAULT_REPLICATES
+    images = reference[: len(reference) // count * count].reshape(count, -1, *reference.shape[1:]).mean(1)
     for row in attribution.ranking(5):
-        half, way = half_change(renderer, row.name, options.changed // count, count)
-        exact, error = mean_and_error(pseudo_values(rise, pictures, half) / 2)
-        told = float((attribution[row.name] * way).sum())
+        half, step = half_change(renderer, row.name, options.changed // count, count)
+        exact, error = mean_and_error(pseudo_values(rise, images, half) / 2)
+        predicted = float((attribution[row.name] * step).sum())
         total = float(channel_totals(attribution[row.name]).sum())
-        own = abs(told / total) * float(attribution.covariance[row.name].sum().sqrt())
-        z = (told - exact) / np.hypot(own, error)
+        own = abs(predicted / total) * float(attribution.covariance[row.name].sum().sqrt())
+        z = (predicted - exact) / np.hypot(own, error)
         print(
-            f"{row.label}: by the gradient {told:+.4f} ± {own:.4f}, difference {exact:+.4f} ± {error:.4f}, "
+            f"{row.label}: by the gradient {predicted:+.4f} ± {own:.4f}, difference {exact:+.4f} ± {error:.4f}, "
             f"z {z:+.2f}",
             flush=True,
         )
@@ -155,9 +157,9 @@ def gradients(renderer: SceneRenderer, rating: torch.nn.Module, options: argpars
 def half_change(
     renderer: SceneRenderer, name: str, spp: int, count: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return half of what a step up and one down differ by in the picture, replicates of it, and half the way.
+    """Return half of the image difference between a step up and a step down, as replicates, and half of the step.
 
-    Either step is 0.05, and less for what would cross a bound.
+    Either step is 0.05, clamped to the bounds.
     """
     value, (low, high) = renderer.inputs[name], renderer.bounds[name]
     upper, lower = ((value + sign * 0.05).clamp(low, high) for sign in (1, -1))
@@ -172,12 +174,12 @@ def half_change(
 def pseudo_values(function: Callable[..., float], *replicates: torch.Tensor) -> torch.Tensor:
     """Return the jackknife pseudo-values of a function of means."""
     count = len(replicates[0])
-    whole = function(*(one.mean(0) for one in replicates))
-    without = [
-        function(*((one.sum(0) - one[left_out]) / (count - 1) for one in replicates))
-        for left_out in range(count)
+    whole = function(*(values.mean(0) for values in replicates))
+    leave_one_out = [
+        function(*((values.sum(0) - values[index]) / (count - 1) for values in replicates))
+        for index in range(count)
     ]
-    return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
+    return count * whole - (count - 1) * torch.tensor(leave_one_out, dtype=torch.float64)
 
 
 def room_name(options: argparse.Namespace) -> str:
@@ -185,14 +187,14 @@ def room_name(options: argparse.Namespace) -> str:
 
 
 def pool(renderer: SceneRenderer, path: Path, count: int, spp: int, stream: int) -> torch.Tensor:
-    """Render pictures, or read those that are there: ``(count, H, W, 3)``."""
-    kept = list(np.load(path)) if path.exists() else []
+    """Return ``(count, H, W, 3)`` images, rendered or loaded from the file."""
+    images = list(np.load(path)) if path.exists() else []
     seeds = np.random.SeedSequence([stream, spp]).generate_state(count).tolist()
-    for number in range(len(kept), count):
-        kept.append(renderer(seed=seeds[number], spp=spp).numpy())
+    for number in range(len(images), count):
+        images.append(renderer(seed=seeds[number], spp=spp).numpy())
         if number % 16 == 15 or number == count - 1:
-            np.save(path, np.stack(kept))
-    return torch.from_numpy(np.stack(kept[:count]))
+            np.save(path, np.stack(images))
+    return torch.from_numpy(np.stack(images[:count]))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""What an attribution costs beside a hand-written Mitsuba script with the same samples.
+"""Compare the time of an attribution with that of a hand-written Mitsuba script with the same samples.
 
 The script renders once, differentiates the same torch metric, and calls ``render_backward`` once. Both sides keep
 their scene loaded and their kernels compiled, the script keeps its gradients enabled, and they take turns in one
-process; the medians of several turns are compared.
+process; the medians over several turns are compared.
 
     python benchmarks/overhead.py [SCENE.xml] [--turns 5]
 """
@@ -26,7 +26,7 @@ SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "
 
 
 def hand_written(path: Path, names: list[str], metric: torch.nn.Module) -> Callable[[int], float]:
-    """Return what a careful user of Mitsuba would write, as a function of the seed."""
+    """Return the script of a careful Mitsuba user, as a function of the seed."""
     mi = activate()
     import drjit as dr
 
@@ -92,7 +92,7 @@ def main() -> None:
                 seconds[name].append(time.perf_counter() - start)
     base = statistics.median(seconds["hand-written script"])
     for name, times in seconds.items():
-        ratios = [mine / theirs for mine, theirs in zip(times, seconds["hand-written script"], strict=True)]
+        ratios = [own / script for own, script in zip(times, seconds["hand-written script"], strict=True)]
         print(
             f"{name:22s} median {statistics.median(times):6.2f} s   ratio of medians "
             f"{statistics.median(times) / base:.3f}   median of ratios {statistics.median(ratios):.3f}"

@@ -1,12 +1,12 @@
-"""Whether ``attribute(tolerance=…)`` delivers what it promises, at what cost, and whether a time limit is kept.
+"""Measure the reliability and the cost of ``attribute(tolerance=…)``, and how well time limits are kept.
 
-Office: 20 runs for each tolerance are held against a reference of more samples, whose own error is printed, and
-against the cheapest fixed number of samples that would have done, in both readings: (a) its error is within the
-tolerance in 17 of 20 runs, (b) its 95 % half-widths are, so that one would have known. What stops by 95 %
-intervals cannot be as cheap as (a), which takes the errors as known.
+Office: 20 runs for each tolerance are compared with a reference of more samples, whose own error is printed, and
+with the smallest fixed number of samples that is sufficient by one of two criteria: (a) its error is within the
+tolerance in 17 of 20 runs, (b) its 95 % half-width is. A stopping rule based on 95 % intervals cannot be as cheap
+as (a), which assumes that the errors are known.
 
-Walls and floor only, by default: the mirror takes some hundred times their samples to the same relative error.
-Rooms: 5 runs at 160×90 on each scene of the folder. Time: the seconds that a limit leaves.
+By default only walls and floor are inputs: the mirror needs about a hundred times their samples for the same
+relative error. Rooms: 5 runs at 160×90 on each scene of the folder. Time: elapsed seconds for several limits.
 
     python benchmarks/planner.py office [--metric luminance|ugr] [--tolerance 0.05 --tolerance 0.01]
     python benchmarks/planner.py rooms|time
@@ -35,11 +35,11 @@ ROOMS = ("living-room", "dining-room")
 INPUTS = ["wall_*", "floor.*"]
 SHARE = 0.05
 ENOUGH = 17 / 20
-REFERENCE = 8  # times the samples of the tightest run
+REFERENCE = 8  # samples of the reference, as a multiple of those of the tightest run
 
 
 class Run(NamedTuple):
-    """One attribution: its error, its half-width, both relative to the gradient and the worst of all."""
+    """One attribution; error and half-width are the largest of all parameters, relative to their gradients."""
 
     error: float
     width: float
@@ -59,7 +59,7 @@ def totals(attribution: SceneAttribution) -> dict[str, torch.Tensor]:
 
 
 def chosen(truth: SceneAttribution) -> list[str]:
-    """Return the parameters that have the share."""
+    """Return the parameters with at least the share of the total saliency."""
     sizes = truth.saliency()
     return [name for name, size in sizes.items() if size >= SHARE * sum(sizes.values())]
 
@@ -78,7 +78,7 @@ def worst_width(found: SceneAttribution) -> float:
         total, bias = channel_totals(found[name]), channel_totals(found.bias[name])
         quantities.append(Quantity((name,), total, noise, bias, 0.0))
     quantile = simultaneous_quantile(quantities, found.info["degrees_of_freedom"])
-    return max(quantile * one.error / one.size for one in quantities)
+    return max(quantile * quantity.error / quantity.size for quantity in quantities)
 
 
 def measure(
@@ -87,29 +87,30 @@ def measure(
     found = []
     for seed in range(runs):
         began = time.perf_counter()
-        one = method.attribute(seed=seed, **options)
+        attribution = method.attribute(seed=seed, **options)
         seconds = time.perf_counter() - began
-        planner = one.info.get("planner")
-        width = planner["relative_half_width"] if planner else worst_width(one)
-        error = math.nan if truth is None else worst_error(one, truth)
-        found.append(Run(error, width, one.info["spp"], seconds, len(planner["rounds"]) if planner else 1))
+        planner = attribution.info.get("planner")
+        width = planner["relative_half_width"] if planner else worst_width(attribution)
+        error = math.nan if truth is None else worst_error(attribution, truth)
+        rounds = len(planner["rounds"]) if planner else 1
+        found.append(Run(error, width, attribution.info["spp"], seconds, rounds))
     return found
 
 
 def at_rank(values: Sequence[float], runs: int) -> float:
-    """Return the value that enough of the runs stay below."""
+    """Return the smallest value that is not exceeded in enough of the runs."""
     return sorted(values)[math.ceil(ENOUGH * runs) - 1]
 
 
 def line(name: str, runs: list[Run], tolerance: float) -> str:
-    errors, widths = [one.error for one in runs], [one.width for one in runs]
-    spent = [one.spp for one in runs]
+    errors, widths = [run.error for run in runs], [run.width for run in runs]
+    samples = [run.spp for run in runs]
     return (
         f"  {name:22s} error ≤ {tolerance:g} in {sum(e <= tolerance for e in errors)} of {len(runs)}, half-width "
-        f"in {sum(w <= tolerance for w in widths)}; median {statistics.median(spent):.0f} spp "
-        f"[{min(spent)}, {max(spent)}], {statistics.median(one.seconds for one in runs):.2f} s, error "
+        f"in {sum(w <= tolerance for w in widths)}; median {statistics.median(samples):.0f} spp "
+        f"[{min(samples)}, {max(samples)}], {statistics.median(run.seconds for run in runs):.2f} s, error "
         f"{statistics.median(errors):.2%}, 17th of 20 {at_rank(errors, len(runs)):.2%}, rounds "
-        f"{statistics.mean(one.rounds for one in runs):.1f}"
+        f"{statistics.mean(run.rounds for run in runs):.1f}"
     )
 
 
@@ -125,28 +126,29 @@ def office(options: argparse.Namespace) -> None:
         samples = REFERENCE * first.info["spp"]
         truth = method.attribute(spp=samples, replicates=24, seed=10**6 + 1)
         print(f"{name}: reference of {truth.info['spp']} spp, half-width {worst_width(truth):.2%}")
-        spent = {}
+        median_spp = {}
         for tolerance in tolerances:
             runs = measure(method, truth, options.runs, tolerance=tolerance)
-            spent[tolerance] = statistics.median(one.spp for one in runs)
+            median_spp[tolerance] = statistics.median(run.spp for run in runs)
             print(line(f"tolerance={tolerance:g}", runs, tolerance), flush=True)
             compare(method, truth, runs, tolerance)
         if len(tolerances) > 1:
-            print(f"  the tightest takes {spent[tolerances[-1]] / spent[tolerances[0]]:.1f} × the samples")
+            ratio = median_spp[tolerances[-1]] / median_spp[tolerances[0]]
+            print(f"  the tightest takes {ratio:.1f} × the samples")
 
 
 def compare(method: VanillaSceneGradient, truth: SceneAttribution, runs: list[Run], tolerance: float) -> None:
-    """Find the cheapest fixed settings, and print what the planner takes beside them."""
-    guess = math.ceil(statistics.median(one.spp for one in runs))
-    for reading in ("width", "error"):
-        # Twice: what is needed is predicted from a setting near by, as errors fall with the root of the samples.
+    """Find the cheapest fixed settings, and print the planner's cost relative to them."""
+    guess = math.ceil(statistics.median(run.spp for run in runs))
+    for criterion in ("width", "error"):
+        # Two iterations, because the extrapolation by 1/√spp is accurate only for a nearby setting.
         for _ in range(2):
             fixed = measure(method, truth, len(runs), spp=guess)
-            needed = at_rank([getattr(one, reading) for one in fixed], len(runs)) / tolerance
+            needed = at_rank([getattr(run, criterion) for run in fixed], len(runs)) / tolerance
             if 0.9 < needed <= 1:
                 break
             guess = max(8, math.ceil(guess * (needed * 1.02) ** 2))
-        letter = {"error": "a", "width": "b"}[reading]
+        letter = {"error": "a", "width": "b"}[criterion]
         print(line(f"({letter}) spp={fixed[0].spp}", fixed, tolerance))
         ratio = time_ratio(method, {"tolerance": tolerance}, {"spp": fixed[0].spp}, len(runs))
         verdict = "holds" if ratio <= 1.5 else "does not hold"
@@ -156,12 +158,12 @@ def compare(method: VanillaSceneGradient, truth: SceneAttribution, runs: list[Ru
 def time_ratio(
     method: VanillaSceneGradient, ours: dict[str, Any], theirs: dict[str, Any], runs: int
 ) -> float:
-    """Return the ratio of the median times of two ways, which take turns: what else the machine does hits both."""
+    """Return the ratio of the median times of two settings, run in turns so that machine load affects both."""
     seconds: tuple[list[float], list[float]] = ([], [])
-    for seed, (options, taken) in itertools.product(range(runs), zip((ours, theirs), seconds, strict=True)):
+    for seed, (options, times) in itertools.product(range(runs), zip((ours, theirs), seconds, strict=True)):
         began = time.perf_counter()
         method.attribute(seed=seed, **options)
-        taken.append(time.perf_counter() - began)
+        times.append(time.perf_counter() - began)
     return statistics.median(seconds[0]) / statistics.median(seconds[1])
 
 
@@ -186,7 +188,7 @@ def rooms(options: argparse.Namespace) -> None:
 def limits(options: argparse.Namespace) -> None:
     for name in options.metrics or ["luminance", "ugr"]:
         for limit in (2.0, 5.0, 10.0, 20.0):
-            renderer = SceneRenderer("office", resolution=(160, 90), max_depth=6)  # compiles anew
+            renderer = SceneRenderer("office", resolution=(160, 90), max_depth=6)  # compiles again
             method = VanillaSceneGradient(renderer, metric_of(name, renderer))
             for turn in ("first", "again"):
                 began = time.perf_counter()
@@ -195,9 +197,10 @@ def limits(options: argparse.Namespace) -> None:
                 last = planner["rounds"][-1]
                 print(
                     f"{name}, {limit:g} s, {turn}: {seconds:.2f} s ({seconds / limit - 1:+.1%}) and "
-                    f"{planner['setup_seconds']:.2f} s before; a pass takes "
-                    f"{last['seconds'] / last['passes']:.2f} s; half-width {planner['relative_half_width']:.2%}, "
-                    f"rounds {[(one['passes'], one['spp_per_pass']) for one in planner['rounds']]}",
+                    f"{planner['setup_seconds']:.2f} s of setup; "
+                    f"{last['seconds'] / last['replicates']:.2f} s per replicate; "
+                    f"half-width {planner['relative_half_width']:.2%}, "
+                    f"rounds {[(item['replicates'], item['spp_per_replicate']) for item in planner['rounds']]}",
                     flush=True,
                 )
 
@@ -218,7 +221,7 @@ def main() -> None:
     parser.add_argument("--inputs", action="append")
     parser.add_argument("--resolution", type=resolution, default=(48, 27))
     options = parser.parse_args()
-    torch.set_num_threads(1)  # Dr.Jit has threads of its own
+    torch.set_num_threads(1)  # Dr.Jit has its own threads
     {"office": office, "rooms": rooms, "time": limits}[options.part](options)
 
 

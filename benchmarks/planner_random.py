@@ -1,16 +1,15 @@
-"""Whether a goal that ``attribute(tolerance=…)`` reports as reached is reached, in rooms made at random.
+"""Check goals that ``attribute(tolerance=…)`` reports as reached, in random rooms.
 
-Scene 0 is the Cornell box with its small box replaced by a ball of rough conductor, rated by UGR. Every other
-number is the seed of a room of its own: walls of random colours, balls and blocks of rough metal, rough glass or
-paint, lit by small lamps, small balls or spots; rated in turn by mean luminance, UGR and DGP. 32×32 pixels, depth
-4; inputs are all reflectances and roughnesses.
+Scene 0 is the Cornell box with its small box replaced by a ball of rough conductor, with UGR as the metric. Every
+other number is the seed of a random room: walls of random colours, balls and blocks of rough metal, rough glass or
+diffuse paint, lit by small lamps, small balls or spots; the metric alternates between mean luminance, UGR and DGP.
+32×32 pixels, depth 4; inputs are all reflectances and roughnesses.
 
-A run is *within* where every parameter that has the share in a converged run is within the tolerance of that run.
-The converged run has errors of its own: a deviation counts as within as long as two of these would explain what is
-beyond the tolerance; the figure in brackets makes no such allowance. Seconds are those of all processors together,
-so that whatever else a machine does counts little.
+A run is *within* if every parameter with the share in a converged run is within the tolerance of that run. To
+allow for the error of the converged run, the tolerance is widened by two of its standard errors; the number in
+brackets is without this allowance. Seconds are CPU time of all cores, so that other load matters little.
 
-The folder keeps converged runs and, under a label, finished runs: the same command goes on where it was stopped.
+The folder stores converged runs and, under a label, finished runs: the same command resumes after an interruption.
 
     python benchmarks/planner_random.py FOLDER [--scene 0 --scene 1] [--seeds 0-19] [--label now] [--tolerance 0.1]
 """
@@ -55,11 +54,12 @@ def cornell_with_ball() -> dict[str, Any]:
 def random_room(seed: int) -> dict[str, Any]:
     """Return a room with two to four objects, a rough metal among them, and one or two lamps."""
     rng = np.random.default_rng(seed)
-    scene = {key: one for key, one in cornell_box().items() if "box" not in key and key != "light"}
+    scene = {key: item for key, item in cornell_box().items() if "box" not in key and key != "light"}
     scene |= {wall: paint(rng) for wall in WALLS}
     for number in range(rng.integers(2, 5)):
         kind = [metal, glass, paint][rng.integers(3)] if number else metal
-        scene |= {f"object_{number}": kind(rng), f"object_{number}_shape": thing(rng, f"object_{number}")}
+        name = f"object_{number}"
+        scene |= {name: kind(rng), f"{name}_shape": ball_or_block(rng, name)}
     for number in range(rng.integers(1, 3)):
         scene[f"lamp_{number}"] = [panel, bulb, spot][rng.integers(3)](rng)
     return scene
@@ -87,8 +87,8 @@ def glass(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def thing(rng: np.random.Generator, material: str) -> dict[str, Any]:
-    """Return a ball or a block somewhere on the floor."""
+def ball_or_block(rng: np.random.Generator, material: str) -> dict[str, Any]:
+    """Return a ball or a block at a random place on the floor."""
     size = rng.uniform(0.2, 0.45)
     place = (rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), size - 1)
     if rng.random() < 0.5:
@@ -117,7 +117,7 @@ def panel(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def bulb(rng: np.random.Generator) -> dict[str, Any]:
-    """Return a small glowing ball that hangs in the room."""
+    """Return a small luminous ball in the air."""
     radius = rng.uniform(0.03, 0.1)
     place = [*rng.uniform(-0.7, 0.7, 2), rng.uniform(0.2, 0.8)]
     radiance = power(rng) / (4 * np.pi**2 * radius**2)
@@ -125,7 +125,7 @@ def bulb(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def spot(rng: np.random.Generator) -> dict[str, Any]:
-    """Return a spot under the ceiling that points at something near the floor."""
+    """Return a spot under the ceiling that points to the floor."""
     origin, target = (*rng.uniform(-0.7, 0.7, 2), 0.9), (*rng.uniform(-0.5, 0.5, 2), -0.7)
     return {
         "type": "spot",
@@ -136,7 +136,7 @@ def spot(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def power(rng: np.random.Generator) -> float:
-    """Return what a lamp radiates, in watts: some 1000 lux on the walls of this room."""
+    """Return the power of a lamp in watts, for about 1000 lux on the walls of this room."""
     return float(rng.uniform(20, 80))
 
 
@@ -145,11 +145,11 @@ def glow(radiance: float) -> dict[str, Any]:
 
 
 def rgb(value: Any) -> dict[str, Any]:
-    return {"type": "rgb", "value": [float(one) for one in value]}
+    return {"type": "rgb", "value": [float(channel) for channel in value]}
 
 
 def method_of(number: int) -> VanillaSceneGradient:
-    """Return what attributes the metric of a scene to its inputs."""
+    """Return the attribution method for a scene and its metric."""
     activate()
     scene = random_room(number) if number else cornell_with_ball()
     renderer = SceneRenderer(scene, ["reflectance", "roughness"], resolution=(32, 32), max_depth=4)
@@ -178,7 +178,7 @@ class Run(NamedTuple):
 
 
 def converged(method: VanillaSceneGradient, path: Path, samples: int) -> SceneAttribution:
-    """Return the converged run, from the folder where it is there."""
+    """Return the converged run, loaded from the folder if it exists."""
     if not path.exists():
         method.attribute(spp=samples, replicates=32, seed=10**6, denoise=False).save(path)
     return SceneAttribution.load(path)
@@ -198,13 +198,13 @@ def run(method: VanillaSceneGradient, seed: int, tolerance: float) -> Run:
     )
 
 
-def deviations(one: Run, truth: SceneAttribution) -> dict[str, tuple[float, float]]:
-    """Return by how much each parameter that has the share is off, and the truth's own error, both relative."""
+def deviations(result: Run, truth: SceneAttribution) -> dict[str, tuple[float, float]]:
+    """Return the relative deviation of each parameter with the share, and the relative error of the truth."""
     sizes, errors = truth.saliency(), truth.saliency_error()
     assert errors is not None
     return {
         name: (
-            float(np.linalg.norm(np.array(one.totals[name]) - channel_totals(truth[name]).numpy())) / size,
+            float(np.linalg.norm(np.array(result.totals[name]) - channel_totals(truth[name]).numpy())) / size,
             errors[name] / size,
         )
         for name, size in sizes.items()
@@ -229,12 +229,14 @@ COLUMNS = {
 
 def row(number: int, metric: str, truth: SceneAttribution, runs: list[Run], tolerance: float) -> list[str]:
     """Return a line of the table."""
-    reached = [deviations(one, truth) for one in runs if one.reached]
-    strict = sum(all(off <= tolerance for off, _ in one.values()) for one in reached)
-    within = sum(all(off <= tolerance + 2 * own for off, own in one.values()) for one in reached)
-    worst, name = max(((one[n][0], n) for one in reached for n in one), default=(0.0, "–"))
-    error = max(own for one in runs for _, own in deviations(one, truth).values())
-    samples, seconds = [one.samples for one in runs], [one.seconds for one in runs]
+    reached = [deviations(result, truth) for result in runs if result.reached]
+    strict = sum(all(deviation <= tolerance for deviation, _ in found.values()) for found in reached)
+    within = sum(
+        all(deviation <= tolerance + 2 * error for deviation, error in found.values()) for found in reached
+    )
+    worst, name = max(((found[name][0], name) for found in reached for name in found), default=(0.0, "–"))
+    error = max(error for result in runs for _, error in deviations(result, truth).values())
+    samples, seconds = [result.samples for result in runs], [result.seconds for result in runs]
     return [
         str(number),
         metric,
@@ -246,7 +248,7 @@ def row(number: int, metric: str, truth: SceneAttribution, runs: list[Run], tole
         f"{statistics.median(samples):.0f} [{min(samples)}, {max(samples)}]",
         f"{statistics.median(seconds):.1f}",
         f"{sum(seconds):.0f}",
-        f"{statistics.mean(one.rounds for one in runs):.1f}",
+        f"{statistics.mean(result.rounds for result in runs):.1f}",
     ]
 
 
@@ -266,11 +268,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--scene", action="append", dest="scenes", type=int)
     parser.add_argument("--seeds", type=seed_range, default=range(20))
-    parser.add_argument("--label", default="now", help="what the runs are kept under")
+    parser.add_argument("--label", default="now", help="name for the stored runs")
     parser.add_argument("--tolerance", type=float, default=0.1)
     parser.add_argument("--converged", type=int, default=2**15, help="samples per pixel of a converged run")
     options = parser.parse_args()
-    torch.set_num_threads(1)  # Dr.Jit has threads of its own
+    torch.set_num_threads(1)  # Dr.Jit has its own threads
     runs_folder = options.folder / f"{options.label}-{options.tolerance:g}"
     runs_folder.mkdir(parents=True, exist_ok=True)
     lines = [line(COLUMNS)]

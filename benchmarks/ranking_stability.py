@@ -1,9 +1,9 @@
-"""How many samples and bounces a stable ranking takes, and what a noisy picture does to a non-linear metric.
+"""Measure how many samples and bounces a stable ranking needs, and the bias from a noisy image.
 
-The claim that is tested: at depth 6, 64 to 256 samples per pixel rank the materials of a room as 1024 do (Beresna
-and Fiume). Three tables: error and rank agreement by samples, on the rooms and for three metrics; what a shorter
-path leaves out; and the bias of a gradient through a noisy picture, on the Cornell box. Errors and ranks do not
-depend on how busy the machine is. The cache keeps what is done, case by case.
+The claim under test: at depth 6, 64 to 256 samples per pixel rank the materials of a room as 1024 do (Beresna
+and Fiume). Three tables: error and rank agreement over samples, for several rooms and three metrics; the error
+from shorter paths; and the bias of the gradient of a non-linear metric of a noisy image, on the Cornell box.
+Errors and ranks do not depend on the load of the machine. The cache stores each finished case.
 
     python benchmarks/ranking_stability.py [--only 'office*'] [--runs 6] [--resume] [--write docs/performance.md]
 """
@@ -27,16 +27,16 @@ import torch
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.attr._metric import TargetedMetric
 from scenecaptum.tradeoff import Measured, Reference, Setting
-from scenecaptum.tradeoff._measure import Bench, Judge, gradient_of
+from scenecaptum.tradeoff._measure import ReferenceGradient, SettingRunner, gradient_of
 from scenecaptum.tradeoff._settings import own_setting
 from scenecaptum.tradeoff._statistics import Bias, relative_bias
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
-DEPTH, SPP, PASSES = 6, 64, 4
+DEPTH, SPP, REPLICATES = 6, 64, 4
 SAMPLES, DEPTHS, LONGEST = (16, 64, 256), (2, 4, 6), 12
 BEGIN, END = "<!-- ranking stability: begin -->", "<!-- ranking stability: end -->"
 
-# The noisy pictures: samples per pixel of each, and how often.
+# Bias from a noisy image: resolution, samples per pixel, and runs of each.
 BOX, NOISY, REPEATS = (32, 32), (4, 16, 64), 16
 
 Metric = Callable[[torch.Tensor], torch.Tensor]
@@ -56,8 +56,8 @@ def rooms() -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def load(scene: str, width: int) -> tuple[SceneRenderer, dict[str, Metric]]:
-    """Load a room, and its metrics; the classifier gets a picture of middling brightness."""
-    gc.collect()  # the room before
+    """Load a room and its metrics; the classifier's exposure gives an image of medium brightness."""
+    gc.collect()  # frees the previous room
     size = width, 9 * width // 16
     renderer = SceneRenderer(scene, "materials", resolution=size, spp=SPP, max_depth=DEPTH)
     with torch.no_grad():
@@ -79,7 +79,7 @@ def sphere_logit(exposure: float) -> Metric:
 def by_samples(room: str, scene: str, name: str, options: argparse.Namespace) -> list[Row]:
     renderer, chosen = load(scene, options.width)
     settings = [setting(renderer, spp) for spp in SAMPLES]
-    best = setting(renderer, options.reference, passes=4 * PASSES)
+    best = setting(renderer, options.reference, replicates=4 * REPLICATES)
     rows, reference = compare(renderer, chosen[name], settings, best, options.runs)
     known = f"{100 * reference.relative_error:.1f} %, {reference.kendall_of_halves:.2f}"
     return [
@@ -91,7 +91,7 @@ def by_samples(room: str, scene: str, name: str, options: argparse.Namespace) ->
 def by_depth(room: str, scene: str, options: argparse.Namespace) -> list[Row]:
     renderer, chosen = load(scene, options.width)
     settings = [setting(renderer, SPP, depth=depth) for depth in (*DEPTHS, LONGEST)]
-    best = setting(renderer, options.reference // 2, depth=LONGEST, passes=4 * PASSES)
+    best = setting(renderer, options.reference // 2, depth=LONGEST, replicates=4 * REPLICATES)
     rows, _ = compare(renderer, chosen["mean luminance"], settings, best, options.runs)
     return [[room, str(row.setting.max_depth), *agreement(row)] for row in rows]
 
@@ -99,40 +99,43 @@ def by_depth(room: str, scene: str, options: argparse.Namespace) -> list[Row]:
 def compare(
     renderer: SceneRenderer, metric: Metric, settings: list[Setting], best: Setting, runs: int
 ) -> tuple[list[Measured], Reference]:
-    bench = Bench(renderer, lambda _: metric)
-    judge = Judge.of(bench.run(best, seed=10**6))
+    runner = SettingRunner(renderer, lambda _: metric)
+    reference = ReferenceGradient.of(runner.run(best, seed=10**6))
     rows = [
-        judge.compare("", one, [bench.run(one, seed=1000 * number + run) for run in range(runs)])
-        for number, one in enumerate(settings)
+        reference.compare("", item, [runner.run(item, seed=1000 * number + run) for run in range(runs)])
+        for number, item in enumerate(settings)
     ]
-    return rows, judge.describe(best)
+    return rows, reference.describe(best)
 
 
-def setting(renderer: SceneRenderer, spp: int, *, depth: int | None = None, passes: int = PASSES) -> Setting:
+def setting(
+    renderer: SceneRenderer, spp: int, *, depth: int | None = None, replicates: int = REPLICATES
+) -> Setting:
     own = own_setting(renderer)
     return dataclasses.replace(
-        own, primal_spp=spp, gradient_spp=spp, replicates=passes, max_depth=depth or own.max_depth
+        own, primal_spp=spp, gradient_spp=spp, replicates=replicates, max_depth=depth or own.max_depth
     )
 
 
 def agreement(row: Measured) -> Row:
     return [
         percent(*row.relative_error),
-        bias_words(row.bias),
-        *(f"{one.value:.2f}" for one in (row.spearman, row.kendall, row.kendall_resolved)),
+        bias_text(row.bias),
+        *(f"{rank.value:.2f}" for rank in (row.spearman, row.kendall, row.kendall_resolved)),
         f"{100 * row.top.value:.0f} %",
     ]
 
 
 def noisy(name: str) -> list[Row]:
-    """Return the bias of three ways through a noisy picture, relative to the gradient.
+    """Return the relative bias of the gradient for three ways to differentiate a noisy image.
 
-    All three see as many samples. The first replays them in the backward pass, the others take new ones.
+    All three use the same number of samples. The first replays them in the backward pass, the others draw new
+    ones.
     """
     metric = noisy_metrics()[name]
     renderer = SceneRenderer("cornell-box", "reflectance", resolution=BOX, spp=16, max_depth=DEPTH)
-    bench = Bench(renderer, lambda _: metric)
-    judge = Judge.of(bench.run(setting(renderer, 8192, passes=16), seed=10**6))
+    runner = SettingRunner(renderer, lambda _: metric)
+    reference = ReferenceGradient.of(runner.run(setting(renderer, 8192, replicates=16), seed=10**6))
     targeted, rows = TargetedMetric(metric), []
 
     def replayed(seed: int, spp: int) -> torch.Tensor:
@@ -142,13 +145,13 @@ def noisy(name: str) -> list[Row]:
         return torch.cat([leaf.grad.flatten() for leaf in leaves.values()]).double()
 
     def attributed(replicates: int) -> Callable[[int, int], torch.Tensor]:
-        return lambda seed, spp: gradient_of(bench.run(setting(renderer, spp, passes=replicates), seed))
+        return lambda seed, spp: gradient_of(runner.run(setting(renderer, spp, replicates=replicates), seed))
 
     for spp in NOISY:
         row = [name, str(spp)]
         for gradient in (replayed, attributed(1), attributed(8)):
             found = torch.stack([gradient(seed, spp) for seed in range(REPEATS)])
-            row.append(bias_words(relative_bias(found - judge.gradient, judge.noise, judge.size)))
+            row.append(bias_text(relative_bias(found - reference.gradient, reference.noise, reference.size)))
         rows.append(row)
     return rows
 
@@ -165,7 +168,7 @@ def noisy_metrics() -> dict[str, Metric]:
     }
 
 
-# ------------------------------------------------------------------------------------------------ words
+# ------------------------------------------------------------------------------------------------ text
 
 
 def percent(value: float, error: float) -> str:
@@ -173,8 +176,8 @@ def percent(value: float, error: float) -> str:
     return f"{100 * value:.{digits}f} ± {max(100 * error, 0.1):.{digits}f} %"
 
 
-def bias_words(bias: Bias) -> str:
-    return percent(bias.value, bias.error) if bias.told else f"≤ {100 * bias.limit:.1f} %"
+def bias_text(bias: Bias) -> str:
+    return percent(bias.value, bias.error) if bias.significant else f"≤ {100 * bias.upper_limit:.1f} %"
 
 
 def table(head: Row, rows: list[Row]) -> str:
@@ -183,19 +186,19 @@ def table(head: Row, rows: list[Row]) -> str:
 
 
 def document(found: dict[str, list[Row]], options: argparse.Namespace) -> str:
-    samples, depths, pictures = (
+    samples, depths, noisy_images = (
         [row for key, rows in found.items() if key.startswith(part) for row in rows]
         for part in ("samples", "depth", "noisy")
     )
     agreements = ["error", "bias", "Spearman", "Kendall", "Kendall, resolved", "top 5"]
     box = "×".join(map(str, BOX))
-    ways = ["samples of the picture replayed", "samples of their own", "8 passes, jackknifed"]
+    ways = ["backward pass replays the samples", "independent samples", "8 replicates, jackknife"]
     size = f"{options.width}×{9 * options.width // 16}"
     parts = [
         (
             f"**Samples**, at depth {DEPTH}, in rooms at {size}, against an independent reference of "
             f"{options.reference} spp: all differentiable parameters of materials, {options.runs} runs of each "
-            f"setting in {PASSES} passes.",
+            f"setting with {REPLICATES} replicates.",
             ["room", "metric", "spp", *agreements, "reference"],
             samples,
         ),
@@ -206,19 +209,19 @@ def document(found: dict[str, list[Row]], options: argparse.Namespace) -> str:
             depths,
         ),
         (
-            f"**A noisy picture**: bias of the gradient of the Cornell box at {box}, {REPEATS} runs.",
+            f"**Bias from a noisy image**: bias of the gradient of the Cornell box at {box}, {REPEATS} runs.",
             ["metric", "spp", *ways],
-            pictures,
+            noisy_images,
         ),
     ]
-    return "\n\n".join(f"{words}\n\n{table(head, rows)}" for words, head, rows in parts if rows)
+    return "\n\n".join(f"{title}\n\n{table(head, rows)}" for title, head, rows in parts if rows)
 
 
 # ------------------------------------------------------------------------------------------------ running
 
 
 def cases(options: argparse.Namespace) -> dict[str, Callable[[], list[Row]]]:
-    """Name what is measured, room by room."""
+    """Return the measurements by name, room by room."""
     found: dict[str, Callable[[], list[Row]]] = {}
     for room, scene in rooms().items():
         for name in ("mean luminance", "UGR", "class logit"):
@@ -232,10 +235,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", default="*", help="glob over the names of the cases")
-    parser.add_argument("--width", type=int, default=64, help="of the pictures of rooms, in pixels")
-    parser.add_argument("--runs", type=int, default=6, help="of each setting")
-    parser.add_argument("--reference", type=int, default=2048, help="its samples per pixel")
-    parser.add_argument("--resume", action="store_true", help="keep the cases that the cache holds")
+    parser.add_argument("--width", type=int, default=64, help="width of the rooms' images, in pixels")
+    parser.add_argument("--runs", type=int, default=6, help="runs of each setting")
+    parser.add_argument("--reference", type=int, default=2048, help="samples per pixel of the reference")
+    parser.add_argument("--resume", action="store_true", help="skip the cases in the cache")
     parser.add_argument(
         "--cache", type=Path, default=Path(tempfile.gettempdir()) / "scenecaptum-ranking-stability.json"
     )

@@ -1,8 +1,8 @@
-"""Whether a rebuild left the numbers alone: every method's attributions, recorded before and compared after.
+"""Check that a refactoring does not change results: record every method's attributions before, and compare after.
 
-``record`` writes what each method attributes in the Cornell box, the office and the living room with fixed seeds;
-``compare`` computes the same again and prints the largest difference of each run, relative to the largest value of
-that input. Gradients repeat to about 1e-6: sums on the device have no fixed order.
+``record`` writes the attributions of each method in the Cornell box, the office and the living room with fixed
+seeds; ``compare`` computes them again and prints the largest difference of each run, relative to the largest value
+of that input. Gradients repeat to about 1e-6, because sums on the device have no fixed order.
 
     python benchmarks/same_numbers.py record FILE
     python benchmarks/same_numbers.py compare FILE
@@ -62,11 +62,11 @@ def renderers() -> Iterator[tuple[str, SceneRenderer]]:
         inputs = ["reflectance", "roughness", "*.scale"]
         yield "living room", SceneRenderer(room, inputs=inputs, resolution=(32, 18), spp=8, max_depth=4)
     else:
-        print(f"left out: {room} is not there")
+        print(f"skipped: {room} does not exist")
 
 
 def attributions() -> Iterator[tuple[str, dict[str, torch.Tensor]]]:
-    """Yield what each method attributes: a name for the run, and its values and errors."""
+    """Yield the name, and the values and errors, of each run."""
     for room, renderer in renderers():
         glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
         for metric in (metrics.MeanLuminance(), glare):
@@ -83,7 +83,7 @@ def attributions() -> Iterator[tuple[str, dict[str, torch.Tensor]]]:
 def numbers(attribution: Any) -> dict[str, torch.Tensor]:
     """Return the values, their errors and the metric of an attribution."""
     values = {f"value {name}": value.double() for name, value in attribution.items()}
-    errors = {f"error {name}": error.double() for name, error in attribution.standard_error.items()}
+    errors = {f"error {name}": error.double() for name, error in (attribution.standard_error or {}).items()}
     metric = torch.tensor([float(attribution.metric_value), float(attribution.metric_standard_error or 0)])
     return values | errors | {"metric": metric.double()}
 
@@ -95,23 +95,23 @@ def distance(now: torch.Tensor, before: torch.Tensor) -> float:
 
 
 def compare(file: Path) -> int:
-    """Print how far each run is from what was recorded, and return how many are beyond the limit."""
+    """Print the difference of each run from the record, and return 1 if any exceeds the limit."""
     before = torch.load(file, weights_only=True)
-    beyond = 0
+    exceeded = 0
     for run, now in attributions():
         if run not in before:
             print(f"   new      {run}")
             continue
         if now.keys() != before[run].keys():
             print(f"   names    {run}: {sorted(now.keys() ^ before[run].keys())}")
-            beyond += 1
+            exceeded += 1
             continue
         worst = max(now, key=lambda name: distance(now[name], before[run][name]))
-        far = distance(now[worst], before[run][worst])
-        beyond += far > LIMIT
-        print(f"{far:9.1e} {'!' if far > LIMIT else ' '} {run} ({worst})")
-    print(f"{beyond} of {len(before)} runs differ by more than {LIMIT:g}")
-    return int(beyond > 0)
+        largest = distance(now[worst], before[run][worst])
+        exceeded += largest > LIMIT
+        print(f"{largest:9.1e} {'!' if largest > LIMIT else ' '} {run} ({worst})")
+    print(f"{exceeded} of {len(before)} runs differ by more than {LIMIT:g}")
+    return int(exceeded > 0)
 
 
 def main() -> int:

@@ -1,11 +1,10 @@
-"""How much less our backward pass costs than stock prb's at equal error.
+"""Measure the efficiency of our backward pass relative to stock prb.
 
 The gain is (variance × time of ``prb``) / (variance × time of ours), for the derivative of one fixed metric with
-respect to the parameters for which ``prb`` is right. Both sides propagate the same adjoint image, that of a
-converged render, with the same number of samples. They take turns in one process, some repeats each, and load the
-scene anew for every turn: one scene slows the other down while both are alive, since Dr.Jit traces them together.
-The gain of the parameters is pooled as the geometric mean over all their elements, and its interval is a bootstrap
-over the repeats.
+respect to the parameters for which ``prb`` is correct. Both sides propagate the same adjoint image, that of a
+converged render, with the same number of samples. They take turns in one process, with several repeats each, and
+reload the scene for every turn: a second loaded scene slows down the first, because Dr.Jit traces them together.
+The gain is the geometric mean over all elements of the parameters, with a bootstrap interval over the repeats.
 
     python benchmarks/variance.py [--repeats 100] [--spp 16] [--scene GLOB] [--metric GLOB]
 """
@@ -35,7 +34,7 @@ BOOTSTRAPS = 2000
 TURNS = 4
 ROUGHNESS = 0.05
 
-# Where stock prb agrees with finite differences (docs/derivatives.md).
+# Parameters for which stock prb agrees with finite differences (docs/derivatives.md).
 RIGHT = {
     "SmoothDiffuse": ("reflectance",),
     "RoughConductor": ("alpha", "alpha_u", "alpha_v", "specular_reflectance", "eta", "k"),
@@ -51,7 +50,7 @@ Scene = Any  # a path or a Mitsuba dict
 
 @dataclass
 class Case:
-    """A scene, and the values at which it is differentiated."""
+    """A scene, and the parameter values at which it is differentiated."""
 
     name: str
     scene: Scene
@@ -72,7 +71,7 @@ def glare(image: torch.Tensor, threshold_factor: float = 5.0) -> torch.Tensor:
 
 
 class Logit(torch.nn.Module):
-    """One output of a small convolutional network with random weights, on the tone-mapped picture."""
+    """One output of a small convolutional network with random weights, on the tone-mapped image."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -122,7 +121,7 @@ def scenes(rough: bool) -> Iterator[tuple[str, Scene]]:
 
 
 def make_case(name: str, scene: Scene, rough: bool) -> Case:
-    """Choose the parameters: those for which stock prb is right, or the roughnesses, all set to 0.05."""
+    """Select the parameters for which stock prb is correct, or the roughnesses, all set to 0.05."""
     whole = SceneRenderer(scene, "all", resolution=RESOLUTION, max_depth=DEPTH)
     table = whole.parameters_table()
     right = {
@@ -133,7 +132,7 @@ def make_case(name: str, scene: Scene, rough: bool) -> Case:
     if rough:
         values = {n: torch.full_like(v, ROUGHNESS) for n, v in right.items() if table[n].kind == "roughness"}
     else:
-        # At 0 stock prb loses the indirect part.
+        # At 0, stock prb misses the indirect part.
         values = {n: v for n, v in right.items() if bool((v != 0).all())}
     return Case(name, scene, values)
 
@@ -142,7 +141,7 @@ Backward = Callable[[torch.Tensor, int, int], tuple[torch.Tensor, float]]
 
 
 def stock_backward(case: Case) -> Backward:
-    """Return stock prb's backward pass: gradients and seconds from adjoint, seed and samples."""
+    """Return stock prb's backward pass, from adjoint, seed and samples to gradients and seconds."""
     mi = activate()
     import drjit as dr
 
@@ -174,7 +173,7 @@ def stock_backward(case: Case) -> Backward:
 
 
 def our_backward(case: Case) -> Backward:
-    """Return our backward pass, called as any user of torch would."""
+    """Return our backward pass, called through torch."""
     renderer = SceneRenderer(case.scene, list(case.values), resolution=RESOLUTION, max_depth=DEPTH)
 
     def backward(adjoint: torch.Tensor, seed: int, spp: int) -> tuple[torch.Tensor, float]:
@@ -201,7 +200,7 @@ def adjoints(case: Case, chosen: Sequence[Metric]) -> list[torch.Tensor]:
 
 
 def compare(case: Case, chosen: Mapping[str, Metric], repeats: int, spps: Sequence[int]) -> None:
-    """Print the gains and what they are made of."""
+    """Print the gains with their factors."""
     runs = [
         (name, adjoint, spp)
         for name, adjoint in zip(chosen, adjoints(case, list(chosen.values())), strict=True)
@@ -211,15 +210,15 @@ def compare(case: Case, chosen: Mapping[str, Metric], repeats: int, spps: Sequen
     seconds: dict[tuple[int, str], list[float]] = defaultdict(list)
     for turn in range(TURNS):
         for side, start in SIDES.items():
-            gc.collect()  # the other side's scene
+            gc.collect()  # frees the other side's scene
             backward = start(case)
             for run, (_, adjoint, spp) in enumerate(runs):
-                for _ in range(2):  # to compile and to record
+                for _ in range(2):  # warm-up: compile and record the kernels
                     backward(adjoint, 1, spp)
                 for repeat in range(turn * repeats // TURNS, (turn + 1) * repeats // TURNS):
-                    gradient, took = backward(adjoint, 2 * repeat + 10, spp)
+                    gradient, elapsed = backward(adjoint, 2 * repeat + 10, spp)
                     samples[run, side].append(gradient.double())
-                    seconds[run, side].append(took)
+                    seconds[run, side].append(elapsed)
             del backward
     for run, (name, _, spp) in enumerate(runs):
         prb, ours = (torch.stack(samples[run, side]) for side in SIDES)
@@ -228,15 +227,15 @@ def compare(case: Case, chosen: Mapping[str, Metric], repeats: int, spps: Sequen
 
 
 def result(prb: torch.Tensor, ours: torch.Tensor, prb_seconds: float, our_seconds: float) -> str:
-    """Put the gain of gradients of shape ``(repeats, numbers)`` into words."""
-    reached = (prb.var(0) > 0) & (ours.var(0) > 0)
-    low, middle, high = _bootstrap(prb[:, reached], ours[:, reached])
+    """Format the gain, given gradients of shape ``(repeats, elements)``."""
+    noisy = (prb.var(0) > 0) & (ours.var(0) > 0)
+    low, middle, high = _bootstrap(prb[:, noisy], ours[:, noisy])
     ratio = prb_seconds / our_seconds
     z = (prb.mean(0) - ours.mean(0)) / ((prb.var(0) + ours.var(0)) / len(prb)).sqrt()
     return (
         f"gain {middle * ratio:.2f} [{low * ratio:.2f}, {high * ratio:.2f}]"
         f"  = variance {middle:.2f} [{low:.2f}, {high:.2f}] × time {ratio:.2f}"
-        f"  ({int(reached.sum())} numbers, largest |z| {z[reached].abs().max():.1f};"
+        f"  ({int(noisy.sum())} elements, largest |z| {z[noisy].abs().max():.1f};"
         f" prb {1000 * prb_seconds:.0f} ms, ours {1000 * our_seconds:.0f} ms)"
     )
 
@@ -249,8 +248,8 @@ def _bootstrap(prb: torch.Tensor, ours: torch.Tensor) -> tuple[float, float, flo
         first, second = (
             side[torch.randint(len(side), (len(side),), generator=generator)].var(0) for side in (prb, ours)
         )
-        known = (first > 0) & (second > 0)
-        pooled.append((first[known] / second[known]).log().mean().exp())
+        positive = (first > 0) & (second > 0)
+        pooled.append((first[positive] / second[positive]).log().mean().exp())
     low, middle, high = torch.stack(pooled).quantile(torch.tensor([0.025, 0.5, 0.975], dtype=torch.float64))
     return low.item(), middle.item(), high.item()
 
@@ -262,7 +261,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=100)
     parser.add_argument("--spp", type=int, nargs="+", default=[16])
     parser.add_argument("--scene", default="*", help="glob over the names of the scenes")
-    parser.add_argument("--metric", default="*", help='glob over the metrics, "roughness" being one')
+    parser.add_argument(
+        "--metric", default="*", help='glob over the names of the metrics, including "roughness"'
+    )
     arguments = parser.parse_args()
     print(
         f"{RESOLUTION[0]}×{RESOLUTION[1]}, depth {DEPTH}, {arguments.repeats} repeats; 95 % bootstrap intervals"

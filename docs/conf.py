@@ -1,4 +1,4 @@
-"""How Sphinx builds the documentation: `make docs`."""
+"""Sphinx configuration for `make docs`."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ copyright = "The scenecaptum developers"
 release = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build", "performance.md"]  # the latter is part of another page
+exclude_patterns = ["_build", "performance.md"]  # speed.md includes the latter
 templates_path = ["_templates"]
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
-# Properties say what they are themselves: a class that describes them as attributes would do so twice.
+# Properties have docstrings of their own: attributes in the class would document them twice.
 napoleon_use_ivar = True
 napoleon_attr_annotations = False
 default_role = "py:obj"
@@ -37,8 +37,8 @@ html_show_sphinx = False
 html_use_index = False
 
 
-def _mend_docstring(_app: Any, what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
-    """Keep napoleon from taking words for types: a property's before a colon, and the first of two attributes."""
+def _fix_docstring(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    """Prevent napoleon from parsing words as types: before a colon in a property, and in a list of attributes."""
     if what == "property":
         lines.insert(0, "")
     if "Attributes" in lines:
@@ -48,23 +48,23 @@ def _mend_docstring(_app: Any, what: str, _name: str, _thing: Any, _options: Any
 
 
 def _hide_constructor(
-    _app: Any, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returns: str | None
+    _app: Any, what: str, _name: str, obj: Any, _options: Any, signature: str | None, returns: str | None
 ) -> tuple[str | None, str | None]:
-    """Hide how results are made, which is not for users to do: their attributes are described."""
-    is_result = what == "class" and (dataclasses.is_dataclass(thing) or issubclass(thing, tuple))
+    """Hide the constructors of result classes, which users do not call."""
+    is_result = what == "class" and (dataclasses.is_dataclass(obj) or issubclass(obj, tuple))
     return ("" if is_result else signature), returns
 
 
 def _skip_numbered_field(
-    _app: Any, _what: str, _name: str, thing: Any, _skip: bool, _options: Any
+    _app: Any, _what: str, _name: str, obj: Any, _skip: bool, _options: Any
 ) -> bool | None:
-    """Skip the fields of a named tuple, of which Python says only their number: the class describes them."""
-    return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
+    """Skip the fields of a named tuple with Python's default docstring: the class documents them."""
+    return True if (getattr(obj, "__doc__", None) or "").startswith("Alias for field number") else None
 
 
 def setup(app: Any) -> None:
-    """Register what differs from Sphinx's own ways."""
-    app.connect("autodoc-process-docstring", _mend_docstring, priority=100)
+    """Connect the hooks to Sphinx's events."""
+    app.connect("autodoc-process-docstring", _fix_docstring, priority=100)
     app.connect("autodoc-process-signature", _hide_constructor)
     app.connect("autodoc-skip-member", _skip_numbered_field)
     for field in PyObject.doc_field_types:

@@ -1,4 +1,4 @@
-"""What the examples take on their command line."""
+"""Command-line options of the examples."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 
 
 def parser(doc: str | None, *, resolution: str, spp: int, out: str | None = None) -> argparse.ArgumentParser:
-    """Return a parser of ``--resolution`` and ``--spp``, and of ``--out`` where the example writes files."""
-    made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--resolution", type=size, default=size(resolution), metavar="WIDTHxHEIGHT")
-    made.add_argument("--spp", type=int, default=spp, help="samples per pixel")
+    """Return a parser of ``--resolution`` and ``--spp``, and of ``--out`` if the example writes files."""
+    result = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    result.add_argument("--resolution", type=size, default=size(resolution), metavar="WIDTHxHEIGHT")
+    result.add_argument("--spp", type=int, default=spp, help="samples per pixel")
     if out is not None:
-        made.add_argument("--out", type=Path, default=Path(out), help="folder of what is written")
-    return made
+        result.add_argument("--out", type=Path, default=Path(out), help="output folder")
+    return result
 
 
 def size(text: str) -> tuple[int, int]:

@@ -1,7 +1,7 @@
-"""What makes a network see a chair: the logit of a ResNet-50, attributed to materials and lights of the office.
+"""Attribute a ResNet-50's logit of a chair to materials and lights of the office.
 
-The camera looks at the office chair. Weights are downloaded by torchvision on first use; ``--random`` takes random
-ones, to see that it works without. Prints the ranking, and draws the picture beside the map.
+The camera looks at the office chair. torchvision downloads the weights on first use; ``--random`` uses random
+weights instead, as a smoke test. Prints the ranking, and draws the render beside the map.
 
     python examples/chair_logit.py [--out out/chair] [--resolution 224x224] [--spp 256] [--random]
 """
@@ -21,7 +21,7 @@ FOLDING_CHAIR = 559
 
 
 def scene() -> dict[str, Any]:
-    """Return the office, seen from a place before the chair."""
+    """Return the office with the camera in front of the chair."""
     mi = activate()
     office = bundled.office()
     pose = mi.ScalarTransform4f().look_at(origin=(0.9, 0.7, 1.35), target=(-0.22, 2.42, 0.6), up=(0, 0, 1))
@@ -50,12 +50,12 @@ def main(
     print(found)
     folder.mkdir(parents=True, exist_ok=True)
     found.plot_heatmap(signed=True).savefig(folder / "chair.png")
-    print(f"\n{folder / 'chair.png'}  the picture and what the network goes by")
+    print(f"\n{folder / 'chair.png'}  the render and the map")
     return found
 
 
 if __name__ == "__main__":
-    asked = parser(__doc__, resolution="224x224", spp=256, out="out/chair")
-    asked.add_argument("--random", action="store_true", help="random weights of a ResNet-18")
-    options = asked.parse_args()
+    arguments = parser(__doc__, resolution="224x224", spp=256, out="out/chair")
+    arguments.add_argument("--random", action="store_true", help="a ResNet-18 with random weights")
+    options = arguments.parse_args()
     main(options.out, options.resolution, options.spp, random=options.random)

@@ -39,5 +39,5 @@ def main(folder: Path, resolution: tuple[int, int] = (256, 144), spp: int = 64) 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="where they are written")
+    parser.add_argument("folder", type=Path, help="output folder")
     main(parser.parse_args().folder)

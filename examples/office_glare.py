@@ -1,7 +1,7 @@
 """Lower the glare of the office below 19 by moving the five parameters that matter most.
 
-UGR 19 is the limit for offices of EN 12464-1. The ranking chooses what is moved, by half of its range at most, and
-torch's Adam moves it. Prints the parameters before and after, and draws both rooms.
+UGR 19 is the limit for offices in EN 12464-1. The ranking selects the parameters, and torch's Adam moves them by
+half of their range at most. Prints the parameters before and after, and draws both rooms.
 
     python examples/office_glare.py [--out out/office-glare] [--resolution 160x90] [--spp 64]
 """
@@ -18,14 +18,14 @@ from scenecaptum import SceneRenderer, metrics, optimize
 LIMIT = 19.0
 
 
-def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 64) -> optimize.Optimisation:
+def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 64) -> optimize.Optimization:
     renderer = SceneRenderer("office", ["materials", "emitters"], resolution=resolution, spp=spp)
     glare = metrics.UnifiedGlareRating(renderer.camera)
     found = optimize.minimize(renderer, glare, LIMIT, top=5, change=0.5, show_progress=sys.stderr.isatty())
     print(found)
     folder.mkdir(parents=True, exist_ok=True)
     found.plot().savefig(folder / "office-glare.png")
-    print(f"{folder / 'office-glare.png'}  before, after and the way between")
+    print(f"{folder / 'office-glare.png'}  before, after and the optimisation")
     return found
 
 

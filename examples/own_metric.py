@@ -1,7 +1,7 @@
-"""A metric of your own: how well the desk stands out from what surrounds it.
+"""Define a custom metric: the contrast of the desk with its surroundings.
 
-Any torch function of the picture will do. This one weighs pixels by which object they show, so that it asks for
-the contrast of one object; the gradient goes through all light that reaches it.
+Any torch function of the image works. This one weights pixels by the object that they show, to measure the
+contrast of one object; the gradient includes all light that reaches it.
 
     python examples/own_metric.py [--resolution 160x90] [--spp 128]
 """
@@ -20,7 +20,7 @@ class WeberContrast(torch.nn.Module):
     Parameters
     ----------
     weight
-        ``(H, W)``, which part of each pixel shows the object.
+        ``(H, W)``, the fraction of each pixel that shows the object.
     """
 
     weight: torch.Tensor
@@ -30,7 +30,7 @@ class WeberContrast(torch.nn.Module):
         self.register_buffer("weight", weight)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the contrast in a ``(H, W, 3)`` picture."""
+        """Return the contrast in a ``(H, W, 3)`` image."""
         y, rest = metrics.luminance(image), 1 - self.weight
         background = (rest * y).sum() / rest.sum()
         return (self.weight * y).sum() / self.weight.sum() / background - 1

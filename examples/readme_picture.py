@@ -1,4 +1,4 @@
-"""Make the picture of the README: the office, and what its mean luminance depends on.
+"""Draw the figure of the README: the office, and the saliency for its mean luminance.
 
 python examples/readme_picture.py [FILE]
 """
@@ -26,5 +26,5 @@ def main(path: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     picture = Path(__file__).parents[1] / "docs" / "pictures" / "office.png"
-    parser.add_argument("file", type=Path, nargs="?", default=picture, help="where it is written")
+    parser.add_argument("file", type=Path, nargs="?", default=picture, help="output file")
     main(parser.parse_args().file)

@@ -1,9 +1,8 @@
-"""How specific saliency is to its metric: brightness, glare and contrast of the office, from one set of settings.
+"""Measure how specific saliency is to its metric: brightness, glare and contrast of the office.
 
-All three are measured on the same renders, so that what their rankings differ in is due to the metrics. Prints
-the rank correlation (Spearman's) of what raising each parameter does to either of two metrics; on the diagonal,
-that of a metric with itself under another seed, which is the most that noise allows. Draws the rankings as bars,
-and the maps below them.
+All three are measured on the same renders, so that their rankings differ only because of the metrics. Prints
+Spearman's rank correlation of the signed attributions of two metrics; on the diagonal, that of a metric with
+itself and another seed, which is the upper limit set by noise. Draws the rankings as bars, and the maps below.
 
     python examples/specificity.py [--out out/specificity] [--resolution 160x90] [--spp 128]
 """
@@ -22,7 +21,7 @@ from scenecaptum.visualization import plot_specificity
 
 def rank_correlation(a: SceneAttribution, b: SceneAttribution) -> float:
     """Return Spearman's correlation of the signed attributions, channels and texels added up."""
-    totals = torch.tensor([[one[name].sum() for name in a] for one in (a, b)])
+    totals = torch.tensor([[attribution[name].sum() for name in a] for attribution in (a, b)])
     return torch.corrcoef(totals.argsort().argsort().float())[0, 1].item()
 
 
@@ -46,16 +45,14 @@ def main(
         for seed in (0, 1)
     )
     correlations = {
-        (one, other): rank_correlation(found[one], (again if one == other else found)[other])
-        for one in chosen
-        for other in chosen
+        (a, b): rank_correlation(found[a], (again if a == b else found)[b]) for a in chosen for b in chosen
     }
     print(" " * 16 + "".join(f"{name:>17s}" for name in chosen))
-    for one in chosen:
-        print(f"{one:16s}" + "".join(f"{correlations[one, other]:17.2f}" for other in chosen))
+    for a in chosen:
+        print(f"{a:16s}" + "".join(f"{correlations[a, b]:17.2f}" for b in chosen))
     folder.mkdir(parents=True, exist_ok=True)
     plot_specificity(list(found.values()), signed=True).savefig(folder / "specificity.png")
-    print(f"\n{folder / 'specificity.png'}  what each metric depends on")
+    print(f"\n{folder / 'specificity.png'}  rankings and maps of each metric")
     return correlations
 
 

@@ -1,10 +1,9 @@
-"""Train the shape classifier that ships with scenecaptum, on pictures rendered for it.
+"""Train the shape classifier that ships with scenecaptum on synthetic renders.
 
 python examples/train_shape_classifier.py [--images 4000] [--epochs 40] [--out FILE]
 
 Renders spheres, cubes and cylinders in random poses, colours, materials and lights, trains
-``metrics.ShapeClassifier`` on them, and prints its accuracy on renders of other seeds, which had no part in the
-training.
+``metrics.ShapeClassifier`` on them, and prints its accuracy on held-out renders with other seeds.
 """
 
 from __future__ import annotations
@@ -24,29 +23,29 @@ from scenecaptum import metrics
 Plugin = dict[str, Any]
 WEIGHTS = Path(metrics.__file__).with_name("shape_classifier.pt")
 RESOLUTION = 48
-HELD_OUT = 1_000_000  # the first seed of the held-out pictures; training seeds start at 0
+HELD_OUT = 1_000_000  # the first seed of the held-out images; training seeds start at 0
 
 
-# --- Pictures -------------------------------------------------------------------------------------
+# --- Images ---------------------------------------------------------------------------------------
 
 
-def picture(seed: int) -> tuple[torch.Tensor, int]:
-    """Return an ``(H, W, 3)`` linear-radiance render and its class, the same ones for the same seed."""
+def render_example(seed: int) -> tuple[torch.Tensor, int]:
+    """Return an ``(H, W, 3)`` linear-radiance render and its class, both determined by the seed."""
     import drjit as dr
     import mitsuba as mi
 
     rng = np.random.default_rng(seed)
     label = seed % len(metrics.ShapeClassifier.classes)
     scene = mi.load_dict(random_scene(metrics.ShapeClassifier.classes[label], rng))
-    # Numbers that are data, not part of the program, let one compiled kernel serve thousands of scenes.
+    # Opaque values are not compiled into the kernel, so that one kernel serves thousands of scenes.
     dr.make_opaque([value for _, value in mi.traverse(scene)])
     image = mi.render(scene, seed=seed % 2**31).torch().cpu().clone()
-    # The picture's mean is set as a camera's exposure would, with an error of up to a stop.
+    # Automatic exposure, with an error of up to a stop.
     return image * float(0.3 * 2 ** rng.uniform(-1.0, 1.0)) / image.mean().clamp_min(1e-6), label
 
 
 def random_scene(kind: str, rng: np.random.Generator) -> Plugin:
-    """Return one shape on a floor before a wall, seen and lit from a random side."""
+    """Return one shape on a floor in front of a wall, with random camera and light."""
     import mitsuba as mi
 
     bearing, height = rng.uniform(-0.7, 0.7), rng.uniform(0.8, 2.4)
@@ -82,13 +81,12 @@ def random_scene(kind: str, rng: np.random.Generator) -> Plugin:
 
 
 def _shape(kind: str, rng: np.random.Generator) -> Plugin:
-    """Return the shape, about as large whichever kind it is: its size must not give it away."""
+    """Return the shape; all kinds have about the same size, so that the size does not reveal the class."""
     import mitsuba as mi
 
     place = mi.ScalarTransform4f()
-    if (
-        rng.random() < 0.5
-    ):  # half of them stand upright; a cylinder seen along its axis would be a disk to anyone
+    # Half of them are upright. The tilt is limited, because a cylinder seen along its axis is a disk.
+    if rng.random() < 0.5:
         heading = rng.uniform(0, 2 * np.pi)
         place = place.rotate([np.cos(heading), np.sin(heading), 0], rng.uniform(0, 40))
     place = place.rotate([0, 0, 1], rng.uniform(0, 360)) @ mi.ScalarTransform4f().scale(
@@ -116,7 +114,7 @@ def _shape(kind: str, rng: np.random.Generator) -> Plugin:
 def _material(rng: np.random.Generator) -> Plugin:
     inside: Plugin = {
         "type": "principled",
-        "base_color": _colour(rng, 0.2, 0.9),
+        "base_color": _color(rng, 0.2, 0.9),
         "roughness": rng.uniform(0.25, 0.9),
         "specular": rng.uniform(0.1, 0.6),
     }
@@ -124,12 +122,12 @@ def _material(rng: np.random.Generator) -> Plugin:
 
 
 def _panel(place: Any, rng: np.random.Generator) -> Plugin:
-    bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _colour(rng, 0.05, 0.7)}}
+    bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _color(rng, 0.05, 0.7)}}
     return {"type": "rectangle", "to_world": place, "bsdf": bsdf}
 
 
 def _lights(rng: np.random.Generator) -> Plugin:
-    """Return a lamp somewhere above, and a sky whose strength decides how dark the shadows are."""
+    """Return a lamp above the shape, and a sky of random strength, which fills the shadows."""
     import mitsuba as mi
 
     bearing = rng.uniform(0, 2 * np.pi)
@@ -150,16 +148,16 @@ def _lights(rng: np.random.Generator) -> Plugin:
     }
 
 
-def _colour(rng: np.random.Generator, least: float, most: float) -> Plugin:
+def _color(rng: np.random.Generator, low: float, high: float) -> Plugin:
     grey = rng.random() < 0.25
-    value = np.full(3, rng.uniform(least, most)) if grey else rng.uniform(least, most, size=3)
+    value = np.full(3, rng.uniform(low, high)) if grey else rng.uniform(low, high, size=3)
     return {"type": "rgb", "value": value.tolist()}
 
 
 def dataset(first_seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return linear-radiance pictures ``(count, H, W, 3)`` and their classes."""
+    """Return linear-radiance images ``(count, H, W, 3)`` and their classes."""
     sc.activate()
-    pairs = [picture(first_seed + i) for i in tqdm(range(count), desc="rendering", leave=False)]
+    pairs = [render_example(first_seed + i) for i in tqdm(range(count), desc="rendering", leave=False)]
     return torch.stack([image for image, _ in pairs]), torch.tensor([label for _, label in pairs])
 
 
@@ -167,7 +165,7 @@ def dataset(first_seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def train(images: torch.Tensor, labels: torch.Tensor, *, epochs: int, seed: int) -> metrics.ShapeClassifier:
-    """Return a classifier trained on the pictures, each of them in variations."""
+    """Return a classifier trained on the images, with data augmentation."""
     torch.manual_seed(seed)
     model = metrics.ShapeClassifier()
     optimizer = torch.optim.AdamW(model.parameters(), lr=4e-3, weight_decay=5e-3)
@@ -175,7 +173,7 @@ def train(images: torch.Tensor, labels: torch.Tensor, *, epochs: int, seed: int)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 8e-3, total_steps=epochs * batches)
     for _ in tqdm(range(epochs), desc="training", leave=False):
         for chosen in torch.randperm(len(images)).chunk(batches):
-            logits = model(preprocessed(model, varied(images[chosen])))
+            logits = model(preprocess(model, augment(images[chosen])))
             loss = torch.nn.functional.cross_entropy(logits, labels[chosen], label_smoothing=0.05)
             optimizer.zero_grad()
             loss.backward()
@@ -184,8 +182,8 @@ def train(images: torch.Tensor, labels: torch.Tensor, *, epochs: int, seed: int)
     return model.eval()
 
 
-def varied(images: torch.Tensor) -> torch.Tensor:
-    """Return the pictures mirrored, shifted, in other exposures and with their primaries exchanged."""
+def augment(images: torch.Tensor) -> torch.Tensor:
+    """Return the images with random flips, shifts, exposures and channel permutations."""
     images = torch.where(torch.rand(len(images), 1, 1, 1) < 0.5, images.flip(2), images)
     images = images[..., torch.randperm(3)] * 2 ** torch.empty(len(images), 1, 1, 1).uniform_(-0.6, 0.6)
     down, right = (int(step) for step in torch.randint(-3, 4, (2,)))
@@ -193,39 +191,41 @@ def varied(images: torch.Tensor) -> torch.Tensor:
     return padded[:, 3 + down : 3 + down + RESOLUTION, 3 + right : 3 + right + RESOLUTION]
 
 
-def preprocessed(model: metrics.ShapeClassifier, images: torch.Tensor) -> torch.Tensor:
-    """Return a batch as ``metrics.ClassLogit`` shows one picture to the model."""
+def preprocess(model: metrics.ShapeClassifier, images: torch.Tensor) -> torch.Tensor:
+    """Return a batch with the same preprocessing as in ``metrics.ClassLogit``."""
     from kornia.color import linear_rgb_to_rgb
 
-    pictures = linear_rgb_to_rgb(images.movedim(-1, 1).clamp(0, 1))
-    shown: torch.Tensor = model.preprocess(pictures)
-    return shown
+    srgb = linear_rgb_to_rgb(images.movedim(-1, 1).clamp(0, 1))
+    batch: torch.Tensor = model.preprocess(srgb)
+    return batch
 
 
 def accuracy(model: metrics.ShapeClassifier, images: torch.Tensor, labels: torch.Tensor) -> float:
-    """Return the share of pictures whose largest logit, by ``metrics.ClassLogit``, is that of their shape."""
+    """Return the accuracy of the largest logit of ``metrics.ClassLogit``."""
     metric = metrics.ClassLogit(model)
     with torch.no_grad():
-        right = [
+        correct = [
             int(metric(image).argmax()) == int(label) for image, label in zip(images, labels, strict=True)
         ]
-    return sum(right) / len(right)
+    return sum(correct) / len(correct)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--images", type=int, default=4000, help="training pictures (default: %(default)s)")
-    parser.add_argument("--held-out", type=int, default=600, help="held-out pictures (default: %(default)s)")
+    parser.add_argument("--images", type=int, default=4000, help="training images (default: %(default)s)")
+    parser.add_argument("--held-out", type=int, default=600, help="held-out images (default: %(default)s)")
     parser.add_argument("--epochs", type=int, default=40, help="(default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of weights and order (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of weights and order (default: %(default)s)"
+    )
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="(default: %(default)s)")
     options = parser.parse_args()
 
     start = time.perf_counter()
     images, labels = dataset(0, options.images)
-    print(f"rendered {len(images)} pictures in {time.perf_counter() - start:.0f} s", flush=True)
+    print(f"rendered {len(images)} images in {time.perf_counter() - start:.0f} s", flush=True)
     start = time.perf_counter()
     model = train(images, labels, epochs=options.epochs, seed=options.seed)
     parameters = sum(p.numel() for p in model.parameters())
@@ -233,10 +233,10 @@ def main() -> None:
 
     half = {k: v.half() if v.is_floating_point() else v for k, v in model.state_dict().items()}
     torch.save(half, options.out)
-    model.load_state_dict(half)  # what is judged is what is shipped, rounding included
-    print(f"accuracy on the training pictures: {accuracy(model, images, labels):.1%}")
+    model.load_state_dict(half)  # evaluate the shipped weights, rounding included
+    print(f"accuracy on the training images: {accuracy(model, images, labels):.1%}")
     held_out = accuracy(model, *dataset(HELD_OUT, options.held_out))
-    print(f"accuracy on {options.held_out} held-out pictures: {held_out:.1%}")
+    print(f"accuracy on {options.held_out} held-out images: {held_out:.1%}")
     print(f"{options.out}: {options.out.stat().st_size / 1000:.0f} kB")
 
 

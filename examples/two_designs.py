@@ -1,7 +1,7 @@
-"""Two designs of the office compared: as it is, and with white walls and a lighter floor.
+"""Compare two designs of the office: as it is, and with lighter walls and a lighter floor.
 
 Both are rendered with the same seeds, so that the difference of the two results has smaller errors than either.
-Prints what each change of design does to the glare rating, and what the new design would answer to; draws the two
+Prints the glare ratings of both designs, and the parameters whose attribution changes most; draws the two
 rankings, joined by lines.
 
     python examples/two_designs.py [--out out/two-designs] [--resolution 160x90] [--spp 128]
@@ -31,9 +31,9 @@ def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 128) 
     }
     after = method.attribute({**renderer.inputs, **lighter}, scale="range", seed=0)
     change = after - before
-    for name, one in (("as it is", before), ("with lighter walls and floor", after)):
-        print(f"UGR {one.metric_value:.2f} ± {one.metric_standard_error:.1g} {name}")
-    print("\nWhat moves it more, or less, than before, over the range of each parameter:")
+    for name, design in (("as it is", before), ("with lighter walls and floor", after)):
+        print(f"UGR {design.metric_value:.2f} ± {design.metric_standard_error:.1g} {name}")
+    print("\nLargest changes of the attributions, over the range of each parameter:")
     for row in change.ranking(top=5):
         print(f"  {row.label:28s} {sum(row.total):+.2f} ± {row.saliency_error:.1g}")
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
-"""Which lamp matters: for how bright the office is, and for how much it glares.
+"""Attribute the brightness and the glare of the office to its lamps.
 
-With ``scale="value"`` a lamp's attribution is what it adds: mean luminance is linear in the light, so there the
-shares of all lamps add up to the whole. The glare rating is not: a lamp out of sight lowers it.
+With ``scale="value"`` a lamp's attribution is its contribution: mean luminance is linear in the light, so the
+contributions of all lamps add up to the whole. The glare rating is not linear: a lamp out of sight lowers it.
 
     python examples/which_lamp.py [--resolution 160x90] [--spp 128]
 """

@@ -9,7 +9,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneAttribution
-from scenecaptum.scene import SurfaceMap
+from scenecaptum.projection import SurfaceMap
 from scenecaptum.visualization._figures import LOWERS, RAISES, UNCLEAR
 
 NASTY = "<script>alert('&')</script>"
@@ -46,7 +46,7 @@ def make(barred: bool = True, **info: Any) -> SceneAttribution:
             "metric": "Glare",
             "method": "VanillaSceneGradient",
             "spp": 64,
-            "passes": 8 if barred else 1,
+            "replicates": 8 if barred else 1,
             **info,
         },
     )

@@ -45,7 +45,7 @@ def exact_gradient(renderer: ToyRenderer, metric) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(
-    ("spp", "replicates", "passes", "each"),
+    ("spp", "minimum", "replicates", "each"),
     [
         (64, 8, 8, 8),
         (60, 8, 10, 6),
@@ -56,11 +56,11 @@ def exact_gradient(renderer: ToyRenderer, metric) -> torch.Tensor:
         (None, 8, 8, None),
     ],
 )
-def test_budget_is_split_evenly_and_never_smaller_than_asked(spp, replicates, passes, each):
-    budget = Budget.split(spp, replicates, seed=shifted())
-    assert (budget.passes, budget.spp) == ((passes,), (each,))
+def test_budget_is_split_evenly_and_never_smaller_than_asked(spp, minimum, replicates, each):
+    budget = Budget.split(spp, minimum, seed=shifted())
+    assert (budget.replicates, budget.spp) == ((replicates,), (each,))
     if spp is not None:
-        assert passes * each >= spp
+        assert replicates * each >= spp
 
 
 def test_all_seeds_of_a_budget_differ_and_depend_on_the_seed():
@@ -123,13 +123,13 @@ def test_bias_of_a_linear_metric_is_zero_and_costs_no_pass():
     assert not attribution.bias["x"].any()
 
 
-def test_one_pass_has_no_bars_and_says_so():
+def test_one_replicate_has_no_bars_and_says_so():
     attribution = VanillaSceneGradient(ToyRenderer(), log_mean).attribute(replicates=1)
     assert attribution.standard_error is None
     assert attribution.saliency_error() is None
     assert attribution.metric_standard_error is None
-    assert attribution.info["passes"] == 1
-    with pytest.raises(SceneCaptumError, match="two passes"):
+    assert attribution.info["replicates"] == 1
+    with pytest.raises(SceneCaptumError, match="at least two replicates"):
         attribution.interval()
 
 
@@ -240,7 +240,7 @@ def test_info_says_how_it_was_computed(cornell_attribution):
     info = cornell_attribution.info
     assert info["method"] == "VanillaSceneGradient"
     assert info["metric"] == "MeanLuminance"
-    assert (info["seed"], info["spp"], info["passes"]) == (shifted(5), 16, 8)
+    assert (info["seed"], info["spp"], info["replicates"]) == (shifted(5), 16, 8)
     assert info["integrator"] == "scenecaptum_replay"
     assert {"scenecaptum", "torch", "mitsuba", "drjit", "python"} <= info["versions"].keys()
 
@@ -386,7 +386,7 @@ def test_interruption_carries_the_result_of_the_finished_passes():
     with pytest.raises(AttributionInterrupted) as caught:
         VanillaSceneGradient(InterruptedRenderer(after=3), torch.mean).attribute()
     partial = caught.value.partial
-    assert partial.info["passes"] == 3
+    assert partial.info["replicates"] == 3
     assert partial.info["interrupted"]
     assert partial.standard_error["x"].min() > 0
 

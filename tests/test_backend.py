@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from scenecaptum import _diagnosis, _llvm, backend
-from scenecaptum._llvm import LLVMLibrary
+from scenecaptum import backend
+from scenecaptum.backend import _diagnosis, _llvm
+from scenecaptum.backend._llvm import LLVMLibrary
 
-SOURCE = Path(backend.__file__).parent
+SOURCE = Path(backend.__file__).parents[1]
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +46,8 @@ def run(code, **environment):
         from pathlib import Path
         package = sys.modules["scenecaptum"] = types.ModuleType("scenecaptum")
         package.__path__ = [{str(SOURCE)!r}]
-        from scenecaptum import _llvm, backend
+        from scenecaptum import backend
+        from scenecaptum.backend import _llvm
         from scenecaptum.backend import activate
         from scenecaptum.errors import BackendError
     """
@@ -71,14 +73,14 @@ def answer(code, **environment):
     return json.loads(result.stdout)
 
 
-def chosen_untold():
-    """Return the library chosen when DRJIT_LIBLLVM_PATH names none, as in most of these tests."""
+def default_library():
+    """Return the library chosen without DRJIT_LIBLLVM_PATH, as in most of these tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
         return _llvm.choose_llvm()
 
 
-needs_llvm = pytest.mark.skipif(chosen_untold() is None, reason="no usable LLVM where it is looked for")
+needs_llvm = pytest.mark.skipif(default_library() is None, reason="no usable LLVM found")
 
 
 # ----------------------------------------------------------------------------------------- reading versions
@@ -434,7 +436,8 @@ def test_the_backend_alone_is_a_doctor_too():
 def test_the_doctor_needs_no_llvm_to_say_that_there_is_none():
     code = """
         import sys
-        from scenecaptum import _llvm, cli
+        from scenecaptum import cli
+        from scenecaptum.backend import _llvm
         _llvm._linker_cache, _llvm._library_folders = list, list
         status = cli.main(["doctor"])
         assert not {"mitsuba", "drjit"} & set(sys.modules), "it imported what cannot work"

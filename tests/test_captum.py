@@ -13,10 +13,10 @@ import torch
 from seeds import shifted
 from toy import ToyRenderer
 
-from scenecaptum._reflection import OPEN_MARGIN
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.rendering import SceneRenderer
 from scenecaptum.rendering._captum import as_captum
+from scenecaptum.scene import OPEN_MARGIN
 from scenecaptum.scene.bundled import cornell_box
 
 captum = pytest.importorskip("captum.attr", reason="captum is not installed")

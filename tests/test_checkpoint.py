@@ -1,4 +1,4 @@
-"""Jobs that are stopped and go on: the same numbers, and no pass rendered twice but the one that was lost."""
+"""Interrupted and resumed jobs: the same numbers, and only the render that was lost is repeated."""
 
 from __future__ import annotations
 
@@ -135,23 +135,23 @@ def test_killed_and_resumed(job: str, tmp_path: Path) -> None:
 
 
 def test_of_a_job_only_what_is_asked_alike_is_reused(tmp_path: Path) -> None:
-    def passes(toy: Any = None, of: Any = metric, **options: Any) -> tuple[int, int]:
+    def counts(toy: Any = None, of: Any = metric, **options: Any) -> tuple[int, int]:
         toy = MortalReplayingToy() if toy is None else toy
         options = {"replicates": 4, "spp": 16, "seed": shifted(1), **options}
         told = VanillaSceneGradient(toy, of).attribute(checkpoint=tmp_path, **options).info["checkpoint"]
-        return told["reused"], told["passes"]
+        return told["reused"], told["replicates"]
 
     # 4 pictures in two parts each, 4 backward passes and one for the bias.
-    assert passes() == (0, 13)
-    assert passes() == (13, 13)
-    assert passes(of=lambda image: image.mean()) == (4, 8)  # the pictures are the same
-    assert passes(seed=shifted(2)) == (0, 13)
-    assert passes(spp=32) == (0, 13)
-    assert passes(inputs={"x": torch.tensor([0.5, 0.3, 0.7])}) == (0, 13)
+    assert counts() == (0, 13)
+    assert counts() == (13, 13)
+    assert counts(of=lambda image: image.mean()) == (4, 8)  # the pictures are the same
+    assert counts(seed=shifted(2)) == (0, 13)
+    assert counts(spp=32) == (0, 13)
+    assert counts(inputs={"x": torch.tensor([0.5, 0.3, 0.7])}) == (0, 13)
     other = MortalReplayingToy()
     other.fingerprint = "another toy"
-    assert passes(other) == (0, 13)
-    assert passes() == (13, 13)
+    assert counts(other) == (0, 13)
+    assert counts() == (13, 13)
 
 
 @pytest.mark.parametrize("damage", ["truncated", "emptied", "flipped", "renamed"])
@@ -173,7 +173,7 @@ def test_damaged_entries_are_noticed_and_rendered_again(damage: str, tmp_path: P
         found = run(MortalToy(), tmp_path)
     assert numbers(found) == expected
     assert found.info["checkpoint"]["passes"] - found.info["checkpoint"]["reused"] == 1
-    assert numbers(run(MortalToy(dies_in=1), tmp_path)) == expected  # it was mended
+    assert numbers(run(MortalToy(dies_in=1), tmp_path)) == expected  # it was repaired
 
 
 class _Wrapper:
@@ -230,13 +230,13 @@ def test_a_time_limit_counts_the_time_of_earlier_runs(tmp_path: Path) -> None:
     assert first.info["checkpoint"]["reused"] == 0
     assert second.info["checkpoint"]["reused"] == first.info["checkpoint"]["passes"]
     rounds, again = (
-        [one["spp_per_pass"] for one in found.info["planner"]["rounds"]] for found in (first, second)
+        [one["spp_per_replicate"] for one in found.info["planner"]["rounds"]] for found in (first, second)
     )
     assert again == rounds
     assert torch.equal(second["x"], first["x"])
     # The clock goes on from there: each picture took 2 ms at least.
-    assert kept.saved > 0.002 * first.info["checkpoint"]["passes"] / 3
-    assert second.info["seconds"] > kept.saved
+    assert kept.seconds_saved > 0.002 * first.info["checkpoint"]["passes"] / 3
+    assert second.info["seconds"] > kept.seconds_saved
 
 
 def test_digests_tell_apart_what_looks_alike() -> None:
@@ -264,16 +264,16 @@ def test_digests_tell_apart_what_looks_alike() -> None:
 
 @pytest.fixture
 def fresh(mi: Any) -> Callable[..., Any]:
-    """A renderer as a process of its own would load it, whose passes are counted and may be fatal."""
+    """A renderer as a process of its own would load it, whose renders are counted and may be fatal."""
     from scenecaptum import SceneRenderer
 
     def make(dies_in: int | None = None, **options: Any) -> Any:
         renderer = SceneRenderer(
             "cornell-box", "reflectance", resolution=(8, 8), spp=8, max_depth=3, **options
         )
-        renderer.passes = 0
+        renderer.renders = 0
         for engine in renderer._engines:
-            for name in ("primal", "adjoint"):
+            for name in ("primal", "vjp"):
                 setattr(engine, name, _counted(renderer, getattr(engine, name), dies_in))
         return renderer
 
@@ -282,15 +282,15 @@ def fresh(mi: Any) -> Callable[..., Any]:
 
 def _counted(renderer: Any, render: Any, dies_in: int | None) -> Any:
     def counted(*arguments: Any, **options: Any) -> Any:
-        renderer.passes += 1
-        if renderer.passes == dies_in:
+        renderer.renders += 1
+        if renderer.renders == dies_in:
             raise Killed
         return render(*arguments, **options)
 
     return counted
 
 
-def test_a_scene_renderer_loses_the_pass_that_was_rendered(fresh: Any, tmp_path: Path) -> None:
+def test_a_scene_renderer_loses_the_render_in_progress(fresh: Any, tmp_path: Path) -> None:
     """At other values than the scene's own, where what the pixels are chosen by must not depend on the past."""
     from scenecaptum import metrics
 
@@ -308,8 +308,8 @@ def test_a_scene_renderer_loses_the_pass_that_was_rendered(fresh: Any, tmp_path:
         assert len(list(tmp_path.iterdir())) == done
     last = fresh()
     found = run(last, tmp_path)
-    assert last.passes == whole.passes - done
-    assert found.info["checkpoint"] == {"folder": str(tmp_path), "reused": done, "passes": whole.passes}
+    assert last.renders == whole.renders - done
+    assert found.info["checkpoint"] == {"folder": str(tmp_path), "reused": done, "passes": whole.renders}
     for name, value in expected.items():
         # Gradients repeat to about 1e-6, because threads add them up in any order.
         torch.testing.assert_close(found[name], value, rtol=1e-5, atol=1e-5 * float(value.abs().max()))
@@ -396,9 +396,9 @@ def test_command_line(tmp_path: Path, capsys: Any, mi: Any) -> None:
     for _ in range(2):
         assert main(words) == 0
         printed.append(capsys.readouterr().out.splitlines()[-1])
-    passes = len(list((tmp_path / "kept").iterdir()))
+    entries = len(list((tmp_path / "kept").iterdir()))
     assert printed[0].endswith(f" of {printed[0].split()[3]} passes from {tmp_path / 'kept'}")
     total = int(printed[0].split()[3])
-    assert passes <= total
+    assert entries <= total
     assert printed[1] == f"resumed: {total} of {total} passes from {tmp_path / 'kept'}"
     assert json.loads((tmp_path / "out" / "validation.json").read_text())["confirmed"]

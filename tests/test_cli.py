@@ -85,7 +85,7 @@ def test_numbers_agree_between_the_files(finished):
     assert float(rows[0]["saliency"]) == numbers["ranking"][0]["saliency"] > 0
     assert float(rows[0]["gradient_1"]) == numbers["ranking"][0]["total"][0]
     assert numbers["metric"]["value"] == loaded.metric_value
-    assert numbers["info"]["passes"] == 8
+    assert numbers["info"]["replicates"] == 8
     assert loaded.ranking()[0].label in printed
 
 
@@ -132,10 +132,13 @@ def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
         (["blind.xml"], ["blind.xml", "no sensor"]),
         (["open.xml"], ["no value for $size, $spp", "-D size=… -D spp=…"]),
         (["open.xml", "-D", "spp=4"], ["no value for $size:", "parameters={'size': …}"]),
-        (["open.xml", "-D", "spp=4", "-D", "size=8", "-D", "siz=8"], ["no $siz", "Did you mean 'size'"]),
-        (["cornell-box", "-D", "spp=4"], ["parameters=", "cornell-box is none"]),
+        (
+            ["open.xml", "-D", "spp=4", "-D", "size=8", "-D", "siz=8"],
+            ["no placeholder $siz", "Did you mean 'size'"],
+        ),
+        (["cornell-box", "-D", "spp=4"], ["parameters=", "cornell-box is not an XML file"]),
         (["cornell-box", "--inputs", "reflectence"], ["'reflectence'", "Did you mean 'reflectance'"]),
-        (["cornell-box", "--inputs", "light.to_world"], ["'light.to_world'", "moves visibility"]),
+        (["cornell-box", "--inputs", "light.to_world"], ["'light.to_world'", "changes visibility"]),
         (["cornell-box", "--metric", "luminence"], ["'luminence'", "Did you mean 'luminance'"]),
         (["cornell-box", "--metric", "my_metrics.py:per_channel"], ["(3,)", "target="]),
         (["cornell-box", "--metric", "my_metrics.py:blind"], ["blind", "does not depend on the image"]),

@@ -14,7 +14,7 @@ from seeds import seeds
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 from derivative_table import CASES, QUICK, Case
-from derivatives import DIFFERENCE, GOOD, OURS, Estimate, Judge, Ours, estimates, z_score
+from derivatives import DIFFERENCE, GOOD, OURS, Estimate, MitsubaReference, Ours, estimates, z_score
 
 SEEDS = 8
 
@@ -44,7 +44,7 @@ def quick_cases() -> list[Any]:
 @pytest.mark.parametrize("case", quick_cases())
 def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
     spp = QUICK[case.name]
-    judge = Judge(case)
+    judge = MitsubaReference(case)
     targets = {name: row for name, row in judge.targets.items() if row.step is not None}
     theirs = {name: difference(judge, name, spp) for name in targets}
     del judge
@@ -56,15 +56,15 @@ def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
     assert not any(faults), "\n".join(filter(None, faults))
 
 
-def difference(judge: Judge, name: str, spp: int) -> Estimate:
+def difference(judge: MitsubaReference, name: str, spp: int) -> Estimate:
     draws = [[judge.quotient(name, DIFFERENCE + seed, spp)] for seed in seeds(SEEDS)]
-    judge.put_back(name)
+    judge.restore(name)
     return estimates(np.array(draws), spp)[0]
 
 
 def fault(name: str, ours: Estimate, theirs: Estimate) -> str | None:
     """Say what is wrong with a row, measured against allowed."""
-    if ours.is_nothing and theirs.is_nothing:
+    if ours.is_zero and theirs.is_zero:
         return None
     if max(ours.relative_error, theirs.relative_error) > GOOD:
         return f"{name}: the errors of {ours} and {theirs} exceed {GOOD:.0%}: the case shows nothing"

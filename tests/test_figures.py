@@ -33,10 +33,10 @@ SIGNED = pytest.mark.skipif(
 )
 
 
-def hexes(colours: Any) -> list[str]:
+def hexes(colors: Any) -> list[str]:
     from matplotlib.colors import to_hex
 
-    return [to_hex(colour).upper() for colour in colours]
+    return [to_hex(color).upper() for color in colors]
 
 
 def outside(figure: Any) -> list[str]:
@@ -242,8 +242,8 @@ def test_colour_maps_are_as_light_as_they_are_strong() -> None:
 
     from scenecaptum.visualization._maps import diverging
 
-    def lightness(colours: Any, at: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        rgb = torch.tensor(colours(at)[:, :3], dtype=torch.float32).T.reshape(3, 1, -1)
+    def lightness(colors: Any, at: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        rgb = torch.tensor(colors(at)[:, :3], dtype=torch.float32).T.reshape(3, 1, -1)
         return rgb_to_lab(rgb)[0, 0].numpy()
 
     magnitude = plot_heatmap(make()).axes[1].images[0].cmap
@@ -290,7 +290,7 @@ def test_an_efficacy_and_limits_can_be_given() -> None:
     np.testing.assert_allclose(shown.get_array(), 100.0, rtol=1e-5)
     assert (shown.norm.vmin, shown.norm.vmax) == (1, 1000)
     for limits in ((0.0, 1.0), (2.0, 1.0), (1.0, math.inf)):
-        with pytest.raises(SceneCaptumError, match="limits must be two rising positive luminances"):
+        with pytest.raises(SceneCaptumError, match="limits must be two increasing positive luminances"):
             plot_luminance(torch.ones(4, 6, 3), limits=limits)
 
 
@@ -346,7 +346,7 @@ def test_one_source_none_and_many() -> None:
     pixels = metrics.UnifiedGlareRating(rating.camera, threshold=1000.0, grouping="pixel", relaxation=0.0)
     figure = plot_luminance(image, pixels)
     assert "40 glare sources" in all_text(figure)
-    assert "each pixel above the threshold is a source" in all_text(figure)
+    assert "each pixel above the threshold is a separate source" in all_text(figure)
     assert {text.get_text() for text in figure.axes[0].texts}.isdisjoint("12345678")
     # Neighbours are not outlined against each other.
     assert len(figure.axes[0].collections[0].get_segments()) == 2 * (4 + 10)
@@ -505,7 +505,7 @@ def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None
     own = Figure(figsize=(6, 6), layout="constrained")
     part = own.subfigures(1, 2)[0]
     assert plot_specificity([make(cautions={"lamp": "off"})], figure=part) is own
-    assert "! known to be off" in all_text(own)
+    assert "! known to be inaccurate" in all_text(own)
     with pytest.raises(SceneCaptumError, match="at least one"):
         plot_specificity([])
 

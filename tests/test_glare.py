@@ -148,7 +148,7 @@ def test_parts_above_50_000_are_sources_of_their_own():
 
 
 def test_linking_agrees_with_comparing_every_pair():
-    from scenecaptum.metrics._grouping import linked
+    from scenecaptum.metrics._grouping import connected_components
 
     for seed, (count, angle) in enumerate(
         [(5, 0.1), (60, 0.1), (200, 0.1), (400, 0.1), (300, 0.4), (50, 1.5)]
@@ -159,7 +159,7 @@ def test_linking_agrees_with_comparing_every_pair():
         reach = rays @ rays.T >= math.cos(angle)
         for _ in range(count.bit_length()):  # each doubles the steps of a path
             reach = (reach.double() @ reach.double()) > 0
-        labels = torch.from_numpy(linked(rays.numpy(), angle))
+        labels = torch.from_numpy(connected_components(rays.numpy(), angle))
         assert torch.equal(labels[:, None] == labels[None], reach)
 
 

@@ -254,18 +254,18 @@ def test_a_difference_has_the_difference_of_the_deltas():
     assert (one - VanillaSceneGradient(renderer, sigmoid).attribute()).convergence_delta is None
 
 
-@pytest.mark.parametrize(("points", "passes"), [(32, 2), (25, 2), (3, 3), (100, 2)])
+@pytest.mark.parametrize(("points", "replicates"), [(32, 2), (25, 2), (3, 3), (100, 2)])
 @pytest.mark.parametrize("pairs", [None, 1, 8])
-def test_samples_are_split_over_the_points(points, passes, pairs):
-    spp, single = 64, 1 if points > 3 else passes
+def test_samples_are_split_over_the_points(points, replicates, pairs):
+    spp, single = 64, 1 if points > 3 else replicates
     budget = Budget.split(spp, 8, seed=shifted(), points=points, pairs=pairs)
     paired = min(points, pairs or points)
-    assert budget.passes == (passes,) * paired + (single,) * (points - paired)
-    seen = [one * count for one, count in zip(budget.spp, budget.passes, strict=True)]
-    assert abs(budget.total - spp) <= passes or min(budget.spp) == max(budget.spp) == 1
-    assert max(seen) - min(seen) <= passes
+    assert budget.replicates == (replicates,) * paired + (single,) * (points - paired)
+    seen = [one * count for one, count in zip(budget.spp, budget.replicates, strict=True)]
+    assert abs(budget.total - spp) <= replicates or min(budget.spp) == max(budget.spp) == 1
+    assert max(seen) - min(seen) <= replicates
     # Every point can show the metric as many pictures as any other.
-    assert {len(row) for row in budget.seeds} == {passes}
+    assert {len(row) for row in budget.seeds} == {replicates}
     seeds = [seed for half in (budget.seeds, budget.gradient_seeds) for row in half for seed in row]
     assert len(set(seeds)) == len(seeds)
 
@@ -281,7 +281,7 @@ def test_a_metric_that_is_not_linear_sees_enough_at_every_step():
 
 
 def test_a_metric_that_bends_only_later_on_the_way_is_noticed():
-    """Each of the steps with a single pass is held against the first, where the metric was linear."""
+    """Steps with a single replicate are compared with the first step, where the metric was linear."""
 
     def overexposed(image: torch.Tensor) -> torch.Tensor:
         return image.clamp(max=3.5).mean()
@@ -391,7 +391,10 @@ def test_groups_add_up_their_members_and_their_errors(box):
     ("call", "message"),
     [
         (lambda r: VanillaSceneGradient(r, sigmoid).attribute(scale="log"), 'scale must be "unit"'),
-        (lambda r: IntegratedGradientsScene(r, sigmoid).attribute(method="gauss"), "Known are gausslegendre"),
+        (
+            lambda r: IntegratedGradientsScene(r, sigmoid).attribute(method="gauss"),
+            "Use one of gausslegendre",
+        ),
         (lambda r: IntegratedGradientsScene(r, sigmoid).attribute(n_steps=0), "n_steps"),
         (lambda r: IntegratedGradientsScene(r, sigmoid).attribute(baselines="dark"), "parameters_table"),
         (lambda r: SmoothGradScene(r, sigmoid).attribute(nt_type="vanilla"), "nt_type must be one of"),
@@ -416,5 +419,5 @@ def test_a_range_takes_bounds():
         bounds = None
 
     for method, settings in ((VanillaSceneGradient, {"scale": "range"}), (SmoothGradScene, {})):
-        with pytest.raises(SceneCaptumError, match="does not tell"):
+        with pytest.raises(SceneCaptumError, match="require physical bounds"):
             method(Boundless(), sigmoid).attribute(**settings)

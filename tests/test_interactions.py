@@ -117,13 +117,13 @@ def test_standard_errors_are_the_spread_of_repeats():
     assert (each.std(0) < 2.0).all(), each
 
 
-@pytest.mark.parametrize("stencil", [CENTRAL, ONE_SIDED, ONE_SIDED.times(-2.0)])
+@pytest.mark.parametrize("stencil", [CENTRAL, ONE_SIDED, ONE_SIDED.scaled(-2.0)])
 def test_stencils_differentiate_cubics_exactly(stencil):
     def slope(weights, power):
-        return sum(w * x**power for w, x in zip(weights, stencil.places, strict=True))
+        return sum(w * x**power for w, x in zip(weights, stencil.offsets, strict=True))
 
     assert [slope(stencil.weights, power) for power in range(4)] == pytest.approx([0, 1, 0, 0])
-    assert [slope(stencil.lower, power) for power in range(3)] == pytest.approx([0, 1, 0])
+    assert [slope(stencil.lower_order, power) for power in range(3)] == pytest.approx([0, 1, 0])
 
 
 def test_luminance_is_linear_in_the_light(mi, cornell):
@@ -161,11 +161,11 @@ def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
     gradient = VanillaSceneGradient(box, metric).attribute(replicates=PASSES)
     found = interactions(box, metric, gradient, replicates=PASSES)
     assert found.is_symmetric, str(found)
-    assert found.told_apart.sum() > 4, f"too noisy to show anything:\n{found}"
+    assert found.significant.sum() > 4, f"too noisy to show anything:\n{found}"
     scenes = Scenes.split(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
     ways = {name: unit_gradient(gradient[name], box.inputs[name]) for name in found.names}
     for (p, one), (q, two) in itertools.combinations_with_replacement(enumerate(found.names), 2):
-        steps = {one: found.reaches[p] / 2 * ways[one]}, {two: found.reaches[q] / 2 * ways[two]}
+        steps = {one: found.steps[p] / 2 * ways[one]}, {two: found.steps[q] / 2 * ways[two]}
 
         def at(first, second, steps=steps):
             moved = dict(box.inputs)
@@ -175,9 +175,9 @@ def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
             return scenes.measure(moved)
 
         twice = at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)
-        judge, error = mean_and_error(twice / (found.reaches[p] * found.reaches[q]))
+        judge, error = mean_and_error(twice / (found.steps[p] * found.steps[q]))
         # Where a second derivative is 0 exactly, what is left is rounding, of pseudo-values.
-        rounding = PASSES * 4 * 6e-8 / (found.reaches[p] * found.reaches[q])
+        rounding = PASSES * 4 * 6e-8 / (found.steps[p] * found.steps[q])
         z = (judge - found.matrix[p, q].item()) / math.hypot(
             error, found.standard_error[p, q].item(), rounding
         )
@@ -249,23 +249,23 @@ def test_what_does_not_fit_is_said():
 
 @pytest.fixture
 def by_hand():
-    """One element is told from 0, one is not, and one is 0 exactly."""
+    """One element differs significantly from 0, one does not, and one is exactly 0."""
     spread = torch.tensor([[[0.0, 1.0], [1.0, 0.0]], [[0.0, -1.0], [-1.0, 0.0]]]).repeat(4, 1, 1).double()
     matrix = torch.tensor([[2.0, 0.1], [0.1, 0.0]]).double()
     return Interactions(
         names=("lamp", "wall"),
         labels=("lamp", "wall: reflectance"),
         replicates=matrix + spread,
-        rest=torch.zeros(2, 2).double(),
-        reaches=(0.1, 0.1),
+        shared_error=torch.zeros(2, 2).double(),
+        steps=(0.1, 0.1),
         metric="Glare",
         scale="unit",
     )
 
 
 def test_table_and_figure_tell_what_the_noise_hides(by_hand):
-    assert by_hand.told_apart.tolist() == [[True, False], [False, False]]
-    assert "1 of 3 second derivatives of Glare are told from 0" in str(by_hand)
+    assert by_hand.significant.tolist() == [[True, False], [False, False]]
+    assert "1 of 3 second derivatives of Glare differ from 0" in str(by_hand)
     (line,) = [line for line in str(by_hand).splitlines() if line.startswith("1 lamp")]
     assert line.split() == ["1", "lamp", "2.000", "0.1(4)?"]
     axes = by_hand.plot().axes[0]

@@ -8,7 +8,7 @@ import pytest
 import torch
 from seeds import seeds, shifted
 
-from scenecaptum.attr._jackknife import _directions, _trust, jackknife
+from scenecaptum.attr._jackknife import _directions, _shrinkage, jackknife
 from scenecaptum.attr._metric import TargetedMetric
 
 SHARES = [[1.0] * 2, [1.0] * 8, [1.0] * 13, [8.0, 8.0, 4.0, 2.0, 1.0], [16.0] * 4 + [3.0] * 12]
@@ -44,7 +44,7 @@ def test_means_have_the_covariance_of_the_mean_and_no_weight_below_zero(samples)
 def test_of_a_quadratic_metric_each_pass_gets_the_adjoint_of_its_own_picture(samples):
     images = noisy(len(samples), 2, 2, noise=0.3, seed=shifted(1))
     seen = jackknife(TargetedMetric(lambda image: image.square().sum()), images, samples)
-    for image, adjoint in zip(images, seen.passes, strict=True):
+    for image, adjoint in zip(images, seen.per_replicate, strict=True):
         torch.testing.assert_close(adjoint, 2 * image, rtol=1e-4, atol=1e-4)
     assert not seen.is_linear
 
@@ -52,7 +52,7 @@ def test_of_a_quadratic_metric_each_pass_gets_the_adjoint_of_its_own_picture(sam
 def test_a_linear_metric_has_one_adjoint_without_rounding():
     seen = jackknife(TargetedMetric(torch.mean), noisy(8, 2, 2, noise=0.3, seed=shifted(1)))
     assert seen.is_linear
-    assert all(torch.equal(one, seen.passes[0]) for one in seen.passes)
+    assert all(torch.equal(one, seen.per_replicate[0]) for one in seen.per_replicate)
 
 
 def test_bias_is_trusted_where_the_metric_bends_and_not_where_it_jumps():
@@ -70,7 +70,7 @@ def test_bias_is_trusted_where_the_metric_bends_and_not_where_it_jumps():
             moved = torch.stack([TargetedMetric(metric).value_and_adjoint(one)[1] for one in means])
             return (moved.mean(0) - centre) / step**2
 
-        return _trust(bias(step), bias(step / 2))
+        return _shrinkage(bias(step), bias(step / 2))
 
     assert trust(lambda image: image.mean().log()) > 0.9
     assert trust(lambda image: image.log().mean()) > 0.9
@@ -85,7 +85,7 @@ def test_a_metric_with_kinks_is_not_made_noisier_by_the_correction():
     for seed in seeds(20):
         images = noisy(8, 4, 4, noise=0.05, seed=100 + seed)
         _, adjoint = metric.value_and_adjoint(torch.stack(images).mean(0))
-        mean = torch.stack(jackknife(metric, images).passes).mean(0)
+        mean = torch.stack(jackknife(metric, images).per_replicate).mean(0)
         plain += (adjoint - truth).square().sum().item()
         corrected += (mean - truth).square().sum().item()
     assert corrected < 1.2 * plain, f"{corrected / plain:.2f} times the error of the plain adjoint, squared"

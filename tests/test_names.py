@@ -203,7 +203,7 @@ def test_a_scene_of_the_users_own_gets_ids_and_keeps_those_it_has(
     new = names[before.index(old)]
     assert renderer.inputs[new].flatten().tolist() == pytest.approx([0.123] * renderer.inputs[new].numel())
     # A name that was an address is refused with the reason.
-    with pytest.raises(SceneCaptumError, match="were addresses"):
+    with pytest.raises(SceneCaptumError, match="contain memory addresses"):
         SceneRenderer(scene, old)
 
 

@@ -91,7 +91,7 @@ def test_bad_options_are_refused(options, words):
 
 
 def test_a_metric_that_nothing_moves_is_refused():
-    with pytest.raises(SceneCaptumError, match="No parameter moves"):
+    with pytest.raises(SceneCaptumError, match="No parameter affects"):
         optimize.minimize(Lamps(), lambda image: 0 * image.mean(), -1.0)
 
 

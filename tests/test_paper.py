@@ -12,14 +12,14 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "paper"
 
 def test_page_sets_the_paper_beside_what_was_measured(tmp_path: Path) -> None:
     page = tmp_path / "paper.md"
-    page.write_text("# Old\n\n## Another claim\n\nkept\n\n## Where stock derivatives mislead\n\nrenewed\n")
+    page.write_text("# Old\n\n## Another claim\n\nkept\n\n## Errors of stock derivatives\n\nrenewed\n")
     command = [sys.executable, str(EXAMPLE), "mirror", "--quick", "--room", "office"]
     command += ["--out", str(tmp_path / "out"), "--write", str(page)]
     run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert run.returncode == 0, run.stderr
     text = page.read_text()
     assert "# Old" not in text
-    assert "## Another claim\n\nkept\n\n## Where stock derivatives mislead\n\n**The paper" in text
+    assert "## Another claim\n\nkept\n\n## Errors of stock derivatives\n\n**The paper" in text
     assert "renewed" not in text
     assert "**The paper:**" in text
     assert "**Measured:**" in text

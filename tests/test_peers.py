@@ -34,9 +34,9 @@ def test_the_error_of_the_reference_is_not_theirs():
     known = TARGET**2
     runs = Errors(noisy(400, 2 * TARGET) + shift, known)
     assert runs.systematic == 0
-    assert runs.told
+    assert runs.resolved
     assert runs.square(runs.runs) == pytest.approx((2 * TARGET) ** 2, rel=0.2)
-    assert not Errors(runs.runs, 2 * known).told
+    assert not Errors(runs.runs, 2 * known).resolved
 
 
 def make(ours=0.1, theirs=0.2):

@@ -269,15 +269,15 @@ def test_one_replicate_has_no_bars(method):
     renderer = PartsRenderer()
     one = method(renderer, log_mean).attribute(baselines=0.05, replicates=1)
     assert one.standard_error is None
-    assert one.info["passes"] == 1
-    with pytest.raises(SceneCaptumError, match="two passes"):
+    assert one.info["replicates"] == 1
+    with pytest.raises(SceneCaptumError, match="at least two replicates"):
         one.interval()
 
 
 def test_interval_of_a_sampled_shapley_value_knows_how_few_permutations_there_were():
     one = share_out(PartsRenderer(), log_mean, 0, n_samples=5)
     assert one.info["permutations"] == 6
-    assert one.info["passes"] == 3
+    assert one.info["replicates"] == 3
     low, high = one.interval()["lamp"]
     assert low < one["lamp"] < high
     assert share_out(PartsRenderer(), log_mean, 0, n_samples=2).standard_error is None
@@ -575,7 +575,7 @@ def test_groups_hold_every_parameter_once(stage):
 
 
 BAD_BASELINES = {
-    "unknown preset": ("drak", r"no preset.*'dark'"),
+    "unknown preset": ("drak", r"not a preset.*'dark'"),
     "unknown name": ({"lihgt": 0.0}, "'lihgt', which matches none"),
     "near kind": ({"emitter": 0.0}, "Did you mean 'emitters'"),
     "no name": ({3: 0.0}, "not int"),
@@ -653,9 +653,9 @@ BAD_CALLS = {
     "at baseline": (
         FeatureAblationScene,
         {"inputs": {"lamp": torch.zeros(())}},
-        "all 1 inputs are at their baselines",
+        "all 1 inputs are already at their baselines",
     ),
-    "no players": (ShapleyValueScene, {"inputs": {"lamp": torch.zeros(())}}, "nothing to share out"),
+    "no players": (ShapleyValueScene, {"inputs": {"lamp": torch.zeros(())}}, "nothing to attribute to"),
     "samples": (ShapleyValueScene, {"n_samples": 0}, "n_samples must be"),
     "samples text": (ShapleyValueScene, {"n_samples": "every"}, 'number of permutations or "all"'),
     "too many": (
@@ -672,7 +672,7 @@ BAD_CALLS = {
     "window": (OcclusionScene, {"sliding_window_shapes": (6, 2)}, r"\(6, 2\), larger than"),
     "no window": (OcclusionScene, {"sliding_window_shapes": (0, 2)}, "whole number of at least 1"),
     "channels": (OcclusionScene, {"sliding_window_shapes": (2, 2, 3)}, "must have 2 numbers.* it has 3"),
-    "gaps": (OcclusionScene, {"sliding_window_shapes": 2, "strides": 3}, "longer than the window"),
+    "gaps": (OcclusionScene, {"sliding_window_shapes": 2, "strides": 3}, "larger than the window"),
 }
 
 
@@ -689,7 +689,7 @@ def test_occlusion_without_any_texture_says_so(two_lamps):
 
 def test_an_even_texture_has_nothing_to_hide():
     renderer = PartsRenderer()
-    with pytest.raises(SceneCaptumError, match="nothing to hide"):
+    with pytest.raises(SceneCaptumError, match="nothing to occlude"):
         run(OcclusionScene, renderer=renderer, inputs={"paper": torch.full((5, 7, 3), 0.5)})
 
 

@@ -20,13 +20,13 @@ from scenecaptum.attr import AttributionInterrupted, _planner
 from scenecaptum.attr._gradients import Point, PointGradient
 from scenecaptum.attr._jackknife import jackknife
 from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import Budget, Spread
+from scenecaptum.attr._passes import Budget, ReplicateStatistics
 from scenecaptum.attr._rounds import Rounds, RoundSum, TimeLimit
 from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
 from scenecaptum.attr._student import student_t
-from scenecaptum.attr._view import Viewer
+from scenecaptum.attr._view import TransformSelector
 from scenecaptum.scene.bundled import cornell_box
-from scenecaptum.visualization._words import goal_words
+from scenecaptum.visualization._text import goal_notes
 
 RUNS = 30
 
@@ -128,10 +128,10 @@ def test_predicted_growth_is_what_the_half_width_takes():
     noise = 0.1 * torch.ones(4)
     for bias in (0.0, 0.3):
         one = quantity(noise, bias=bias, target=0.05)
-        growth = one.growth(2.5)
+        growth = one.required_growth(2.5)
         then = quantity(noise / math.sqrt(growth), bias=bias / growth, target=0.05)
         assert 2.5 * then.error == pytest.approx(0.05, rel=1e-5)
-        assert not one.is_reached(2.5)
+        assert not one.meets_target(2.5)
 
 
 def test_unequal_jackknife_takes_the_same_bias_out():
@@ -152,7 +152,7 @@ def test_degrees_of_freedom_are_those_of_normal_rows_on_average():
     shapes = {"a number": (free + 1, 1), "a vector": (free + 1, 3)}
     for what, shape in shapes.items():
         rows = torch.randn(400, *shape, generator=generator)
-        found = [quantity(row - row.mean(0)).degrees(10**6) for row in rows]
+        found = [quantity(row - row.mean(0)).degrees_of_freedom(10**6) for row in rows]
         uncertainty = np.mean([2 / one for one in found])
         allowed = 4 * np.std([2 / one for one in found]) / math.sqrt(len(found))
         # The relative variance of a variance: 2 over its degrees of freedom, of which each channel has its own.
@@ -162,8 +162,8 @@ def test_degrees_of_freedom_are_those_of_normal_rows_on_average():
 def test_one_row_with_all_of_the_spread_leaves_few_degrees_of_freedom():
     rows = torch.zeros(8)
     rows[3] = 1.0
-    assert quantity(rows - rows.mean()).degrees(7) == 2
-    assert quantity(rows[:3]).degrees(2) == 2  # too few to tell
+    assert quantity(rows - rows.mean()).degrees_of_freedom(7) == 2
+    assert quantity(rows[:3]).degrees_of_freedom(2) == 2  # too few to tell
     calm, wild = quantity(torch.cos(torch.arange(8.0) * 2.4)), quantity(rows - rows.mean())
     assert simultaneous_quantile([wild], 7) > 1.5 * simultaneous_quantile([calm], 7)
 
@@ -171,17 +171,17 @@ def test_one_row_with_all_of_the_spread_leaves_few_degrees_of_freedom():
 def test_few_effective_samples_tell_no_error():
     rows = torch.cos(torch.arange(8.0) * 2.4) / 1e3
     told, rare = (Quantity(("x",), torch.ones(1), rows[:, None], torch.zeros(1), 0.1, n) for n in (4.0, 2.0))
-    assert told.is_reached(3.0)
-    assert not rare.is_reached(3.0)
-    assert (told.growth(3.0), rare.growth(3.0)) == (1.0, 1.5)
-    assert told.degrees(7) == round(2 / (1 / 4 + 2 / 7))
+    assert told.meets_target(3.0)
+    assert not rare.meets_target(3.0)
+    assert (told.required_growth(3.0), rare.required_growth(3.0)) == (1.0, 1.5)
+    assert told.degrees_of_freedom(7) == round(2 / (1 / 4 + 2 / 7))
 
 
 def test_sum_of_alike_members_has_the_effective_samples_of_both():
     noise = {"a": torch.ones(8, 1), "b": -torch.ones(8, 1), "dark": torch.zeros(8, 1)}
     groups = {"both": ("a", "b"), "one": ("a", "dark"), "unknown": ("a", "c")}
     noise["c"] = torch.ones(8, 1)
-    found = _planner._of_groups({"a": 10.0, "b": 10.0}, noise, groups)
+    found = _planner._group_effective_samples({"a": 10.0, "b": 10.0}, noise, groups)
     assert found == pytest.approx({"both": 20.0, "one": 10.0})
 
 
@@ -259,27 +259,27 @@ def test_rounds_together_propagate_the_adjoint_of_all_pictures():
             return pictures[-1][0] + exact - exact.detach()
 
     renderer, metric = NoisyPictures(), TargetedMetric(contrast)
-    raw = Viewer(False, renderer)
+    raw = TransformSelector(False, renderer)
     with tqdm(disable=True) as bar:
         rounds, total = (
             Rounds(renderer, [metric], raw, bar, seed=shifted(), time=TimeLimit(), picture_ratio=1.0),
             RoundSum(renderer.inputs),
         )
-        for passes, spp in ((4, 16), (12, 40)):  # as many as are kept apart
-            (found,), _ = rounds.take(Point(renderer.inputs), passes, spp)
+        for replicates, spp in ((4, 16), (12, 40)):  # as many as are kept apart
+            (found,), _ = rounds.add_round(Point(renderer.inputs), replicates, spp)
             total.add(found)
     samples = torch.tensor([spp for _, spp in pictures])
     seen = jackknife(metric, [picture for picture, _ in pictures], samples.tolist())
-    corrected = torch.tensordot(samples / samples.sum(), torch.stack(seen.passes), 1)
+    corrected = torch.tensordot(samples / samples.sum(), torch.stack(seen.per_replicate), 1)
     leaves = {n: value.clone().requires_grad_() for n, value in renderer.inputs.items()}
     expected = torch.autograd.grad(renderer.exact(leaves), list(leaves.values()), corrected)
     for name, gradient in zip(leaves, expected, strict=True):
-        torch.testing.assert_close(total.mean[name] / total.share, gradient)
+        torch.testing.assert_close(total.mean[name] / total.weight, gradient)
 
 
 def test_replicates_of_unequal_rounds_tell_the_error_that_is_shown():
     found = VanillaSceneGradient(SpikyRenderer(), torch.mean).attribute(tolerance=0.05, seed=shifted(1))
-    assert len({one["passes"] for one in found.info["planner"]["rounds"]}) > 1
+    assert len({one["replicates"] for one in found.info["planner"]["rounds"]}) > 1
     torch.testing.assert_close(found.covariance["p0"].diagonal().sqrt().float(), found.standard_error["p0"])
 
 
@@ -298,7 +298,7 @@ def test_same_seed_same_result_and_first_round_as_large_as_asked():
     one, other = attribute(seed=shifted(3)), attribute(seed=shifted(3))
     assert torch.equal(one["p0"], other["p0"])
     first = attribute(seed=shifted(3), spp=160, replicates=10).info["planner"]["rounds"][0]
-    assert (first["passes"], first["spp_per_pass"]) == (10, 16)
+    assert (first["replicates"], first["spp_per_replicate"]) == (10, 16)
 
 
 def test_seeds_of_all_rounds_differ():
@@ -370,27 +370,27 @@ class SyntheticRounds:
     """Rounds whose replicates are drawn instead of rendered: calm ones, and those of the ball."""
 
     seen = SimpleNamespace(is_linear=True)
-    propagated = (None,)
+    mean_adjoints = (None,)
 
     def __init__(self, ball, tiny, ball_size, seed):
         self.ball, self.tiny, self.ball_size = ball, tiny, ball_size
         self.rng = np.random.default_rng(seed)
 
-    def take(self, point, passes, spp):
+    def add_round(self, point, replicates, spp):
         def calm(size, deviation, channels):
-            return size * (1 + deviation / math.sqrt(spp) * self.rng.standard_normal((passes, channels)))
+            return size * (1 + deviation / math.sqrt(spp) * self.rng.standard_normal((replicates, channels)))
 
         rows = {
             "wall": calm(1.0, 0.3, 3),
             "floor": calm(0.5, 0.3, 3),
-            "ball": self.ball_size * np.asarray(self.ball(self.rng, passes, spp))[:, None],
+            "ball": self.ball_size * np.asarray(self.ball(self.rng, replicates, spp))[:, None],
             "tiny": calm(0.02, self.tiny, 1),
         }
-        spreads = {name: Spread() for name in rows}
+        statistics = {name: ReplicateStatistics() for name in rows}
         for name, values in rows.items():
             for row in torch.from_numpy(values):
-                spreads[name].add(row)
-        return [PointGradient(spreads, self.seen, float(passes * spp), spp, {})], False
+                statistics[name].add(row)
+        return [PointGradient(statistics, self.seen, float(replicates * spp), spp, {})], False
 
 
 def search(monkeypatch, ball, seed, tiny=5.0, ball_size=0.6, renderer=None, **goal):
@@ -400,13 +400,13 @@ def search(monkeypatch, ball, seed, tiny=5.0, ball_size=0.6, renderer=None, **go
     run = SimpleNamespace(
         renderer=renderer,
         metrics=[TargetedMetric(torch.mean)],
-        viewer=None,
+        transform_selector=None,
         values={name: torch.zeros(channels) for name, channels in ROOM.items()},
         members=None,
         settings=SimpleNamespace(seed=seed, replicates=8, show_progress=False, picture_spp=None),
     )
     asked = {"tolerance": 0.1, "share": 0.05, "top": None, "time_limit": None, **goal}
-    found = _planner._Search(run, Point(run.values), _planner.Goal(**asked), first=128, against=None)
+    found = _planner._Search(run, Point(run.values), _planner.Goal(**asked), first_spp=128, against=None)
     found.run_rounds()
     return found
 
@@ -415,7 +415,7 @@ def is_within(found, tolerance=0.1):
     total = found.sums[0]
     exact = {"wall": 1.0, "floor": 0.5, "ball": 0.6}
     return all(
-        (total.mean[name] / total.share - value).norm() <= tolerance * SALIENCY[name]
+        (total.mean[name] / total.weight - value).norm() <= tolerance * SALIENCY[name]
         for name, value in exact.items()
     )
 
@@ -447,14 +447,14 @@ def test_what_is_reported_as_reached_is_reached_in_500_runs(monkeypatch, noise):
 def test_parameter_leaves_the_goal_by_its_upper_limit_only(monkeypatch):
     """A tiny saliency of unknown size keeps the search going until it is known to be tiny, and no longer."""
     calm = search(monkeypatch, NOISES["normal"], shifted(), tiny=1.0)
-    assert "tiny" not in calm.verdicts[0].half_widths
+    assert "tiny" not in calm.assessments[0].half_widths
     unsure = search(monkeypatch, NOISES["normal"], shifted(), tiny=400.0)
-    verdict = unsure.verdicts[0]
+    assessment = unsure.assessments[0]
     assert unsure.stopped() == "goal"
-    tiny = next(one for one in verdict.wanted if one.names == ("tiny",))
+    tiny = next(one for one in assessment.criteria if one.names == ("tiny",))
     # It has 0.6 % of all and would take (400 × 1.96 / 0.1)² samples to be known to 10 %.
-    assert tiny.upper(verdict.quantiles[1]) < 0.05 * sum(SALIENCY.values())
-    assert 2 * calm.sums[0].share < unsure.sums[0].share < 10**5
+    assert tiny.upper(assessment.quantiles[1]) < 0.05 * sum(SALIENCY.values())
+    assert 2 * calm.sums[0].weight < unsure.sums[0].weight < 10**5
 
 
 def test_rough_metal_whose_first_estimates_are_noise_stays_in_the_goal(monkeypatch):
@@ -467,7 +467,7 @@ def test_rough_metal_whose_first_estimates_are_noise_stays_in_the_goal(monkeypat
     scene["ball_shape"] = {**ball, "bsdf": {"type": "ref", "id": "ball"}}
     renderer = SceneRenderer(scene, ["reflectance", "roughness"], resolution=(32, 32), max_depth=4)
     metric = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
-    monkeypatch.setattr(_planner, "_SAMPLES", 256)
+    monkeypatch.setattr(_planner, "MAX_SPP", 256)
     for seed in seeds(2):
         planner = VanillaSceneGradient(renderer, metric).attribute(tolerance=0.1, seed=seed).info["planner"]
         assert "ball.alpha.value" in planner["half_widths"]
@@ -477,15 +477,15 @@ def test_rough_metal_whose_first_estimates_are_noise_stays_in_the_goal(monkeypat
 def test_goal_that_is_out_of_reach_is_said_to_be(monkeypatch):
     found = search(monkeypatch, lambda rng, count, spp: 1e4 * rng.standard_normal(count), shifted())
     assert found.stopped() == "the number of samples"
-    assert 2**17 - 128 < found.sums[0].share <= 2**17
-    assert not found.is_reached(found.verdicts[0])
+    assert 2**17 - 128 < found.sums[0].weight <= 2**17
+    assert not found.is_reached(found.assessments[0])
 
 
 def test_first_round_never_ends_it(monkeypatch):
     found = search(monkeypatch, calm_paths, shifted())
     assert found.stopped() == "goal"
-    assert len(found.seconds) == 2
-    assert found.sums[0].share == 1.5 * 128
+    assert len(found.round_seconds) == 2
+    assert found.sums[0].weight == 1.5 * 128
 
 
 @pytest.mark.parametrize(("effective", "rounds"), [(100.0, 1), (10.0, 2), (1.0, 2)])
@@ -498,8 +498,8 @@ def test_paths_of_a_pilot_tell_how_far_a_round_can_be_trusted(monkeypatch, effec
 
     calm = search(monkeypatch, calm_paths, shifted(), renderer=Pilot())
     assert calm.stopped() == "goal"
-    assert len(calm.seconds) == rounds
-    assert calm.sums[0].share >= 3 / effective * 128
+    assert len(calm.round_seconds) == rounds
+    assert calm.sums[0].weight >= 3 / effective * 128
 
 
 def test_order_that_is_called_clear_is_right_whatever_the_noise(monkeypatch):
@@ -508,7 +508,7 @@ def test_order_that_is_called_clear_is_right_whatever_the_noise(monkeypatch):
     for seed in seeds(RUNS):
         found = search(monkeypatch, gamma(40), seed, ball_size=1.2, tolerance=None, top=2)
         assert found.stopped() == "goal"
-        wrong += found.verdicts[0].tiers(2) != [["wall"], ["ball"]]
+        wrong += found.assessments[0].tiers(2) != [["wall"], ["ball"]]
     assert wrong / RUNS < 0.05 + 3 * math.sqrt(0.05 * 0.95 / RUNS), f"{wrong} of {RUNS}"
 
 
@@ -519,7 +519,7 @@ def test_what_may_be_in_the_top_has_all_of_its_error():
     unknown = Quantity(
         ("unknown",), torch.tensor([0.05, 0, 0]), (rows - rows.mean(0)) / 24, torch.zeros(3), 0.0
     )
-    (difference,) = _planner._differences([known, unknown], top=1, tie=0.05)
+    (difference,) = _planner._saliency_differences([known, unknown], top=1, tie=0.05)
     assert difference.error == pytest.approx(unknown.error)
 
 
@@ -556,7 +556,7 @@ class Clock:
 
 
 class SlowRenderer(SpikyRenderer):
-    """Compiles once, and takes some time for each pass and each sample; backward passes take three times that."""
+    """Compiles once, then takes time per call and per sample; backward passes take three times as long."""
 
     def __init__(self, clock, each, overhead):
         super().__init__()
@@ -593,17 +593,17 @@ def test_time_limit_is_kept_within_a_tenth_or_a_pass(monkeypatch, metric, each, 
     planner = found.info["planner"]
     spent = clock.now - planner["setup_seconds"]
     last = planner["rounds"][-1]
-    a_pass = 4 * (overhead + each * last["spp_per_pass"])
+    a_pass = 4 * (overhead + each * last["spp_per_replicate"])
     assert planner["setup_seconds"] >= 30
     assert 10 - max(1.0, 2 * a_pass) <= spent <= 10 + max(1.0, a_pass), (
         f"{spent:.2f} s, rounds {planner['rounds']}"
     )
-    assert sum(one["passes"] for one in planner["rounds"]) >= 2
+    assert sum(one["replicates"] for one in planner["rounds"]) >= 2
     assert planner["reached"] is None
 
 
 def test_time_is_filled_with_samples_where_passes_take_most_of_it(monkeypatch):
-    """An eighth at least of the samples that eight passes had, if what a pass takes were known beforehand."""
+    """At least an eighth of the samples of eight replicates, if their cost were known in advance."""
     clock = Clock()
     monkeypatch.setattr(time, "perf_counter", clock)
     each, overhead, limit = 0.001, 0.1, 10.0
@@ -618,7 +618,7 @@ def test_time_limit_is_kept_where_passes_become_slower(monkeypatch):
     clock = Clock()
     monkeypatch.setattr(time, "perf_counter", clock)
     renderer = SlowRenderer(clock, 0.01, 0.0)
-    renderer.slow_after = 20  # two rehearsals and the first round, of two pictures each
+    renderer.slow_after = 20  # two warm-ups and the first round, of two pictures each
     planner = VanillaSceneGradient(renderer, log_mean).attribute(time_limit=10.0).info["planner"]
     spent = clock.now - planner["setup_seconds"]
     assert 8 <= spent <= 11, f"{spent:.2f} s, rounds {planner['rounds']}"
@@ -712,25 +712,25 @@ def planned(**changes):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "95 % half-widths ≤ 4.6 % (asked: 5 %)"),
+        ({}, "95 % half-widths ≤ 4.6 % (target: 5 %)"),
         (
             {"reached": False, "stopped": "the time limit"},
-            "95 % half-widths ≤ 4.6 % (asked: 5 %, stopped by the time limit)",
+            "95 % half-widths ≤ 4.6 % (target: 5 %, stopped by the time limit)",
         ),
         (
             {"tolerance": None, "time_limit": 10.0, "reached": None},
             "95 % half-widths ≤ 4.6 % in 10 s",
         ),
-        ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the first 3 clear"),
-        ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the first 3 clear but for 1 tie"),
+        ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
+        ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
         (
             {"top": 3, "order": [["a", "b"], ["c"]], "reached": False, "stopped": "the time limit"},
-            "order of the first 3 not clear, stopped by the time limit",
+            "order of the top 3 not resolved, stopped by the time limit",
         ),
     ],
 )
 def test_tables_say_in_one_line_what_was_reached(changes, words):
-    assert goal_words(planned(**changes)) == [words]
+    assert goal_notes(planned(**changes)) == [words]
     assert words in str(planned(**changes))
     assert words in planned(**changes)._repr_html_()
 
@@ -745,7 +745,7 @@ def test_tables_say_in_one_line_what_was_reached(changes, words):
         ({"tolerance": 0.1, "share": 5}, "share must lie between 0 and 1, not 5"),
         ({"tolerance": 0.1, "spp": 0}, "spp must be a whole number"),
         ({"tolerance": 0.1, "replicates": 1}, "replicates"),
-        ({"against": ToyRenderer()}, "against= belongs to a goal"),
+        ({"against": ToyRenderer()}, "against= requires a goal"),
     ],
 )
 def test_bad_goals_are_refused(options, message):
@@ -762,4 +762,4 @@ def test_result_saves_and_loads_with_its_report(tmp_path):
 def test_command_line_takes_a_tolerance(tmp_path, capsys):
     small = ["--resolution", "24x24", "--max-depth", "3", "--no-progress", "--inputs", "emitters"]
     assert cli.main(["attribute", "cornell-box", *small, "--tolerance", "0.5", "--out", str(tmp_path)]) == 0
-    assert "(asked: 50 %)" in capsys.readouterr().out
+    assert "(target: 50 %)" in capsys.readouterr().out

@@ -11,9 +11,8 @@ import torch
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
-from scenecaptum._cryptomatte import identifier, murmur3
-from scenecaptum.projection import export, heatmap, shared_maximum
-from scenecaptum.scene import SurfaceMap, TexelMap
+from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
+from scenecaptum.projection._cryptomatte import identifier, murmur3
 
 
 def attribution(parameters: tuple[tuple[str, ...], ...], **saliency: float) -> SceneAttribution:
@@ -190,7 +189,7 @@ def test_texels_join_the_other_parameters_of_their_object():
 def test_without_texels_known_there_is_no_map_of_them():
     result = textured()
     bare = dataclasses.replace(result, surfaces=dataclasses.replace(result.surfaces, texels={}))
-    with pytest.raises(SceneCaptumError, match="Which texels the pixels show is not known"):
+    with pytest.raises(SceneCaptumError, match="not known which texels the pixels show"):
         heatmap(bare, texels=True)
     torch.testing.assert_close(heatmap(bare, texels=True, parameter="a"), heatmap(bare, parameter="a"))
 

@@ -44,7 +44,7 @@ ROUGH = {
 def true_and_estimated(method: str, n_steps: int, integrand: Callable) -> tuple[float, float]:
     function, exact = integrand
     rule = quadrature(method, n_steps)
-    found = function(np.array(rule.places))
+    found = function(np.array(rule.nodes))
     estimate = rule.error([torch.tensor([[one]], dtype=torch.float64) for one in found]).item()
     return abs(np.array(rule.weights) @ found - exact), estimate
 
@@ -86,11 +86,9 @@ def test_the_estimate_of_a_gauss_rule_vanishes_with_the_error():
 def test_a_gauss_rule_of_n_points_has_no_error_for_polynomials_that_n_minus_2_points_tell():
     rule = quadrature("gausslegendre", 8)
     for degree in range(6):
-        found = [torch.tensor([[place**degree]], dtype=torch.float64) for place in rule.places]
+        found = [torch.tensor([[place**degree]], dtype=torch.float64) for place in rule.nodes]
         assert rule.error(found).item() < 1e-14
-    assert (
-        rule.error([torch.tensor([[place**6]], dtype=torch.float64) for place in rule.places]).item() > 1e-5
-    )
+    assert rule.error([torch.tensor([[place**6]], dtype=torch.float64) for place in rule.nodes]).item() > 1e-5
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -100,15 +98,15 @@ def test_weights_sum_to_one_and_places_without_weight_come_last(method, n_steps)
     assert sum(rule.weights) == pytest.approx(1)
     assert all(rule.weights[:n_steps])
     assert not any(rule.weights[n_steps:])
-    assert len(rule.places) - n_steps == {"riemann_middle": 2, "riemann_left": 1, "riemann_right": 1}.get(
+    assert len(rule.nodes) - n_steps == {"riemann_middle": 2, "riemann_left": 1, "riemann_right": 1}.get(
         method, 0
     )
-    assert (min(rule.places), max(rule.places)) == (
-        (0, 1) if "riemann" in method else (rule.places[0], 1 - rule.places[0])
+    assert (min(rule.nodes), max(rule.nodes)) == (
+        (0, 1) if "riemann" in method else (rule.nodes[0], 1 - rule.nodes[0])
     )
     assert np.abs(rule.nulls.sum(1)).max() < 1e-12
     if method in ("gausslegendre", "riemann_middle", "riemann_trapezoid"):
-        assert np.dot(rule.weights, rule.places) == pytest.approx(0.5)
+        assert np.dot(rule.weights, rule.nodes) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -117,7 +115,7 @@ def test_noise_is_not_taken_for_an_error_of_the_rule(method, alone):
     """32 steps, of which so many are seen once only: one alarm in ten, and bars larger by less than √2."""
     rule, repeats = quadrature(method, 32), 400
     generator = torch.Generator().manual_seed(shifted(7))
-    counts = [1 if number >= 32 - alone and number < 32 else 2 for number in range(len(rule.places))]
+    counts = [1 if number >= 32 - alone and number < 32 else 2 for number in range(len(rule.nodes))]
     variance = sum(weight**2 for weight in rule.weights)
     # Each place has as many samples, whether they are split or not.
     noise = [math.sqrt(n) * torch.randn(n, repeats, generator=generator, dtype=torch.float64) for n in counts]
@@ -133,21 +131,21 @@ def test_an_error_beyond_the_noise_is_seen_through_it(method):
     rule, repeats = quadrature(method, 8), 200
     function, exact = from_black(1.0)
     generator = torch.Generator().manual_seed(shifted(8))
-    noise = torch.randn(len(rule.places), 2, repeats, generator=generator, dtype=torch.float64)
-    found = torch.tensor(function(np.array(rule.places)))[:, None, None] * (1 + 0.05 * noise)
+    noise = torch.randn(len(rule.nodes), 2, repeats, generator=generator, dtype=torch.float64)
+    found = torch.tensor(function(np.array(rule.nodes)))[:, None, None] * (1 + 0.05 * noise)
     estimates = rule.error(list(found))
     errors = (torch.tensor(rule.weights, dtype=torch.float64) @ found.mean(1) - exact).abs()
     assert (estimates > errors / 2).all()
 
 
 def test_the_half_of_the_points_that_ctrl_c_leaves_covers_the_way():
-    places = quadrature("riemann_middle", 32).places
+    places = quadrature("riemann_middle", 32).nodes
     assert sum(places[:16]) / 16 == pytest.approx(0.5, abs=0.05)
     assert sorted(places) != list(places)
 
 
 def test_what_is_left_of_the_points_is_compared_with_its_half():
     rule = quadrature("riemann_middle", 32)
-    found = [torch.tensor([[place]]) for place in rule.places[:16]]
+    found = [torch.tensor([[place]]) for place in rule.nodes[:16]]
     assert rule.error(found).item() < 0.05
     assert quadrature("gausslegendre", 8).error([torch.tensor([[3.0]])]).item() == pytest.approx(3.0)

@@ -87,7 +87,7 @@ def test_what_no_path_meets_is_marked(mi: Any, tmp_path: Path) -> None:
     name = "hidden.bsdf.reflectance.value"
     assert found[name].abs().max() == 0
     reasons = found.untrusted_errors()
-    assert reasons[name] == "no path of a pilot has met it: its light is rare, or there is none"
+    assert reasons[name] == "no path of the pilot contributes to it: its light is rare, or there is none"
     assert not any(one.startswith("floor") for one in reasons)
     found.save(tmp_path / "found.npz")
     assert SceneAttribution.load(tmp_path / "found.npz").untrusted_errors() == found.untrusted_errors()

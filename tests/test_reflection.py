@@ -9,8 +9,8 @@ import torch
 from seeds import shifted
 from torch.autograd import gradcheck
 
-from scenecaptum._reflection import OPEN_MARGIN, reflect
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.scene import OPEN_MARGIN, reflect
 
 INTERVALS = [(0.0, 1.0), (-1.0, 1.0), (0.25, 180.0), (0.0, math.inf), (-math.inf, 2.0), (-math.inf, math.inf)]
 
@@ -90,5 +90,5 @@ def test_what_is_not_finite_stays_so(low: float, high: float) -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 0.0), (0.5, 0.5), (math.nan, 1.0)])
 def test_bounds_without_an_inside_are_refused(low: float, high: float) -> None:
-    with pytest.raises(SceneCaptumError, match="a low and a higher value"):
+    with pytest.raises(SceneCaptumError, match="lower bound must be below"):
         reflect(torch.zeros(2), low, high)

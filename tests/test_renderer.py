@@ -757,7 +757,7 @@ def test_threads_give_what_one_after_another_gives(cornell: SceneRenderer) -> No
         (FLOOR, [0.5, 0.5, 0.5], [FLOOR, "floating point tensor", "list"]),
         (FLOOR, np.full(3, 0.5, np.float32), [FLOOR, "tensor", "ndarray"]),
         ("flor.reflectance.value", torch.full((3,), 0.5), ["flor", "Did you mean", FLOOR]),
-        ("short_box_shape.vertex_positions", torch.zeros(72), ["cannot be set", "moves visibility"]),
+        ("short_box_shape.vertex_positions", torch.zeros(72), ["cannot be set", "changes visibility"]),
         ("ball.bsdf.alpha", torch.tensor(0.0), ["ball.bsdf.alpha", "(0, 1]", "roughness"]),
         ("ball.bsdf.eta", torch.tensor(-1.0), ["ball.bsdf.eta", "-1", "(0, ∞)", "ior"]),
     ],
@@ -774,7 +774,7 @@ def test_an_unphysical_or_malformed_input_raises_before_anything_is_rendered(
     def rendered(*_: Any, **__: Any) -> None:
         pytest.fail("something was rendered")
 
-    for method in ("primal", "adjoint", "tangent"):
+    for method in ("primal", "vjp", "jvp"):
         monkeypatch.setattr(renderer._engines[0], method, rendered)
     said = message(lambda: renderer({name: value}))
     assert [word for word in words if word not in said] == [], said
@@ -877,7 +877,7 @@ def test_a_textured_mask_over_glass_carries_a_caution(mi: Any) -> None:
     mask = {"type": "mask", "opacity": holes, "glass": {"type": "dielectric"}}
     plan = SceneRenderer(small_cornell(floor=mask), "floor.opacity.*").plan
     assert [name for name, _ in plan.cautions] == ["floor.opacity.data"]
-    assert "caution: floor.opacity.data: it weighs a perfectly specular lobe" in str(plan)
+    assert "caution: floor.opacity.data: it blends a perfectly specular lobe" in str(plan)
 
 
 def test_a_black_texture_has_the_slope_of_a_black_colour(mi: Any) -> None:
@@ -898,8 +898,8 @@ def test_a_black_texture_has_the_slope_of_a_black_colour(mi: Any) -> None:
 @pytest.mark.parametrize(
     ("in_scene", "argument", "expected", "words"),
     [
-        (5, None, 5, "max_depth 5 as the scene's integrator says"),
-        (5, 3, 3, "max_depth 3 as asked"),
+        (5, None, 5, "max_depth 5 as set by the scene's integrator"),
+        (5, 3, 3, "max_depth 3 as requested"),
         (5, -1, -1, "max_depth unlimited"),
         (-1, None, -1, "max_depth unlimited"),
     ],
@@ -951,7 +951,7 @@ def test_a_scene_without_an_integrator_gets_a_default_depth(mi: Any) -> None:
     scene = small_cornell()
     del scene["integrator"]
     plan = SceneRenderer(scene).plan
-    assert (plan.max_depth, "the scene names no depth" in str(plan)) == (6, True)
+    assert (plan.max_depth, "the scene sets no depth" in str(plan)) == (6, True)
 
 
 def test_lights_hidden_from_the_camera_stay_hidden(mi: Any) -> None:
@@ -1092,12 +1092,12 @@ def test_the_surfaces_agree_with_a_ray_through_each_pixels_centre(mi: Any, corne
     assert np.all(shares[missed][:, -1] > 0)
 
 
-def test_an_object_lists_the_parameters_that_it_wears(cornell: SceneRenderer) -> None:
+def test_an_object_lists_the_parameters_that_it_uses(cornell: SceneRenderer) -> None:
     assert shown_by(cornell, "floor_shape") == {FLOOR}
     assert shown_by(cornell, "light") == {"light.bsdf.reflectance.value", LIGHT}
 
 
-def test_shared_nested_and_twosided_materials_are_listed_on_every_wearer(mi: Any) -> None:
+def test_shared_nested_and_twosided_materials_are_listed_on_every_shape_that_uses_them(mi: Any) -> None:
     paint = {"type": "ref", "id": "paint"}
     scene = small_cornell(
         paint={"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.3, 0.4]}},
@@ -1111,8 +1111,8 @@ def test_shared_nested_and_twosided_materials_are_listed_on_every_wearer(mi: Any
     )
     renderer = SceneRenderer(scene)
     name = "paint.reflectance.value"
-    wearers = {shape for shape in renderer.surfaces.objects if name in shown_by(renderer, shape)}
-    assert wearers == {"plain", "both", "cut", "mixed"}
+    users = {shape for shape in renderer.surfaces.objects if name in shown_by(renderer, shape)}
+    assert users == {"plain", "both", "cut", "mixed"}
     assert "cut.bsdf.opacity.value" in shown_by(renderer, "cut")
     assert "mixed.bsdf.weight.value" in shown_by(renderer, "mixed")
     # All are listed, whatever was selected as an input; what cannot be differentiated is not.

@@ -23,8 +23,7 @@ from seeds import shifted
 
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.projection import heatmap, shared_maximum
-from scenecaptum.scene import SurfaceMap, TexelMap
+from scenecaptum.projection import SurfaceMap, TexelMap, heatmap, shared_maximum
 from scenecaptum.visualization import write_report
 from scenecaptum.visualization.report._pixels import LAYERS, encode_surfaces
 
@@ -73,9 +72,9 @@ def make(metric: str = "Glare", factor: float = 1.0, **changes: Any) -> SceneAtt
                 "scene": "rooms/office.xml",
                 "seed": shifted(7),
                 "spp": 64,
-                "passes": 8,
+                "replicates": 8,
                 "cautions": {"chair.alpha": "its size is off <b>"},
-                "left_out": {"knob.eta": "it holds -0.0485 <i>"},
+                "left_out": {"knob.eta": "it is -0.0485 <i>"},
                 "versions": {"torch": "2.13"},
             },
         ),
@@ -447,26 +446,26 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     path = tmp_path / "report.html"
     even = {name: torch.linspace(-1, 1, 8)[:, None].expand(8, 3) for name in VALUES}
     rare = {**even, "chair.alpha": torch.tensor([0, 0, 0, 0, 0, 0, 1e-5, 1])[:, None]}
-    few = {**make().info, "passes": 2}
+    few = {**make().info, "replicates": 2}
     write_report([make(replicates=rare), make(info=few)], path, titles=["Rare", "Few"])
     page = Page(browser, path)
     notes = page.page.locator("#notes")
-    assert "? one pass has nearly all of the spread" in notes.inner_text()
+    assert "? one replicate has nearly all of the spread" in notes.inner_text()
     assert "(1 parameter)" in notes.inner_text()
     marked = page.page.locator("#rows tr", has=page.page.locator(".mark", has_text="?"))
     assert [row.inner_text().split()[1:3] for row in marked.all()] == [["chair:", "alpha!?"]]
     page.click(11, 1)
-    assert "? one pass has nearly all" in page.page.locator("#detail").inner_text()
+    assert "? one replicate has nearly all" in page.page.locator("#detail").inner_text()
     # What holds for all is said once.
     page.page.get_by_text("Few", exact=True).first.click()
-    assert "unsure by 71 % (all parameters)" in notes.inner_text()
+    assert "about 71 % relative uncertainty (all parameters)" in notes.inner_text()
     assert marked.count() == 0
     page.check(path)
 
 
 def test_what_is_left_out_for_its_value_is_named(report):
     notes = report.page.locator("#notes").inner_text()
-    assert "! knob.eta is left out: it holds -0.0485 <i>" in notes
+    assert "! knob.eta is left out: it is -0.0485 <i>" in notes
 
 
 def test_what_is_out_of_sight_says_so(report):
@@ -686,7 +685,7 @@ def test_how_it_was_computed_is_at_the_foot(report):
     for said in ("rooms/office.xml", "VanillaSceneGradient", "64", str(shifted(7)), "torch 2.13"):
         assert said in facts
     report.page.get_by_text("Every setting").click()
-    assert '"passes": 8' in report.page.locator("#settings").inner_text()
+    assert '"replicates": 8' in report.page.locator("#settings").inner_text()
 
 
 def test_light_and_dark_follow_the_system_and_the_button(browser, written):

@@ -188,7 +188,7 @@ def test_placeholders_get_their_values(
         ({"flip": True}, "no value for $size: give parameters={'size': …}, or -D size=…"),
         (
             {"flip": True, "size": 8, "sizes": 3},
-            "no $sizes that a value could be given to. Did you mean 'size'?",
+            "no placeholder $sizes. Did you mean 'size'?",
         ),
         ({"flip": True, "size": 8, "zzz": 3}, "It has $flip, $r, $size."),
         ({"$flip": True, "size": 8}, "the key '$flip'; keys are the $names of the file without $"),
@@ -364,15 +364,15 @@ def test_the_sky_is_a_light_and_not_a_texture(zoo: SceneParameters) -> None:
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("crate.vertex_positions", "moves visibility"),
-        ("first.to_world", "moves visibility"),
+        ("crate.vertex_positions", "changes visibility"),
+        ("first.to_world", "changes visibility"),
         ("crate.faces", "geometry"),
         ("eye.to_world", "camera"),
         ("eye.x_fov", "camera"),
         ("lamp.emitter.sampling_weight", "how samples are drawn"),
         ("lacquer.bsdf.main_specular_sampling_rate", "how samples are drawn"),
         ("poster.bsdf.reflectance.to_uv", "transformation"),
-        ("spot.position", "places a light"),
+        ("spot.position", "positions a light"),
     ],
 )
 def test_what_cannot_be_differentiated_says_why(zoo: SceneParameters, name: str, reason: str) -> None:

@@ -33,7 +33,7 @@ def parameter(name: str, problem: str | None = None, caution: str | None = None,
     return Parameter(name=name, problem=problem, caution=caution, **{**given, **other})
 
 
-MOVES = "it moves visibility, and a gradient without the boundary term would be silently wrong"
+MOVES = "it changes visibility, and a gradient without the boundary term would be wrong"
 CAMERA = "it belongs to the camera, which Mitsuba does not differentiate"
 
 

@@ -15,7 +15,7 @@ from scenecaptum import SceneRenderer, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.validation import compare_sensitivity, dgsm
 from scenecaptum.validation._scalars import find_scalars
-from scenecaptum.validation._sensitivity import _settled
+from scenecaptum.validation._sensitivity import _samples_until_stable
 
 
 class Function:
@@ -186,11 +186,11 @@ def test_every_render_is_counted():
 
 def test_stable_is_what_changes_no_more():
     running = np.array([[3, 2, 1.0], [1, 2, 3], [3, 1, 2], [1, 3, 2], [2, 3, 1]])
-    assert _settled(running, 2) == 5
-    assert _settled(running[:4], 2) == 4
-    assert _settled(np.repeat(running[:1], 6, axis=0), 2) == 2
-    assert _settled(running[[0, 1, 2, 2, 2]], 2) == 3
-    assert _settled(running[[1, 1, 1, 0, 1]], 2) == 5
+    assert _samples_until_stable(running, 2) == 5
+    assert _samples_until_stable(running[:4], 2) == 4
+    assert _samples_until_stable(np.repeat(running[:1], 6, axis=0), 2) == 2
+    assert _samples_until_stable(running[[0, 1, 2, 2, 2]], 2) == 3
+    assert _samples_until_stable(running[[1, 1, 1, 0, 1]], 2) == 5
 
 
 class Sum(Function):

@@ -10,8 +10,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.projection import heatmap
-from scenecaptum.scene import SurfaceMap
+from scenecaptum.projection import SurfaceMap, heatmap
 from scenecaptum.scene.bundled import office
 
 FLOOR = "floor.reflectance.data"
@@ -89,7 +88,7 @@ def test_the_map_mixes_an_environment_as_mitsuba_does(mi: Any, monkeypatch: pyte
     from scenecaptum.rendering import _texels
 
     # At a pole a pixel sees all meridians, of which the map would keep the nearest texels only.
-    monkeypatch.setattr(_texels, "MANY", 1000)
+    monkeypatch.setattr(_texels, "MAX_BILINEAR_TEXELS", 1000)
     sky = np.random.default_rng(shifted(4)).uniform(0.5, 1.5, (6, 10, 3)).astype(np.float32)
     turned = mi.ScalarTransform4f().rotate([2 / 7, 3 / 7, 6 / 7], 70)
     scene = mi.load_dict(
@@ -134,7 +133,7 @@ def test_a_fine_texture_has_few_items_and_all_of_its_weight(mi: Any) -> None:
     np.testing.assert_allclose(weights, on_card, atol=1e-5)
 
 
-def test_a_texture_inside_an_instance_is_found_on_the_part_that_wears_it(mi: Any) -> None:
+def test_a_texture_inside_an_instance_is_found_on_the_part_that_uses_it(mi: Any) -> None:
     texels = np.random.default_rng(shifted(6)).random((4, 4, 3), np.float32)
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
     scene = {

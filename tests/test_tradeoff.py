@@ -85,7 +85,7 @@ def test_relative_error_is_that_of_the_noise():
 
 def test_gradients_without_bias_show_none():
     rows = [measure(Bounces(), torch.mean, vary={}, runs=4, seed=seed).rows[0] for seed in seeds(12)]
-    assert not any(row.bias.told for row in rows)
+    assert not any(row.bias.significant for row in rows)
 
 
 def test_the_bias_of_short_paths_is_what_they_leave_out():
@@ -94,7 +94,7 @@ def test_the_bias_of_short_paths_is_what_they_leave_out():
     for row in trade.rows:
         depth = row.setting.max_depth
         expected = 1 - (1 - 0.5**depth) / (1 - 0.5**8)
-        assert row.bias.told == (depth < 8), row
+        assert row.bias.significant == (depth < 8), row
         assert abs(row.bias.value - expected) < max(4 * row.bias.error, 1e-3), row
         assert row.bias.value - 1e-6 <= row.relative_error.value
 
@@ -105,10 +105,10 @@ def test_a_noisy_picture_biases_a_metric_that_is_not_linear_unless_it_is_jackkni
     jackknifed, naive = trade.rows
     # The adjoint is the square of each pixel, to which noise adds its variance.
     expected = renderer.noise_seen**2 / 16
-    assert naive.bias.told, trade
+    assert naive.bias.significant, trade
     assert abs(z_of(naive.bias.value, naive.bias.error, expected)) < allowed(20), naive
-    assert not jackknifed.bias.told, trade
-    assert jackknifed.bias.limit < expected / 2
+    assert not jackknifed.bias.significant, trade
+    assert jackknifed.bias.upper_limit < expected / 2
 
 
 def test_samples_of_the_picture_and_of_the_gradient_are_told_apart():
@@ -135,7 +135,7 @@ def test_false_alarms_are_rare_whatever_the_noise_is_like():
         for _ in range(400):
             runs, passes = (torch.randn(n, 12, generator=generator) @ shape for n in (4, 16))
             spread = (passes - passes.mean(0)) / math.sqrt(16 * 15)
-            told += statistics.relative_bias(runs - passes.mean(0), spread, 1.0).told
+            told += statistics.relative_bias(runs - passes.mean(0), spread, 1.0).significant
         assert told <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
 
 
@@ -152,13 +152,13 @@ def test_the_size_of_a_bias_is_that_which_was_put_in():
 
     for runs in (3, 8):
         one = 0.3 + 1e-3 * torch.randn(runs, 1, generator=generator, dtype=torch.float64)
-        assert statistics.relative_bias(one, nothing[:, :1], 1.0).told
+        assert statistics.relative_bias(one, nothing[:, :1], 1.0).significant
 
     many = 0.3 + torch.randn(100, 8, generator=generator, dtype=torch.float64)
     bias = statistics.relative_bias(many, nothing, 2.0)
-    assert bias.told
+    assert bias.significant
     assert abs(z_of(bias.value, bias.error, 0.3 * math.sqrt(8) / 2)) < allowed(100)
-    assert bias.value + bias.error < bias.limit < bias.value + 2 * bias.error
+    assert bias.value + bias.error < bias.upper_limit < bias.value + 2 * bias.error
 
 
 # ------------------------------------------------------------------------------------------------ ranks
@@ -232,8 +232,8 @@ def test_stock_prb_has_no_derivative_of_a_mirror_and_that_shows_as_bias(mi):
         renderer, metrics.MeanLuminance(), vary={"integrator": ["prb"]}, runs=4, reference_spp=512
     )
     own, stock = trade.rows
-    assert not own.bias.told, trade
-    assert stock.bias.told, trade
+    assert not own.bias.significant, trade
+    assert stock.bias.significant, trade
     assert stock.setting.integrator == "prb"
     assert renderer.replace(integrator="prb").plan.integrator == "prb"
 
@@ -303,7 +303,7 @@ def test_the_cheapest_setting_within_a_tolerance_is_recommended(trade):
     (bias,) = re.findall(r"has a bias of (\S+) %", short.recommendation(0.01))
     assert float(bias) == pytest.approx(100 / 17, abs=0.5)  # a sixteenth of sixteen parts and one
     few = dataclasses.replace(trade, rows=tuple(row for row in trade.rows if row.setting.max_depth == 8))
-    assert "spp should do" in few.recommendation(0.01)
+    assert "spp should suffice" in few.recommendation(0.01)
 
 
 def test_table_and_figure_show_every_setting(trade):
@@ -346,11 +346,11 @@ def test_what_a_renderer_cannot_vary_is_said():
     def bare(inputs, *, seed, spp):
         return inputs["x"].expand(2, 2, 3)
 
-    with pytest.raises(SceneCaptumError, match="does not tell its samples"):
+    with pytest.raises(SceneCaptumError, match="no attribute `spp`"):
         measure(bare, torch.mean)
     bare.spp, bare.inputs = 4, {"x": torch.tensor(1.0)}
     for key in ("max_depth", "resolution", "integrator", "primal_spp", "gradient_spp"):
-        with pytest.raises(SceneCaptumError, match=f"Varying '{key}' takes"):
+        with pytest.raises(SceneCaptumError, match=f"Varying '{key}' needs"):
             measure(bare, torch.mean, vary={key: [2]})
     with pytest.raises(SceneCaptumError, match="All gradients are 0"):
         measure(bare, lambda image: 0 * image.mean(), runs=2)

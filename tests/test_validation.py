@@ -91,7 +91,7 @@ def test_what_the_noise_hides_is_said_to_be_hidden():
 
     test = ablation_test(Curved(noise=30.0), faint, spp=8)
     assert not all(row.above_noise for row in test.rows)
-    assert "in the noise" in str(test)
+    assert "below the noise" in str(test)
 
 
 @pytest.mark.parametrize("metric", [metrics.MeanLuminance(), log_mean])
@@ -143,7 +143,7 @@ def test_the_fixed_step_of_the_paper_is_measured_too():
         assert rows[name].fixed == pytest.approx(fall.item() / step, rel=1e-2), name
     # "d" is at its lower bound, and rises.
     assert rows["d"].fixed is None
-    assert "on a step of 0.01 of the gradient" in {
+    assert "measured with a step of 0.01 of the gradient" in {
         text.get_text() for text in test.plot().axes[0].get_legend().get_texts()
     }
 

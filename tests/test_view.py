@@ -13,10 +13,10 @@ from seeds import seeds, shifted
 
 import scenecaptum as sc
 from scenecaptum import Camera, FeatureAblationScene, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.attr._jackknife import _by_denoiser, is_linear, jackknife
+from scenecaptum.attr._jackknife import _denoiser_bias, is_linear, jackknife
 from scenecaptum.attr._metric import TargetedMetric
 from scenecaptum.attr._student import student_t
-from scenecaptum.attr._view import View, choose_view
+from scenecaptum.attr._view import ImageTransform, choose_transform
 from scenecaptum.denoising import denoise, straight_through
 from scenecaptum.errors import SceneCaptumError
 
@@ -57,8 +57,8 @@ def glare() -> Any:
 def test_the_choice_is_measured_and_so_are_the_errors():
     noisy, calm = Fireflies(), Fireflies(chance=1.0)
     images = [noisy(noisy.inputs, seed=seed, spp=4) for seed in seeds(8)]
-    view = choose_view("auto", images, None, None)
-    assert view.denoises
+    transform = choose_transform("auto", images, None, None)
+    assert transform.denoises
     truth = noisy.exact(noisy.inputs)
     halves = [torch.stack(images[start::2]).mean(0) for start in (0, 1)]
     seen = (denoise(halves[0]) + denoise(halves[1])) / 2
@@ -67,16 +67,16 @@ def test_the_choice_is_measured_and_so_are_the_errors():
     def error(made: list[torch.Tensor]) -> float:
         return sum((weight * (one - truth) ** 2).mean().item() for one in made) / 2
 
-    assert view.raw_error == pytest.approx(error(halves), rel=0.2)
-    assert error([denoise(one) for one in halves]) < 0.2 * view.raw_error
-    assert view.denoised_error < 0.5 * view.raw_error
+    assert transform.raw_error == pytest.approx(error(halves), rel=0.2)
+    assert error([denoise(one) for one in halves]) < 0.2 * transform.raw_error
+    assert transform.denoised_error < 0.5 * transform.raw_error
 
     clean = [
         calm(calm.inputs, seed=seed, spp=4)
         + 1e-5 * torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(seed))
         for seed in seeds(8)
     ]
-    assert not choose_view("auto", clean, None, None).denoises
+    assert not choose_transform("auto", clean, None, None).denoises
 
 
 def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
@@ -101,7 +101,7 @@ def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
     assert cautions >= 16
 
 
-class Gray(View):
+class Gray(ImageTransform):
     """A denoiser that leaves nothing but a gray picture."""
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
@@ -110,7 +110,7 @@ class Gray(View):
 
 def test_what_a_denoiser_takes_away_from_the_value_counts_as_its_error():
     renderer = Fireflies(0.1)
-    metric = TargetedMetric(lambda image: image.square().mean(), view=Gray(True))
+    metric = TargetedMetric(lambda image: image.square().mean(), transform=Gray(True))
     truth = renderer.exact(renderer.inputs)
     shares = torch.tensor([0.4, 0.2, 0.2, 0.1, 0.1], dtype=torch.float64)
     found, held = [], 0
@@ -120,7 +120,7 @@ def test_what_a_denoiser_takes_away_from_the_value_counts_as_its_error():
             for k, share in enumerate(shares.tolist())
         ]
         _, adjoint = metric.value_and_adjoint(images[0])
-        found.append(_by_denoiser(metric, torch.stack(images), shares, adjoint)[0])
+        found.append(_denoiser_bias(metric, torch.stack(images), shares, adjoint)[0])
         seen = jackknife(metric, images, [640 * share for share in shares.tolist()])
         held += abs(seen.value - truth.square().mean().item()) <= student_t(0.95, 4) * seen.standard_error
     # The metric is a square, so that its second order is all that the value lacks.
@@ -236,10 +236,10 @@ def test_what_does_not_fit_is_said():
     def bent(image: torch.Tensor) -> torch.Tensor:
         return image.square().mean()
 
-    with pytest.raises(SceneCaptumError, match=r"denoise=True takes a picture \(H, W, 3\)"):
+    with pytest.raises(SceneCaptumError, match=r"denoise=True requires an image \(H, W, 3\)"):
         VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16, denoise=True)
     assert not VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16).info["picture"]["denoised"]
-    with pytest.raises(SceneCaptumError, match="Only a picture"):
+    with pytest.raises(SceneCaptumError, match="Only an image"):
         denoise(torch.zeros(5, 5))
 
 

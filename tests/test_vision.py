@@ -275,7 +275,7 @@ def test_a_target_must_be_a_class(target):
 
 
 def test_a_target_beyond_the_classes_is_refused():
-    with pytest.raises(SceneCaptumError, match="target=5 is not a class of Sequential: it tells 5 classes"):
+    with pytest.raises(SceneCaptumError, match="target=5 is not a class of Sequential: it has 5 classes"):
         metrics.ClassLogit(small_classifier(), 5)(torch.rand(20, 30, 3))
     with pytest.raises(SceneCaptumError, match="from 0 to 2"):
         metrics.ClassLogit(metrics.ShapeClassifier(), 3)
@@ -379,7 +379,7 @@ def test_unknown_models_and_weights_are_named(torchvision):
     ("error", "message"),
     [
         (ImportError("No module named 'torchvision'"), r"scenecaptum\[vision\]"),
-        (RuntimeError("operator torchvision::nms does not exist"), "does not fit the installed torch"),
+        (RuntimeError("operator torchvision::nms does not exist"), "does not match the installed torch"),
     ],
 )
 def test_a_missing_or_unfit_torchvision_is_explained(monkeypatch, error, message):

@@ -86,7 +86,7 @@ def test_shortened_names_stay_different() -> None:
 
 def test_table_says_what_was_measured_and_how() -> None:
     heading = table_text(make()).splitlines()[0]
-    assert heading == "Glare = 2.336942 ± 0.000533 · VanillaSceneGradient · 64 spp in 8 passes"
+    assert heading == "Glare = 2.336942 ± 0.000533 · VanillaSceneGradient · 64 spp in 8 replicates"
 
 
 def test_table_ranks_with_sign_error_and_channels() -> None:
@@ -110,24 +110,24 @@ def test_texture_shows_totals_and_says_so() -> None:
 
 def test_missing_error_bars_are_said_and_explained() -> None:
     text = table_text(make(barred=False))
-    assert "no error bars: 1 pass" in text
+    assert "no error bars: 1 replicate" in text
     assert "±" not in text
     assert "no error bars" not in table_text(make())
 
 
 def test_interruption_is_said() -> None:
-    text = table_text(make(interrupted=True, passes=3))
-    assert "interrupted after 3 passes" in text
-    assert "in 3 passes" not in text
+    text = table_text(make(interrupted=True, replicates=3))
+    assert "interrupted after 3 replicates" in text
+    assert "in 3 replicates" not in text
 
 
 def test_what_is_left_out_for_its_value_is_named_in_every_form() -> None:
-    said = "knob.eta.value is left out: it holds -0.0485"
-    left_out = make(left_out={"knob.eta.value": "it holds -0.0485"})
+    said = "knob.eta.value is left out: it is -0.0485"
+    left_out = make(left_out={"knob.eta.value": "it is -0.0485"})
     assert f"! {said}" in " ".join(table_text(left_out).split())
     assert said in " ".join(table_html(left_out).split())
     assert f"! {said}" in " ".join(all_text(plot_bars(left_out)).split())
-    many = make(left_out={f"knob{n}": "it holds nan" for n in range(9)})
+    many = make(left_out={f"knob{n}": "it is nan" for n in range(9)})
     assert "4 more are left out; renderer.plan lists all" in " ".join(table_text(many).split())
 
 
@@ -224,7 +224,7 @@ def test_bars_left_out_and_missing_whiskers_are_said() -> None:
     assert len(axes.patches) == 3
     assert whiskers(axes) == []
     assert "5 less salient parameters not shown" in all_text(figure)
-    assert "no error bars: 1 pass" in all_text(figure)
+    assert "no error bars: 1 replicate" in all_text(figure)
     assert "not shown" not in all_text(plot_bars(make(), top=None))
 
 

@@ -213,7 +213,7 @@ def test_forward_mode_is_the_transpose_of_backward_mode(mi: Any) -> None:
     assert (gradient * tangent).sum().item() == pytest.approx(change.sum().item(), rel=1e-3)
 
 
-def test_samples_that_choose_their_pixels_give_the_same_derivatives(mi: Any) -> None:
+def test_importance_sampled_pixels_give_the_same_derivatives(mi: Any) -> None:
     names = [ALBEDO, DENSITY, "ball.bsdf.specular_reflectance.value"]
     renderer = SceneRenderer(room(mi, homogeneous()), names, spp=8)
     adjoint = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(shifted())) ** 4

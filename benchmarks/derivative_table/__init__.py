@@ -1,4 +1,4 @@
-"""The scenes of the table of derivatives: which parameters of which plugins, at which values, in which light."""
+"""The scenes of the table of derivatives: plugins, parameters, values and lighting."""
 
 from ._case import ABOVE as ABOVE
 from ._case import BELOW as BELOW
@@ -10,21 +10,20 @@ from ._surfaces import surface_cases
 
 CASES = (*surface_cases(), *light_cases(), *medium_cases())
 
-# Plugins of these categories that the table has no rows for.
+# Plugins of these categories without rows in the table.
 WITHOUT_PARAMETERS = {
-    "null": "lets everything pass",
+    "null": "fully transparent",
     "measured": "a table from a file",
     "measured_polarized": "a table from a file",
-    "isotropic": "rows are those of its medium",
-    "rayleigh": "rows are those of its medium",
+    "isotropic": "see the rows of its medium",
+    "rayleigh": "see the rows of its medium",
 }
 
-# Samples per pixel with which, under eight seeds, every row of a case settles within a second or so: the tests
-# repeat these.
+# Cases for the tests: with eight seeds and these samples per pixel, every row is resolved within about a second.
 QUICK = {
-    "dielectric/pane that lets nothing pass": 16,
-    "thindielectric/pane that lets nothing pass": 16,
-    "roughdielectric/pane that lets nothing pass": 16,
+    "dielectric/opaque pane": 16,
+    "thindielectric/opaque pane": 16,
+    "roughdielectric/opaque pane": 16,
     "roughdielectric/lamp in the floor, alpha 0.001": 16,
     "roughdielectric/lamp in the floor, alpha 0.01": 16,
     "roughdielectric/lamp in the floor, alpha 0.05": 16,

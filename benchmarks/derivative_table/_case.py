@@ -1,4 +1,4 @@
-"""What a case of the table is, and how far its finite differences step."""
+"""Cases of the table, and the steps of their finite differences."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ CENTRAL, ABOVE, BELOW = 0, 1, -1
 
 @dataclass(frozen=True)
 class Row:
-    """A parameter, and how far the finite difference moves it.
+    """A parameter, and the step of its finite difference.
 
     Attributes
     ----------
     parameter
-        Its ``mi.traverse`` name, where a trailing ``.value`` or ``.data`` may be left out.
+        Its ``mi.traverse`` name; a trailing ``.value`` or ``.data`` may be omitted.
     step
-        Of the difference; None where the parameter is not a continuous quantity of the picture (a pose, a sampling
-        rate), so that only what the user is told about it is recorded.
+        Step of the difference; None if the image is not a continuous function of the parameter (a pose, a sampling
+        rate), so that only the error message is recorded.
     side
-        Whether the difference is central, or taken from above or below the value to second order.
+        Whether the difference is central, or from above or below the value to second order.
     scaled
-        Whether the elements of a texture move in proportion to their values, instead of all alike: raising a bump
-        map as a whole changes nothing.
+        Whether the elements of a texture move in proportion to their values instead of equally: raising a bump map
+        as a whole changes nothing.
     """
 
     parameter: str
@@ -37,16 +37,16 @@ class Row:
 
 @dataclass(frozen=True)
 class Case:
-    """One scene, and the rows of the table that it gives.
+    """One scene, and its rows of the table.
 
     Attributes
     ----------
     plugin
-        The plugin under which the rows stand.
+        The plugin in whose section the rows are.
     title
-        What distinguishes this scene from the plugin's others.
+        Name of the scene, unique for the plugin.
     build
-        Makes the Mitsuba dict; called once Mitsuba is active.
+        Function that returns the Mitsuba dict; called when Mitsuba is active.
     rows
         The parameters.
     """
@@ -69,12 +69,12 @@ _ANGLES = ("cutoff_angle", "beam_width", "scale_tilt", "theta", "delta", "turbid
 
 
 def row(parameter: str, value: float) -> Row:
-    """Return the row of a parameter with the step that suits its value."""
+    """Return the row of a parameter with a step suitable for its value."""
     role = next(part for part in reversed(parameter.split(".")) if part not in ("value", "data"))
     if role in _ROUGHNESSES:
         return Row(parameter, 0.03 * value, BELOW if value >= 1 else CENTRAL)
     if role == "eta" and 1 <= value < 1.02:
-        # What an index near 1 reflects grows with a power of its distance from 1.
+        # The reflectance at an index near 1 grows with a power of its distance from 1.
         return Row(parameter, 0.004, ABOVE)
     if role in ("eta", "k"):
         return Row(parameter, 0.02) if value > 0.02 else Row(parameter, 0.01, ABOVE)
@@ -86,7 +86,7 @@ def row(parameter: str, value: float) -> Row:
         return Row(parameter, 0.05 * value)
     if role == "g":
         return Row(parameter, 0.05 * (1 - abs(value)))
-    # The lobes that these shape vary fast where they are strong, or (the last) like a square root near 0.
+    # These vary fast for strong lobes, or (specular) like a square root near 0.
     sharp = {"anisotropic": 0.01, "clearcoat_gloss": 0.05 * (1 - value), "specular": min(0.2 * value, 0.05)}
     step = sharp.get(role, 0.05)
     top = 2.0 if role == "diff_trans" else 1.0
@@ -98,6 +98,6 @@ def rows(owner: str, values: Mapping[str, float]) -> tuple[Row, ...]:
     return tuple(row(f"{owner}.{name}", value) for name, value in values.items())
 
 
-def told(*parameters: str) -> tuple[Row, ...]:
-    """Return the rows of parameters of which only what the user is told is recorded."""
+def message_rows(*parameters: str) -> tuple[Row, ...]:
+    """Return the rows of unsupported parameters, for which only the error message is recorded."""
     return tuple(Row(parameter, None) for parameter in parameters)

@@ -8,14 +8,14 @@ import numpy as np
 
 from scenecaptum import activate
 
-from ._case import Case, Row, Scene, row, told
+from ._case import Case, Row, Scene, message_rows, row
 from ._scenes import bitmap, lamp, picture, shelf, sky
 
 SIDES = [1.5, -2.5, 3.0]
 
 
 def _lit(*materials: Scene, **lights: Scene) -> Scene:
-    """Return a diffuse and a shiny ball in the given light only."""
+    """Return a diffuse and a glossy ball under only the given lights."""
     scene = shelf(*(materials or ({"type": "diffuse"}, {"type": "roughconductor", "alpha": 0.2})))
     del scene["sky"], scene["lamp"]
     return {**scene, **lights}
@@ -53,7 +53,7 @@ def _area() -> list[Case]:
                 row("on.emitter.radiance", 10.0),
                 row("off.emitter.radiance", 0.0),
                 row("screen.emitter.radiance.data", 3.0),
-                *told("on.emitter.sampling_weight"),
+                *message_rows("on.emitter.sampling_weight"),
             ),
         ),
         Case(
@@ -86,7 +86,7 @@ def _points() -> list[Case]:
                 on={"type": "point", "position": SIDES, "intensity": 10.0},
                 off={"type": "point", "position": [-2, -2, 3], "intensity": 0.0},
             ),
-            (row("on.intensity", 10.0), row("off.intensity", 0.0), *told("on.position")),
+            (row("on.intensity", 10.0), row("off.intensity", 0.0), *message_rows("on.position")),
         ),
         Case(
             "spot",
@@ -102,7 +102,7 @@ def _points() -> list[Case]:
                 row("on.beam_width", 15.0),
                 row("off.intensity", 0.0),
                 row("slide.texture.data", 0.5),
-                *told("on.to_world"),
+                *message_rows("on.to_world"),
             ),
         ),
         Case(
@@ -128,7 +128,7 @@ def _points() -> list[Case]:
                 row("on.irradiance.data", 2.0),
                 Row("on.scale", 0.5),
                 Row("off.scale", 0.5, 1),
-                *told("on.to_world"),
+                *message_rows("on.to_world"),
             ),
         ),
     ]
@@ -143,7 +143,7 @@ def _distant() -> list[Case]:
                 on={"type": "directional", "direction": [-0.4, 0.6, -1], "irradiance": 3.0},
                 off={"type": "directional", "direction": [0.4, 0.6, -1], "irradiance": 0.0},
             ),
-            (row("on.irradiance", 3.0), row("off.irradiance", 0.0), *told("on.to_world")),
+            (row("on.irradiance", 3.0), row("off.irradiance", 0.0), *message_rows("on.to_world")),
         ),
         Case(
             "constant",
@@ -189,7 +189,7 @@ def _skies() -> list[Case]:
             lambda: _lit(sky=sky(0.0), lamp=_sphere({"type": "area", "radiance": 5.0})),
             (Row("sky.scale", 0.2, 1),),
         ),
-        Case("envmap", "pose", lambda: _lit(sky=sky()), told("sky.to_world")),
+        Case("envmap", "pose", lambda: _lit(sky=sky()), message_rows("sky.to_world")),
     ]
 
 
@@ -210,13 +210,17 @@ def _suns() -> list[Case]:
             "sunsky",
             "given direction",
             lambda: at_noon("sunsky", sun_direction=[-0.3, -0.5, 0.8]),
-            (*continuous, Row("sky.sun_direction", 0.01), *told("sky.to_world")),
+            (*continuous, Row("sky.sun_direction", 0.01), *message_rows("sky.to_world")),
         ),
         Case(
             "sunsky",
             "given time",
             lambda: at_noon("sunsky", hour=10.0),
-            (*continuous, *(Row(f"sky.{name}", step) for name, step in times.items()), *told("sky.timezone")),
+            (
+                *continuous,
+                *(Row(f"sky.{name}", step) for name, step in times.items()),
+                *message_rows("sky.timezone"),
+            ),
         ),
         Case(
             "timed_sunsky",
@@ -224,7 +228,7 @@ def _suns() -> list[Case]:
             lambda: at_noon("timed_sunsky"),
             (
                 *continuous,
-                *told(
+                *message_rows(
                     *(
                         f"sky.{t}"
                         for t in ("latitude", "longitude", "timezone", "window_start_time", "window_end_time")

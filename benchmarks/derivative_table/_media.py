@@ -1,4 +1,4 @@
-"""Cases of participating media and phase functions, and of surfaces beside them."""
+"""Cases of participating media and phase functions, and of surfaces in them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _cloud(medium: Scene, boundary: Scene | None = None, shape: Scene | None = N
 
 
 def _fog(medium: Scene, *materials: Scene) -> Scene:
-    """Return balls in a room that is filled with a medium, the camera included."""
+    """Return balls in a room filled with a medium that includes the camera."""
     scene = shelf(*materials)
     del scene["block"], scene["sky"]
     scene["integrator"] = volpath()
@@ -119,7 +119,7 @@ def _heterogeneous() -> list[Case]:
         return {"type": "heterogeneous", "albedo": albedo, "sigma_t": _cells(low, high)}
 
     def cube() -> Scene:
-        # Not quite down to the floor: of two surfaces in one place, which is met is undefined.
+        # Slightly above the floor, because the hit of coincident surfaces is undefined.
         return {"type": "cube", "to_world": activate().ScalarTransform4f().scale(0.97)}
 
     return [

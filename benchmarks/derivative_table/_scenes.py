@@ -1,4 +1,4 @@
-"""Small scenes with varied light: a sky that is not uniform, a lamp, and things for light to bounce off."""
+"""Small scenes with varied light: a non-uniform sky, a lamp, and objects that reflect it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ._case import Case, Scene, rows
 
 DEPTH = 5
 
-# A material, or what makes one where that takes Mitsuba, and the values of the parameters that are differentiated.
+# A material, or a function that returns one if that needs Mitsuba, and its differentiated parameters' values.
 Ball = tuple["Scene | Callable[[], Scene]", Mapping[str, float]]
 
 
@@ -52,7 +52,7 @@ def shelf(*materials: Scene, **more: Scene) -> Scene:
 
 
 def lens(material: Scene) -> Scene:
-    """Return a ball alone under the sky, so that only what it does to light is noise."""
+    """Return a single ball under the sky, so that all noise comes from its scattering."""
     return {
         "type": "scene",
         "integrator": path(),
@@ -63,9 +63,9 @@ def lens(material: Scene) -> Scene:
 
 
 def highlight(material: Scene, alpha: float) -> Scene:
-    """Return a floor that shows a lamp as wide as its specular lobe, through a lens as narrow as that.
+    """Return a floor that reflects a lamp into the camera; both are as narrow as the floor's specular lobe.
 
-    What the camera sees then depends on the roughness however small it is.
+    The image then depends on the roughness, no matter how small it is.
     """
     return {
         "type": "scene",

@@ -1,4 +1,4 @@
-"""Cases of materials and of the textures that they look up."""
+"""Cases of materials and their textures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from scenecaptum import activate
 
-from ._case import Case, Row, Scene, row, rows, told
+from ._case import Case, Row, Scene, message_rows, row, rows
 from ._scenes import Ball, ball, balls, bitmap, highlight, lens, picture, shelf
 
 INDICES = (1.001, 1.33, 1.5, 2.4)
@@ -39,14 +39,14 @@ def surface_cases() -> list[Case]:
 
 
 def _highlight(plugin: str, role: str, value: float, width: float, **fixed: Any) -> Case:
-    """Return a floor whose highlight, of about this width, shows what shapes a lobe."""
+    """Return a floor with a highlight of about this width, which depends on the shape of the lobe."""
     material, values = ball(plugin, {role: value}, **fixed)
     scene = partial(highlight, material, width)
     return Case(plugin, f"lamp in the floor, {role} {value:g}", scene, rows("ball0.bsdf", values))
 
 
 def _alone(plugin: str, values: dict[str, float], **fixed: Any) -> Case:
-    """Return a ball alone under the sky."""
+    """Return a single ball under the sky."""
     material, _ = ball(plugin, values, **fixed)
     title = ", ".join(f"{role} {value:g}" for role, value in values.items())
     return Case(plugin, f"ball, {title}", partial(lens, material), rows("ball0.bsdf", values))
@@ -60,9 +60,9 @@ def _brushed(plugin: str, **fixed: Any) -> Case:
 
 
 def _index_cases(plugin: str, **fixed: Any) -> list[Case]:
-    """Return balls, and floors that show a lamp, of each index.
+    """Return balls, and floors that reflect a lamp, for each index.
 
-    Rough surfaces refuse to be created with an index of 1.
+    Rough plugins do not accept an index of 1.
     """
 
     def alone(title: str, scene: Callable[[Scene], Scene], eta: float) -> Case:
@@ -131,7 +131,7 @@ def _dielectrics() -> list[Case]:
     cases += [
         Case(
             plugin,
-            "pane that lets nothing pass",
+            "opaque pane",
             lambda plugin=plugin: _pane({"type": plugin, "specular_transmittance": 0.0}),
             rows("ball0.bsdf", {"specular_transmittance": 0.0}),
         )
@@ -150,7 +150,7 @@ def _dielectrics() -> list[Case]:
 
 
 def _pane(material: Scene) -> Scene:
-    """Return a sheet that is seen from one side and lit from both."""
+    """Return a sheet that is visible from one side and lit from both."""
     turn = activate().ScalarTransform4f().rotate([0.3, 0.2, 1], 40).rotate([1, 0, 0], 80)
     return {**shelf({"type": "diffuse"}), "ball0": {"type": "rectangle", "to_world": turn, "bsdf": material}}
 
@@ -250,7 +250,7 @@ def _principled() -> list[Case]:
             "principled",
             "sampling",
             lambda: shelf({"type": "principled", "clearcoat": 0.5}),
-            told(*(f"ball0.bsdf.{rate}_sampling_rate" for rate in rates)),
+            message_rows(*(f"ball0.bsdf.{rate}_sampling_rate" for rate in rates)),
         ),
     ]
 
@@ -304,7 +304,7 @@ def _principledthin() -> list[Case]:
             "principledthin",
             "sampling",
             lambda: shelf({"type": "principledthin", "spec_trans": 0.5}),
-            told(*(f"ball0.bsdf.{rate}_sampling_rate" for rate in rates)),
+            message_rows(*(f"ball0.bsdf.{rate}_sampling_rate" for rate in rates)),
         ),
     ]
 
@@ -314,7 +314,7 @@ _FOLDER = tempfile.TemporaryDirectory()
 
 
 def _strand(curve: str, material: Scene) -> Scene:
-    """Return a thick strand of hair across the picture."""
+    """Return a thick strand of hair across the image."""
     file = Path(_FOLDER.name) / "strand.txt"
     file.write_text("".join(f"{x} {0.1 * x * x} {0.2 * x} 0.5\n" for x in np.linspace(-3, 3, 7)))
     scene = shelf({"type": "diffuse"})
@@ -323,7 +323,7 @@ def _strand(curve: str, material: Scene) -> Scene:
 
 
 def _lit_strand(material: Scene) -> Scene:
-    """Return a strand from close by in the light of a small lamp, so that the width of its lobes shows."""
+    """Return a close-up of a strand under a small lamp, so that the image depends on the width of its lobes."""
     scene = _strand("bsplinecurve", material)
     del scene["sky"]
     scene["camera"]["fov"] = 8
@@ -647,7 +647,7 @@ def _textures() -> list[Case]:
                 row("ball1.bsdf.reflectance.data", 0.5),
                 Row("ball2.bsdf.alpha.data", 0.015),
                 Row("ball3.bsdf.reflectance.data", 0.05, 1),
-                *told("ball0.bsdf.reflectance.to_uv"),
+                *message_rows("ball0.bsdf.reflectance.to_uv"),
             ),
         ),
         Case(
@@ -659,7 +659,7 @@ def _textures() -> list[Case]:
                 row("ball0.bsdf.reflectance.color1", 0.7),
                 row("ball1.bsdf.reflectance.color0", 0.0),
                 row("ball1.bsdf.reflectance.color1", 1.0),
-                *told("ball0.bsdf.reflectance.to_uv"),
+                *message_rows("ball0.bsdf.reflectance.to_uv"),
             ),
         ),
         Case(

@@ -1,7 +1,6 @@
-"""Run the notebooks of this folder, and keep what they show.
+"""Run the notebooks of this folder, and store their outputs.
 
-Outputs are stored without what differs from run to run or from machine to machine: times, versions, and the names
-of kernels.
+Outputs are stored without times, versions and names of kernels, which differ between runs or machines.
 
     python examples/notebooks/run.py [NOTEBOOK ...]
 """
@@ -18,7 +17,9 @@ import nbformat
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parent
-_UNASKED = "ignore:IProgress not found"  # tqdm's, on importing Captum: no notebook here shows a progress bar
+_IGNORED_WARNING = (
+    "ignore:IProgress not found"  # by tqdm, on importing Captum; no notebook has a progress bar
+)
 
 
 def run(path: Path, **parameters: Any) -> nbformat.NotebookNode:
@@ -29,37 +30,39 @@ def run(path: Path, **parameters: Any) -> nbformat.NotebookNode:
     path
         The notebook.
     parameters
-        Values in place of those that the notebook's cell tagged ``parameters`` assigns, by name.
+        Values that replace those assigned in the notebook's cell tagged ``parameters``, by name.
 
     Raises
     ------
     nbclient.exceptions.CellExecutionError
-        Where a cell raises; the message shows the cell and its traceback.
+        If a cell raises; the message shows the cell and its traceback.
     ValueError
-        Where that cell does not assign a parameter, or not on a line of its own.
+        If that cell does not assign a parameter, or not on a separate line.
     """
     notebook = nbformat.read(path, as_version=4)
-    (cell,) = (one for one in notebook.cells if "parameters" in one.metadata.get("tags", ()))
+    (cell,) = (item for item in notebook.cells if "parameters" in item.metadata.get("tags", ()))
     for name, value in parameters.items():
         cell.source, count = re.subn(rf"^{name} = [^#\n]*", f"{name} = {value!r}  ", cell.source, flags=re.M)
         if count != 1:
             raise ValueError(f"{path.name} assigns its parameter {name} {count} times instead of once")
     NotebookClient(
         notebook,
-        resources={"metadata": {"path": str(path.parent)}},  # where a reader's kernel would start, too
+        resources={"metadata": {"path": str(path.parent)}},  # where a user's kernel starts
         record_timing=False,
         coalesce_streams=True,
         extra_arguments=["--log-level=ERROR"],
-    ).execute(env=os.environ | {"PYTHONWARNINGS": _UNASKED})
-    # The kernel has added which Python it is.
+    ).execute(env=os.environ | {"PYTHONWARNINGS": _IGNORED_WARNING})
+    # The kernel added its Python version.
     notebook.metadata.language_info = {"name": "python"}
     return notebook
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("notebooks", type=Path, nargs="*", metavar="NOTEBOOK", help="all of them by default")
-    for path in asked.parse_args().notebooks or sorted(FOLDER.glob("*.ipynb")):
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("notebooks", type=Path, nargs="*", metavar="NOTEBOOK", help="default: all of them")
+    for path in parser.parse_args().notebooks or sorted(FOLDER.glob("*.ipynb")):
         nbformat.write(run(path), path)
         print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 

@@ -1,4 +1,4 @@
-"""The paper's claims, one function each: it renders, draws, and says what came out."""
+"""The paper's claims, one function each, which renders, draws and reports the results."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from scenecaptum.tradeoff._statistics import spearman
 from scenecaptum.validation import ablation_test
 from scenecaptum.visualization import plot_specificity
 
-LEADERS = 5  # materials that matter most
-MIRRORS = {
+LEADERS = 5  # number of leading parameters
+MIRRORS = {  # mirrors, and a wall for comparison
     "office": ["mirror.*", "wall_left.*"],
     "living-room": ["Mirror.*", "Walls.*"],
-}  # and a wall, to compare
+}
 
 
 def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
-    """Draw three metrics of one picture, bars above maps, and compare their rankings."""
+    """Draw three metrics of one image, bars above maps, and compare their rankings."""
     section = Section(
         "Metric specificity",
-        "UGR isolates localised reflective surfaces and lights, mean luminance large areas; the maps of metrics "
-        "differ, so that they are no generic map of the scene. A network's logit can be attributed alike.",
+        "UGR isolates localised reflective surfaces and lights, mean luminance large areas; the maps differ "
+        "between metrics, so they are not a generic map of the scene. A network's logit can be attributed in the "
+        "same way.",
     )
     firsts, compared = [], []
     for name in rooms:
@@ -42,7 +43,7 @@ def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
             f"{name}: three metrics, their rankings above their maps",
         )
         firsts.append(
-            [name, *(", ".join(ranked.label for ranked in one.ranking(top=3)) for one in found.values())]
+            [name, *(", ".join(row.label for row in result.ranking(top=3)) for result in found.values())]
         )
         compared += [
             Pair(room, names, (found[names[0]], found[names[1]]))
@@ -52,29 +53,29 @@ def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
         *table(["room", *(f"first three, {metric}" for metric in room.metrics)], firsts),
         "",
         *table(
-            ["room", "metrics", "area", "leaders in common", "opposite in sign", "ρ"],
-            [one.cells for one in compared],
+            ["room", "metrics", "area", "common leaders", "opposite signs", "ρ"],
+            [pair.cells for pair in compared],
         ),
         "",
-        f"Leaders are the {LEADERS} most salient materials of a metric, area the part of the picture that shows "
-        "them. Opposite in sign are those leaders of either that raise one metric and lower the other. ρ is "
-        "Spearman's correlation of the two rankings of all materials, by size.",
+        f"Leaders are the {LEADERS} most salient parameters of a metric, area is the fraction of the image that "
+        "shows them. Opposite signs counts the leaders of either metric that raise one and lower the other. ρ is "
+        "Spearman's correlation of the two rankings of all parameters, by magnitude.",
     ]
-    ours = [one for one in compared if one.names == ("mean luminance", "UGR")]
-    larger = sum(one.areas[0] > one.areas[1] for one in ours)
+    pairs = [pair for pair in compared if pair.names == ("mean luminance", "UGR")]
+    larger = sum(pair.areas[0] > pair.areas[1] for pair in pairs)
     section.difference = (
-        f"In {larger} of {len(ours)} rooms the leaders of mean luminance fill more of the picture than those of "
-        f"UGR. The two share {sum(one.common for one in ours)} of {LEADERS * len(ours)} leaders, since both hang "
-        "on how much light there is: by their sizes alone, maps of these two metrics are not far from a generic "
-        "map of the scene. What tells them apart is the sign, which the paper's magnitudes leave out: "
-        f"{sum(one.opposite for one in ours)} of {sum(one.either for one in ours)} leaders raise one and lower "
-        "the other, because what brightens the surroundings of a light makes it glare less."
+        f"In {larger} of {len(pairs)} rooms the leaders of mean luminance cover more of the image than those of "
+        f"UGR. The two share {sum(pair.common for pair in pairs)} of {LEADERS * len(pairs)} leaders, because both "
+        "depend on the amount of light: by magnitude alone, maps of these two metrics are close to a generic map "
+        "of the scene. They differ in the sign, which the paper's magnitudes leave out: "
+        f"{sum(pair.opposite for pair in pairs)} of {sum(pair.either for pair in pairs)} leaders raise one and "
+        "lower the other, because brighter surroundings of a light reduce its glare."
     )
     return section
 
 
 def attribute(room: Room) -> dict[str, SceneAttribution]:
-    """Return the gradients of all metrics, from one set of renders each."""
+    """Return the gradients of all metrics."""
     return {
         name: VanillaSceneGradient(room.renderer, metric).attribute(seed=0, show_progress=True)
         for name, metric in room.metrics.items()
@@ -90,15 +91,15 @@ class Pair:
     found: tuple[SceneAttribution, SceneAttribution]
 
     def __post_init__(self) -> None:
-        first, second = ({ranked.name: ranked for ranked in one.ranking()} for one in self.found)
-        leaders = [list(one)[:LEADERS] for one in (first, second)]
+        first, second = ({row.name: row for row in result.ranking()} for result in self.found)
+        leaders = [list(rows)[:LEADERS] for rows in (first, second)]
         shown = self.room.renderer.surfaces.shown
         self.areas = [float(shown(names).mean()) for names in leaders]
         either = set(leaders[0]) | set(leaders[1])
         self.either, self.common = len(either), len(set(leaders[0]) & set(leaders[1]))
         self.opposite = sum(sum(first[name].total) * sum(second[name].total) < 0 for name in either)
-        sizes = [torch.tensor([one[name].saliency for name in first]) for one in (first, second)]
-        self.correlation = spearman(*sizes)
+        saliencies = [torch.tensor([rows[name].saliency for name in first]) for rows in (first, second)]
+        self.correlation = spearman(*saliencies)
 
     @property
     def cells(self) -> list[str]:
@@ -114,16 +115,16 @@ class Pair:
 
 
 def ablation(rooms: list[str], size: Size, folder: Path) -> Section:
-    """Move each leading parameter on its own, by a step of its own and by the paper's fixed one."""
+    """Move each leading parameter separately, by an adaptive step and by the paper's fixed one."""
     section = Section(
         "Independent parameter ablation",
-        "After a fixed step of 0.01 down the gradient of each leading parameter, the change of UGR falls strictly "
-        "along the computed ranking; that of mean luminance does so until it sinks below the noise, some 1e-4. "
-        "Steps that suit each parameter are left for later.",
+        "After a fixed step of 0.01 down the gradient of each leading parameter, the change of UGR decreases "
+        "strictly along the computed ranking; that of mean luminance does so until it is below the noise, about "
+        "1e-4. Step sizes adapted to each parameter are future work.",
     )
     rows, fixed = [], []
     for name, metric in itertools.product(rooms, ("UGR", "mean luminance")):
-        room = load(name, "materials", size.judged, size.reference // 4)
+        room = load(name, "materials", size.small, size.reference // 4)
         test = ablation_test(room.renderer, room.metrics[metric], top=size.top, replicates=8)
         section.add_figure(
             folder,
@@ -139,27 +140,35 @@ def ablation(rooms: list[str], size: Size, folder: Path) -> Section:
         in_order = "{} of {}".format(*fixed[-1])
         rows.append([name, metric, agree, tau, f"{len(test.rows) - len(clear)}", in_order])
     section.measured = table(
-        ["room", "metric", "as predicted", "Kendall's τ", "in the noise", "in order by the fixed step"], rows
+        [
+            "room",
+            "metric",
+            "as predicted",
+            "Kendall's τ",
+            "below the noise",
+            "ordered pairs with the fixed step",
+        ],
+        rows,
     )
     kept, all_pairs = (sum(pair[k] for pair in fixed) for k in (0, 1))
     section.difference = (
-        "Steps are a tenth of each parameter's physical range, shortened where the metric bends, and every bar "
-        f"has an error. With the paper's fixed step {kept} of {all_pairs} neighbours keep their order: a step of "
-        "the same length is large for one parameter and lost in the noise for another."
+        "Steps are a tenth of each parameter's physical range, shortened where the metric is not linear, and "
+        f"every bar has an error. With the paper's fixed step {kept} of {all_pairs} neighbouring pairs keep their "
+        "order: the same step is large for one parameter and below the noise for another."
     )
     return section
 
 
 def stability(rooms: list[str], size: Size, folder: Path) -> Section:
-    """Compare rankings of few samples with those of many."""
+    """Compare rankings from few samples with those from many."""
     section = Section(
         "Stability of the ranking",
-        "64 to 256 samples per pixel give the ranking that 1024 give.",
+        "64 to 256 samples per pixel give the same ranking as 1024.",
     )
     rows, worst = [], math.inf
     counts = [max(2, size.reference // share) for share in (64, 16, 4)]
     for name in rooms:
-        room = load(name, "materials", size.judged, counts[0])
+        room = load(name, "materials", size.small, counts[0])
         for metric in ("UGR", "mean luminance"):
             trade = tradeoff.measure(
                 room.renderer,
@@ -189,31 +198,30 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
             "Spearman",
             "Kendall, resolved pairs",
             "top 5",
-            "the reference's own error",
+            "error of the reference",
         ],
         rows,
     )
     section.difference = (
-        f"Pictures are {size.judged} pixels wide. Of the pairs that the reference of {size.reference} samples "
-        f"tells apart, the order holds from {counts[1]} samples on, to a Kendall's τ of {worst:.2f} or better; "
-        "pairs that no setting tells apart have no order to keep. [Speed and accuracy](speed.md) has a network's "
-        "logit and depth as well."
+        f"Images are {size.small} pixels wide. Pairs that the reference of {size.reference} samples resolves keep "
+        f"their order from {counts[1]} samples on, with a Kendall's τ of {worst:.2f} or more; the other pairs "
+        "have no order to keep. [Speed and accuracy](speed.md) also covers a network's logit and the path depth."
     )
     return section
 
 
 def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
-    """Find what matters most without being in the picture."""
+    """Find the most salient parameters that are not visible."""
     section = Section(
-        "What the picture does not show",
-        "Saliency lives in parameter space: what influences the metric need not be visible.",
+        "Parameters outside the image",
+        "Saliency is defined in parameter space: parameters that influence the metric need not be visible.",
     )
     rows = []
     for name, metric in itertools.product([*rooms, TURNED], ("mean luminance", "UGR")):
-        room = load(name, "all", size.judged, size.spp)
+        room = load(name, "all", size.small, size.spp)
         found = VanillaSceneGradient(room.renderer, room.metrics[metric]).attribute(seed=0, scale="value")
         ranking = found.ranking()
-        hidden = [one for one in ranking if not room.renderer.surfaces.shown([one.name]).any()]
+        hidden = [row for row in ranking if not room.renderer.surfaces.shown([row.name]).any()]
         if not (hidden and hidden[0].saliency):
             rows.append([name, metric, "nothing", "–", "–"])
             continue
@@ -225,15 +233,22 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
                 folder,
                 f"unseen-{name.replace(' ', '-')}-{metric.replace(' ', '-')}",
                 found.plot_heatmap(),
-                f"{name}: what moves {metric}; below the picture, what it does not show",
+                f"{name}: saliency for {metric}; below the image, parameters that it does not show",
             )
     section.measured = table(
-        ["room", "metric", "the strongest that no pixel shows", "its rank", "of the strongest"], rows
+        [
+            "room",
+            "metric",
+            "most salient parameter that no pixel shows",
+            "rank",
+            "relative to the most salient",
+        ],
+        rows,
     )
     section.difference = (
-        f"Saliency is per relative change here. The {TURNED} looks away from the sky, which rules all the same. "
-        "A map leaves out what no pixel shows, and says how much of the saliency that is; the ranking and the "
-        "report hold it."
+        f"Saliency is per relative change here. In the view {TURNED} the sky is behind the camera, and among the "
+        "most salient parameters nevertheless. A map leaves out parameters that no pixel shows, and states their "
+        "share of the saliency; the ranking and the report include them."
     )
     return section
 
@@ -242,14 +257,14 @@ def mirror(rooms: list[str], size: Size, folder: Path) -> Section:
     """Compare derivatives of mirrors: Mitsuba's integrator, ours, and finite differences."""
     del folder
     section = Section(
-        "Where stock derivatives mislead",
-        "Gradients are Mitsuba's `prb`. The map of UGR isolates reflective surfaces, such as the mirror in the "
-        "living room.",
+        "Errors of stock derivatives",
+        "Gradients are from Mitsuba's `prb`. The map of UGR isolates reflective surfaces, such as the mirror in "
+        "the living room.",
     )
     metric = metrics.MeanLuminance()
     rows, lost, count = [], 0, 0
     for room_name in filter(MIRRORS.__contains__, rooms):
-        room = load(room_name, MIRRORS[room_name], size.judged, size.reference)
+        room = load(room_name, MIRRORS[room_name], size.small, size.reference)
         ours, stock = (
             VanillaSceneGradient(renderer, metric).attribute(seed=0)
             for renderer in (room.renderer, room.renderer.replace(integrator="prb"))
@@ -257,22 +272,23 @@ def mirror(rooms: list[str], size: Size, folder: Path) -> Section:
         for name in room.renderer.inputs:
             measured, error = difference(room, metric, name)
             cells = [
-                f"{one[name].sum():.3g} ± {one.standard_error[name].norm():.1g}" for one in (ours, stock)
+                f"{result[name].sum():.3g} ± {result.standard_error[name].norm():.1g}"
+                for result in (ours, stock)
             ]
             rows.append([room_name, f"`{name}`", f"{measured:.3g} ± {error:.1g}", *cells])
             if "mirror" in name.lower() and abs(measured) > 3 * error:
                 count, lost = count + 1, lost + (not stock[name].any())
     section.measured = table(["room", "parameter", "finite difference", "scenecaptum", "`prb`"], rows)
     section.difference = (
-        f"Of {count} parameters of smooth mirrors whose finite difference is told from 0, stock `prb` gives "
-        f"{lost} no derivative at all: their saliency is 0 in any map made with it, whatever the metric. The "
-        "table on [derivatives](derivatives.md) lists what else is wrong."
+        f"Of {count} parameters of smooth mirrors with a significant finite difference, stock `prb` has no "
+        f"derivative of {lost}: their saliency is 0 in any map computed with it, for any metric. The table of "
+        "[derivatives](derivatives.md) lists its other errors."
     )
     return section
 
 
 def difference(room: Room, metric: metrics.MeanLuminance, name: str, seeds: int = 4) -> tuple[float, float]:
-    """Return the difference quotient by all channels of a parameter, with its standard error.
+    """Return the finite difference with respect to a parameter, all channels together, with its standard error.
 
     It is one-sided, away from the bounds, and of second order.
     """
@@ -290,9 +306,9 @@ def difference(room: Room, metric: metrics.MeanLuminance, name: str, seeds: int 
     return slopes.mean().item(), (slopes.std() / math.sqrt(seeds)).item()
 
 
-CLAIMS = {one.__name__: one for one in (specificity, ablation, stability, unseen, mirror)}
+CLAIMS = {claim.__name__: claim for claim in (specificity, ablation, stability, unseen, mirror)}
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """Return the claims that were asked for, all by default."""
+    """Return the requested claims, or all of them."""
     return [name for name in CLAIMS if name in set(names)] or list(CLAIMS)

@@ -1,4 +1,4 @@
-"""The rooms and the metrics on which the paper's claims are tried."""
+"""The rooms and the metrics for the paper's claims."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from scenecaptum import SceneRenderer, activate, metrics
 from scenecaptum.scene import bundled
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[3] / "shared" / "scenes"))
-DEPTH = 6  # the paper's
+DEPTH = 6  # as in the paper
 FOLDING_CHAIR = 559
 TURNED = "office from the window"
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is rendered: pictures ``width`` pixels wide, of ``spp`` samples per pixel.
+    """Amount of rendering: images ``width`` pixels wide, with ``spp`` samples per pixel.
 
-    ``judged`` is the width of pictures that are rendered many times, ``reference`` the samples of a reference.
+    ``small`` is the width of images that are rendered many times, ``reference`` the samples of a reference.
     """
 
     width: int
     spp: int
-    judged: int
+    small: int
     reference: int
     top: int
     resnet: bool = False
 
 
-FULL = Size(width=192, spp=128, judged=64, reference=1024, top=10)
-QUICK = Size(width=16, spp=8, judged=16, reference=32, top=2)
+FULL = Size(width=192, spp=128, small=64, reference=1024, top=10)
+QUICK = Size(width=16, spp=8, small=16, reference=32, top=2)
 
 
 @dataclass
@@ -47,24 +47,24 @@ class Room:
 
 
 def names() -> list[str]:
-    """Return the office, and the rooms that are there; say which are not."""
+    """Return the office and the other available rooms; print the missing ones."""
     found = ["office"]
     for name in ("living-room", "dining-room"):
         if (SCENES / name / "scene.xml").is_file():
             found.append(name)
         else:
-            print(f"{name}: skipped, there is no {SCENES / name / 'scene.xml'}")
+            print(f"{name}: skipped, {SCENES / name / 'scene.xml'} does not exist")
     return found
 
 
 def load(name: str, inputs: Any, width: int, spp: int, *, resnet: bool = False) -> Room:
-    """Load a room, its pictures 16:9."""
+    """Load a room with 16:9 images."""
     scene = turned() if name == TURNED else name if name == "office" else SCENES / name / "scene.xml"
     renderer = SceneRenderer(scene, inputs, resolution=(width, 9 * width // 16), spp=spp, max_depth=DEPTH)
     glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
     with torch.no_grad():
         mean = metrics.MeanLuminance()(renderer(seed=1, spp=max(1, spp // 4))).item()
-    exposure = 0.4 / mean  # a picture of middling brightness
+    exposure = 0.4 / mean  # an image of medium brightness
     network = (
         metrics.ClassLogit.pretrained("resnet50", "IMAGENET1K_V2", FOLDING_CHAIR, exposure=exposure)
         if resnet
@@ -74,7 +74,7 @@ def load(name: str, inputs: Any, width: int, spp: int, *, resnet: bool = False) 
 
 
 def turned() -> dict[str, Any]:
-    """Return the office seen from its window, which is not in the picture then."""
+    """Return the office seen from its window, which is then not visible."""
     mi = activate()
     scene = bundled.office()
     pose = mi.ScalarTransform4f().look_at(origin=(0.3, 4.2, 1.5), target=(-0.4, -0.9, 1.2), up=(0, 0, 1))

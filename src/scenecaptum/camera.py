@@ -1,4 +1,4 @@
-"""Where each pixel of a picture looks and how large it is on the sphere: directions and solid angles."""
+"""Camera models: the direction and the solid angle of each pixel."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .errors import SceneCaptumError, whole_number
 
 _NODES = (-math.sqrt(0.6), 0.0, math.sqrt(0.6))  # Gauss–Legendre on [-1, 1], exact to degree 5
 _WEIGHTS = (5 / 9, 8 / 9, 5 / 9)
-_PANELS = 16  # of a pixel that the fisheye's circle crosses; the quadrature of a whole pixel needs one
+_PANELS = 16  # for pixels that the fisheye's image circle crosses; other pixels need one
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Directions and exact solid angles of a picture's pixels.
+    """Directions and exact solid angles of the pixels of an image.
 
     Example
     -------
@@ -27,20 +27,20 @@ class Camera:
     Attributes
     ----------
     width, height
-        The picture's size in pixels.
+        Image size in pixels.
     projection
         ``"perspective"`` or ``"fisheye"``.
     fov
-        Degrees: horizontal for a perspective view, across the image circle for a fisheye.
+        Field of view in degrees: horizontal for a perspective camera, across the image circle for a fisheye.
     directions
-        ``(H, W, 3)``, float64: unit vectors of the pixel centres; x right, y up, z forward, row 0 at the top.
+        ``(H, W, 3)``, float64: unit vectors to the pixel centres; x right, y up, z forward, row 0 at the top.
     solid_angles
         ``(H, W)``, float64, in steradians; 0 outside a fisheye's image circle.
 
     Notes
     -----
-    A pixel on a fisheye's circle counts with the part of it that is inside; its centre, and so its direction, may
-    lie outside.
+    The solid angle of a pixel on a fisheye's image circle is that of the part inside the circle; its centre, and
+    hence its direction, may lie outside.
     """
 
     width: int
@@ -64,17 +64,17 @@ class Camera:
         Parameters
         ----------
         width, height
-            The picture's size in pixels.
+            Image size in pixels.
         fov_x
             Horizontal field of view in degrees, above 0 and below 180.
         principal_point_offset
-            Where the optical axis meets the picture, as an offset from its centre: a fraction of the width to the
-            right, and of the height downward.
+            Offset of the principal point from the image centre: a fraction of the width to the right, and of the
+            height downward.
 
         Raises
         ------
         SceneCaptumError
-            Where a size or an angle is out of range.
+            If a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         fov = _angle("fov_x", fov_x, below=180.0, of="perspective camera")
@@ -82,29 +82,29 @@ class Camera:
         right, down = principal_point_offset
         x = pitch * (_edges(width) - width * right)
         y = -pitch * (_edges(height) - height * down)
-        middle_x, middle_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
-        up, across = torch.meshgrid(middle_y, middle_x, indexing="ij")
+        centre_x, centre_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
+        up, across = torch.meshgrid(centre_y, centre_x, indexing="ij")
         rays = torch.stack([across, up, torch.ones_like(up)], -1)
         return cls(width, height, "perspective", fov, _unit(rays), _rectangles(x, y))
 
     @classmethod
     def fisheye(cls, width: int, height: int, fov: float = 180.0) -> Camera:
-        """Return an equidistant fisheye: the angle from the axis grows evenly with the distance from the centre.
+        """Return an equidistant fisheye: the angle from the axis is proportional to the distance from the centre.
 
-        Pixels are square and the image circle touches the picture's shorter sides (``-vta`` in Radiance, if the
-        picture is square).
+        Pixels are square and the diameter of the image circle is the shorter side of the image (for a square
+        image, ``-vta`` in Radiance).
 
         Parameters
         ----------
         width, height
-            The picture's size in pixels.
+            Image size in pixels.
         fov
             Field of view across the image circle, in degrees, above 0 and at most 360.
 
         Raises
         ------
         SceneCaptumError
-            Where a size or an angle is out of range.
+            If a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         angle = _angle("fov", fov, below=math.nextafter(360.0, math.inf), of="fisheye")
@@ -123,7 +123,7 @@ class Camera:
 
     @property
     def sees_hemisphere(self) -> bool:
-        """Whether the whole hemisphere in front is in the picture: a fisheye of 180° or more."""
+        """Whether the image covers the whole front hemisphere: a fisheye of 180° or more."""
         return self.projection == "fisheye" and self.fov >= 180.0
 
 
@@ -135,7 +135,7 @@ def _angle(name: str, value: float, *, below: float, of: str) -> float:
 
 
 def _edges(count: int) -> torch.Tensor:
-    """Return the ``count + 1`` borders between pixels, in pixels from the middle."""
+    """Return the ``count + 1`` pixel edges, in pixels from the centre."""
     return torch.arange(count + 1, dtype=torch.float64) - count / 2
 
 
@@ -146,8 +146,8 @@ def _unit(vectors: torch.Tensor) -> torch.Tensor:
 def _rectangles(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     """Return the solid angles of a grid of rectangles on the plane z = 1, seen from the origin.
 
-    The rectangle between the axis and the point (x, y) has ``atan(x y / √(1 + x² + y²))``; a pixel is the mixed
-    difference of that over its corners.
+    The rectangle from the axis to the point (x, y) subtends ``atan(x y / √(1 + x² + y²))``; the solid angle of a
+    pixel is the mixed difference of this over its corners.
     """
     b, a = torch.meshgrid(y, x, indexing="ij")
     corner = torch.atan(a * b / torch.sqrt(1 + a * a + b * b))
@@ -156,8 +156,8 @@ def _rectangles(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
 
 def _from_disc(x: torch.Tensor, y: torch.Tensor, scale: float) -> torch.Tensor:
     angle = scale * torch.hypot(x, y)
-    sideways = torch.sinc(angle / math.pi) * scale  # sin(angle) / distance, finite on the axis
-    return _unit(torch.stack([sideways * x, sideways * y, torch.cos(angle)], -1))
+    lateral = torch.sinc(angle / math.pi) * scale  # sin(angle) / distance, finite on the axis
+    return _unit(torch.stack([lateral * x, lateral * y, torch.cos(angle)], -1))
 
 
 def _disc_pixels(x: torch.Tensor, y: torch.Tensor, radius: float, scale: float) -> torch.Tensor:
@@ -175,7 +175,7 @@ def _disc_pixels(x: torch.Tensor, y: torch.Tensor, radius: float, scale: float) 
 def _quadrature(
     x: torch.Tensor, y: torch.Tensor, radius: float, scale: float, *, panels: int
 ) -> torch.Tensor:
-    # By symmetry the pixel may be folded into the octant 0 ≤ a ≤ b, where the circle is nowhere steep over a.
+    # By symmetry each pixel is mapped to the octant 0 ≤ a ≤ b, where the slope of the circle over a is bounded.
     a, b = torch.minimum(x.abs(), y.abs())[:, None], torch.maximum(x.abs(), y.abs())[:, None]
     starts = torch.arange(panels, dtype=torch.float64) / panels - 0.5
     nodes = torch.tensor(_NODES, dtype=torch.float64)

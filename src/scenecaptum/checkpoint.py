@@ -1,7 +1,7 @@
-"""Checkpoints: a folder keeps every pass that is finished, and none that is in it is rendered again.
+"""Checkpoints: a folder that caches finished renders and backward passes, to resume interrupted jobs.
 
-Methods know rendering only through calls, and all that a call returns follows from what it is asked. So a job is
-resumed by starting it again: each call whose answer is in the folder gets it from there, whatever the method is.
+The result of a render or backward pass depends only on its arguments. A job is resumed by running it again with
+the same arguments: calls whose results are in the folder are read from there, whatever the attribution method.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
-from ._writing import cannot_write, whole_file
 from .errors import SceneCaptumError
+from .files import atomic_write, write_error
 
 FORMAT = "scenecaptum pass 1"
 SUFFIX = ".pass"
@@ -31,85 +31,92 @@ Tensors: TypeAlias = tuple[torch.Tensor, ...]
 Folder: TypeAlias = "str | os.PathLike[str] | Checkpoint | None"
 
 _DIGEST = hashlib.sha256().digest_size
-_ABANDONED = 3600.0  # seconds after which nobody can still be writing a file
+_STALE_SECONDS = 3600.0  # age at which a partially written file is assumed to be abandoned
 
 
 class Checkpoint:
-    """A folder of finished passes, each under a name that is a hash of all that it follows from.
+    """A content-addressed cache of renders and backward passes; file names are hashes of all their inputs.
 
-    A pass of another scene, other values, another seed or another adjoint has another name. So runs may share a
-    folder: two metrics of one scene share its pictures.
+    The hash covers scene, parameter values, seed, samples and adjoint image, so several jobs can share a folder:
+    two metrics of the same scene reuse each other's renders.
 
     Parameters
     ----------
     folder
-        Made where there is none.
+        Created if it does not exist.
 
     Attributes
     ----------
     reused, rendered
-        How many passes were found in the folder, and how many were not.
-    saved
-        How many seconds it took to render those that were found, when they were rendered.
+        Number of results that were read from the folder, and number that had to be rendered.
+    seconds_saved
+        Original render time of the reused results.
 
     Raises
     ------
     SceneCaptumError
-        Where the folder cannot be written.
+        If the folder is not writable.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         self.reused = self.rendered = 0
-        self.saved = 0.0
+        self.seconds_saved = 0.0
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            for one in self.folder.glob(f".*{SUFFIX}"):  # what a killed run was writing
-                if time.time() - one.stat().st_mtime > _ABANDONED:
-                    one.unlink(missing_ok=True)
+            for partial in self.folder.glob(f".*{SUFFIX}"):  # left behind by a killed process
+                if time.time() - partial.stat().st_mtime > _STALE_SECONDS:
+                    partial.unlink(missing_ok=True)
         except OSError as error:
-            raise cannot_write(self.folder, error) from error
+            raise write_error(self.folder, error) from error
 
-    def take(self, what: Any, render: Callable[[], Tensors], device: torch.device | None = None) -> Tensors:
-        """Return the pass that follows from ``what``: from the folder, or rendered and put there.
+    def get_or_render(
+        self, inputs: Any, render: Callable[[], Tensors], device: torch.device | None = None
+    ) -> Tensors:
+        """Return the cached result for ``inputs``; render and store it if there is none.
 
         Parameters
         ----------
-        what
-            Strings, numbers and tensors, in tuples and mappings.
+        inputs
+            Everything that the result depends on: strings, numbers and tensors, in tuples and mappings.
         render
-            What to do where the pass is not there.
+            Called on a cache miss.
         device
-            Where the tensors are to be, if they come from the folder.
+            Device of the returned tensors when they are read from the folder.
 
         Raises
         ------
         SceneCaptumError
-            Where the folder cannot be written.
+            If the folder is not writable.
         """
-        key = digest(what)
-        kept = self._read(key)
-        if kept is not None:
-            tensors, seconds = kept
+        key = digest(inputs)
+        cached = self._read(key)
+        if cached is not None:
+            tensors, seconds = cached
             self.reused += 1
-            self.saved += seconds
-            return tuple(one.to(device) for one in tensors)
-        began = time.perf_counter()
-        found = render()
-        self._write(key, found, time.perf_counter() - began)
+            self.seconds_saved += seconds
+            return tuple(tensor.to(device) for tensor in tensors)
+        start = time.perf_counter()
+        result = render()
+        self._write(key, result, time.perf_counter() - start)
         self.rendered += 1
-        return found
+        return result
 
-    def decide(self, what: Any, choose: Callable[[], Sequence[int] | None]) -> tuple[int, ...] | None:
-        """Return what was chosen by the clock, which no second run would choose again, or choose it now."""
-        key = digest(("decision", what))
-        kept = self._read(key)
-        if kept is not None:
-            (numbers,), _ = kept
+    def get_or_decide(
+        self, inputs: Any, decide: Callable[[], Sequence[int] | None]
+    ) -> tuple[int, ...] | None:
+        """Return a stored decision that depended on the clock; decide and store it if there is none.
+
+        A resumed job must repeat such decisions, or it would not find its cached renders.
+        """
+        key = digest(("decision", inputs))
+        cached = self._read(key)
+        if cached is not None:
+            (numbers,), _ = cached
             return tuple(numbers.tolist()) or None
-        chosen = choose()
-        self._write(key, (torch.tensor(chosen or (), dtype=torch.int64),), 0.0)
-        return None if chosen is None else tuple(chosen)
+        decision = decide()
+        self._write(key, (torch.tensor(decision or (), dtype=torch.int64),), 0.0)
+        return None if decision is None else tuple(decision)
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}{SUFFIX}"
@@ -122,69 +129,69 @@ class Checkpoint:
             return None
         except OSError as error:
             raise SceneCaptumError(f"{path} cannot be read: {error.strerror or error}.") from error
-        # Nothing in a damaged file is looked at.
+        # Verify the checksum before parsing anything.
         if hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
             with np.load(io.BytesIO(content[_DIGEST:]), allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))
                 if (header["format"], header["key"]) == (FORMAT, key):
                     tensors = tuple(torch.from_numpy(file[str(n)]) for n in range(header["count"]))
                     return tensors, header["seconds"]
-        warnings.warn(f"The checkpoint {path} is damaged; the pass is rendered again.", stacklevel=2)
+        warnings.warn(f"The checkpoint {path} is damaged; it is rendered again.", stacklevel=2)
         return None
 
     def _write(self, key: str, tensors: Tensors, seconds: float) -> None:
         header = {"format": FORMAT, "key": key, "count": len(tensors), "seconds": seconds}
         buffer = io.BytesIO()
-        arrays: dict[str, Any] = {str(n): one.numpy(force=True) for n, one in enumerate(tensors)}
+        arrays: dict[str, Any] = {str(n): tensor.numpy(force=True) for n, tensor in enumerate(tensors)}
         np.savez(buffer, header=np.array(json.dumps(header)), **arrays)
         content = buffer.getvalue()
-        with whole_file(self._path(key)) as partial:
+        with atomic_write(self._path(key)) as partial:
             partial.write_bytes(hashlib.sha256(content).digest() + content)
 
 
 def with_checkpoint(renderer: Any, checkpoint: Folder) -> Any:
-    """Return the renderer with its passes kept in a folder; the renderer itself for None.
+    """Return a renderer that caches its renders and backward passes in a folder; the renderer itself for None.
 
-    A ``SceneRenderer`` keeps every picture and every backward pass. Any other renderer must have an attribute
-    ``fingerprint``, a string that tells its pictures from those of any other, and where its backward pass was not
-    finished its picture is computed once more, because torch's graph cannot be kept.
+    A renderer other than ``SceneRenderer`` needs an attribute ``fingerprint``, a string that changes whenever its
+    images change. If such a renderer is interrupted between forward and backward pass, the image is rendered again
+    on resumption, because torch's graph cannot be stored.
 
     Raises
     ------
     SceneCaptumError
-        Where the renderer has no fingerprint, or the folder cannot be written.
+        If the renderer has no fingerprint, or the folder is not writable.
     """
     if checkpoint is None:
         return renderer
     if not isinstance(checkpoint, Checkpoint):
         checkpoint = Checkpoint(checkpoint)
-    # That of its class: a wrapper that hands attributes on would be left out.
+    # Look it up on the class: through a wrapper's __getattr__ the wrapper itself would be lost.
     if hasattr(type(renderer), "with_checkpoint"):
         return renderer.with_checkpoint(checkpoint)
-    return Recorded(renderer, checkpoint)
+    return CheckpointedRenderer(renderer, checkpoint)
 
 
 def without_checkpoint(renderer: Any) -> Any:
-    """Return the renderer that renders whatever it is asked."""
-    if isinstance(renderer, Recorded):
+    """Return the renderer without its cache."""
+    if isinstance(renderer, CheckpointedRenderer):
         return renderer.renderer
     return renderer.with_checkpoint(None) if hasattr(type(renderer), "with_checkpoint") else renderer
 
 
-class Recorded:
-    """Any renderer, its passes kept in a folder: see ``with_checkpoint``."""
+class CheckpointedRenderer:
+    """Wrapper that adds a checkpoint to any renderer; see ``with_checkpoint``."""
 
     def __init__(self, renderer: Any, checkpoint: Checkpoint) -> None:
         fingerprint = inspect.getattr_static(renderer, "fingerprint", None) and renderer.fingerprint
         if not isinstance(fingerprint, str) or not fingerprint:
             raise SceneCaptumError(
-                f"checkpoint= cannot tell the pictures of this {type(renderer).__name__} from those of another "
-                "renderer: give it an attribute fingerprint, a string that is another whenever its pictures are."
+                f"checkpoint= cannot identify the images of this {type(renderer).__name__}: give it an attribute "
+                "fingerprint, a string that changes whenever its images change."
             )
         self.renderer = renderer
         self.checkpoint = checkpoint
         self.fingerprint = fingerprint
-        # Whether it takes seed_grad is read from here.
+        # Callers inspect the signature for seed_grad.
         self.__signature__ = inspect.signature(getattr(renderer, "forward", renderer))
 
     def __getattr__(self, name: str) -> Any:
@@ -193,61 +200,62 @@ class Recorded:
         return getattr(self.renderer, name)
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
-        """Render as the renderer does; gradients reach ``inputs`` only."""
+        """Call the wrapped renderer; gradients are propagated to ``inputs`` only."""
         tracked = torch.is_grad_enabled() and any(value.requires_grad for value in inputs.values())
         call = _Call(self, tuple(inputs), options, tracked)
-        return _pass(call, *inputs.values())
+        return _cached_render(call, *inputs.values())
 
 
 @dataclass
 class _Call:
-    """One call of a renderer, and its graph once there is one."""
+    """One call of a renderer, with its autograd graph after the forward pass."""
 
-    recorded: Recorded
+    wrapper: CheckpointedRenderer
     names: tuple[str, ...]
     options: dict[str, Any]
     tracked: bool
     graph: tuple[Tensors, torch.Tensor] | None = None
 
-    def picture(self, tensors: Tensors) -> torch.Tensor:
-        """Render, with a graph where one is wanted."""
-        leaves = tuple(one.detach().clone().requires_grad_(self.tracked) for one in tensors)
+    def render(self, tensors: Tensors) -> torch.Tensor:
+        """Render the image; keep the graph if gradients are tracked."""
+        leaves = tuple(tensor.detach().clone().requires_grad_(self.tracked) for tensor in tensors)
         with torch.set_grad_enabled(self.tracked):
-            image: torch.Tensor = self.recorded.renderer(
+            image: torch.Tensor = self.wrapper.renderer(
                 dict(zip(self.names, leaves, strict=True)), **self.options
             )
         if self.tracked:
             self.graph = leaves, image
         return image.detach()
 
-    def gradients(self, tensors: Tensors, adjoint: torch.Tensor) -> Tensors:
-        """Propagate an adjoint image; where the picture came from the folder it is computed first."""
+    def vjp(self, tensors: Tensors, adjoint: torch.Tensor) -> Tensors:
+        """Return the vector–Jacobian product; render first if the image came from the folder."""
         if self.graph is None:
-            self.picture(tensors)
+            self.render(tensors)
         assert self.graph is not None
         leaves, image = self.graph
-        found = torch.autograd.grad(image, leaves, adjoint, retain_graph=True, allow_unused=True)
+        gradients = torch.autograd.grad(image, leaves, adjoint, retain_graph=True, allow_unused=True)
         return tuple(
-            torch.zeros_like(leaf) if one is None else one for one, leaf in zip(found, leaves, strict=True)
+            torch.zeros_like(leaf) if gradient is None else gradient
+            for gradient, leaf in zip(gradients, leaves, strict=True)
         )
 
-    def what(self, kind: str, tensors: Tensors, *more: Any) -> Any:
-        """Return all that the answer follows from."""
+    def cache_inputs(self, kind: str, tensors: Tensors, *more: Any) -> Any:
+        """Return everything that the result depends on."""
         options = self.options if more else {k: v for k, v in self.options.items() if not k.endswith("_grad")}
         values = dict(zip(self.names, tensors, strict=True))
-        return kind, self.recorded.fingerprint, values, options, *more
+        return kind, self.wrapper.fingerprint, values, options, *more
 
 
-class _Pass(torch.autograd.Function):
-    """A renderer as a function whose two passes are taken from the checkpoint."""
+class _CachedRender(torch.autograd.Function):
+    """A renderer as a torch function with cached forward and backward passes."""
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: torch.Tensor) -> torch.Tensor:
         ctx.call = call
         ctx.save_for_backward(*tensors)
-        (image,) = call.recorded.checkpoint.take(
-            call.what("picture", tensors),
-            lambda: (call.picture(tensors),),
+        (image,) = call.wrapper.checkpoint.get_or_render(
+            call.cache_inputs("picture", tensors),
+            lambda: (call.render(tensors),),
             tensors[0].device if tensors else None,
         )
         return image
@@ -256,47 +264,47 @@ class _Pass(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, adjoint: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         tensors, call = ctx.saved_tensors, ctx.call
-        return None, *call.recorded.checkpoint.take(
-            call.what("gradient", tensors, adjoint),
-            lambda: call.gradients(tensors, adjoint),
+        return None, *call.wrapper.checkpoint.get_or_render(
+            call.cache_inputs("gradient", tensors, adjoint),
+            lambda: call.vjp(tensors, adjoint),
             adjoint.device,
         )
 
 
-_pass: Callable[..., torch.Tensor] = _Pass.apply
+_cached_render: Callable[..., torch.Tensor] = _CachedRender.apply
 
 
 class Stopwatch:
-    """Counts seconds as if the passes that a checkpoint gave back had been rendered."""
+    """Elapsed time, including the original render time of results that a checkpoint supplied."""
 
     def __init__(self, renderer: Any) -> None:
         self._checkpoint: Checkpoint | None = getattr(renderer, "checkpoint", None)
-        self._began = self.now()
+        self._start = self.now()
         self._counts = self._count()
 
     def now(self) -> float:
-        """Return the time on this clock, in seconds."""
-        return time.perf_counter() + (self._checkpoint.saved if self._checkpoint else 0.0)
+        """Return the current time on this clock, in seconds."""
+        return time.perf_counter() + (self._checkpoint.seconds_saved if self._checkpoint else 0.0)
 
     @property
     def seconds(self) -> float:
-        """How long ago the watch was made."""
-        return self.now() - self._began
+        """Seconds since construction."""
+        return self.now() - self._start
 
     @property
-    def record(self) -> dict[str, Any]:
-        """What a result's ``info`` tells: the seconds, and since then how many passes came from the folder."""
+    def info(self) -> dict[str, Any]:
+        """Entries for a result's ``info``: elapsed seconds, and use of the checkpoint since construction."""
         if self._checkpoint is None:
             return {"seconds": self.seconds}
         reused, rendered = (new - old for new, old in zip(self._count(), self._counts, strict=True))
-        about = {"folder": str(self._checkpoint.folder), "reused": reused, "passes": reused + rendered}
-        return {"seconds": self.seconds, "checkpoint": about}
+        usage = {"folder": str(self._checkpoint.folder), "reused": reused, "passes": reused + rendered}
+        return {"seconds": self.seconds, "checkpoint": usage}
 
     def _count(self) -> tuple[int, int]:
         return (self._checkpoint.reused, self._checkpoint.rendered) if self._checkpoint else (0, 0)
 
 
-def digest(what: Any) -> str:
+def digest(content: Any) -> str:
     """Return a hash of strings, numbers and tensors, in tuples and mappings.
 
     Example
@@ -306,33 +314,33 @@ def digest(what: Any) -> str:
     >>> digest(torch.zeros(2)) == digest(torch.zeros(2, 1))
     False
     """
-    found = hashlib.blake2b(digest_size=16)
-    _feed(found, what)
-    return found.hexdigest()
+    state = hashlib.blake2b(digest_size=16)
+    _update(state, content)
+    return state.hexdigest()
 
 
-def _feed(found: Any, what: Any) -> None:
-    """Feed a hash: with everything comes its kind and size, so that no two things look alike."""
-    if isinstance(what, torch.Tensor):
-        what = what.detach().cpu().contiguous()
-        found.update(f"tensor {what.dtype} {tuple(what.shape)} ".encode())
-        found.update(what.reshape(-1).view(torch.uint8).numpy())
-    elif isinstance(what, np.ndarray):
-        found.update(f"array {what.dtype} {what.shape} ".encode())
-        found.update(np.ascontiguousarray(what).reshape(-1).view(np.uint8))
-    elif isinstance(what, Mapping):
-        found.update(f"mapping {len(what)} ".encode())
-        for name in sorted(what):
-            _feed(found, name)
-            _feed(found, what[name])
-    elif isinstance(what, (tuple, list)):
-        found.update(f"tuple {len(what)} ".encode())
-        for one in what:
-            _feed(found, one)
-    elif what is None or isinstance(what, (str, int, float)):
-        text = repr(what).encode()
-        found.update(f"{type(what).__name__} {len(text)} ".encode() + text)
+def _update(state: Any, content: Any) -> None:
+    """Update a hash; every item is prefixed with its type and size, so that the encoding is unambiguous."""
+    if isinstance(content, torch.Tensor):
+        content = content.detach().cpu().contiguous()
+        state.update(f"tensor {content.dtype} {tuple(content.shape)} ".encode())
+        state.update(content.reshape(-1).view(torch.uint8).numpy())
+    elif isinstance(content, np.ndarray):
+        state.update(f"array {content.dtype} {content.shape} ".encode())
+        state.update(np.ascontiguousarray(content).reshape(-1).view(np.uint8))
+    elif isinstance(content, Mapping):
+        state.update(f"mapping {len(content)} ".encode())
+        for name in sorted(content):
+            _update(state, name)
+            _update(state, content[name])
+    elif isinstance(content, (tuple, list)):
+        state.update(f"tuple {len(content)} ".encode())
+        for item in content:
+            _update(state, item)
+    elif content is None or isinstance(content, (str, int, float)):
+        text = repr(content).encode()
+        state.update(f"{type(content).__name__} {len(text)} ".encode() + text)
     else:
         raise SceneCaptumError(
-            f"checkpoint= works with calls of tensors, numbers and strings, not {type(what).__name__}."
+            f"checkpoint= supports tensors, numbers and strings as arguments, not {type(content).__name__}."
         )

@@ -1,4 +1,4 @@
-"""Denoising pictures with Open Image Denoise."""
+"""Denoising of images with Open Image Denoise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CHANNELS = 3
 
 @dataclass(frozen=True)
 class Guides:
-    """Pictures without noise that tell a denoiser where edges are.
+    """Noise-free auxiliary images (albedo and normals) that guide a denoiser.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Guides:
 
 
 def straight_through(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
-    """Return a denoised picture through which gradients pass unchanged: Open Image Denoise has no derivative.
+    """Return a denoised image with a straight-through gradient, since Open Image Denoise is not differentiable.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def is_picture(image: torch.Tensor) -> bool:
 
 
 def denoise(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
-    """Return Open Image Denoise's estimate of a picture without noise.
+    """Return the image denoised by Open Image Denoise.
 
     Example
     -------
@@ -62,19 +62,19 @@ def denoise(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
     Parameters
     ----------
     image
-        ``(H, W, 3)`` linear radiance, or ``(cameras, H, W, 3)``. Negative values count as 0.
+        ``(H, W, 3)`` linear radiance, or ``(cameras, H, W, 3)``. Negative values are clamped to 0.
     guides
-        Albedo and normals of the same shape, where they are known.
+        Albedo and normals of the same shape, if available.
 
     Returns
     -------
     Tensor
-        Of the same shape, dtype and device, without derivatives.
+        Of the same shape, dtype and device, detached.
 
     Raises
     ------
     SceneCaptumError
-        Where the image is no picture, or the guides have another shape.
+        If the image or the guides have the wrong shape.
 
     References
     ----------
@@ -84,22 +84,22 @@ def denoise(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
 
     if not is_picture(image):
         raise SceneCaptumError(
-            f"Only a picture (H, W, 3) can be denoised, not a tensor {tuple(image.shape)}."
+            f"Only an image (H, W, 3) can be denoised, not a tensor of shape {tuple(image.shape)}."
         )
     if guides is not None and guides.albedo.shape != image.shape:
         raise SceneCaptumError(
-            f"The guides have the shape {tuple(guides.albedo.shape)}, the picture {tuple(image.shape)}."
+            f"The guides have shape {tuple(guides.albedo.shape)}, but the image has {tuple(image.shape)}."
         )
     if image.ndim > CHANNELS:
         each = [None] * len(image) if guides is None else map(Guides, guides.albedo, guides.normal)
         return torch.stack([denoise(*pair) for pair in zip(image, each, strict=True)])
-    light = image.detach().to("cpu", torch.float64).clamp_min(0)
-    mean = light.mean().item()
+    radiance = image.detach().to("cpu", torch.float64).clamp_min(0)
+    mean = radiance.mean().item()
     if mean == 0 or not math.isfinite(mean):
         return image.detach().clamp_min(0)
-    # The denoiser takes very faint pictures for black. A power of two scales without rounding.
-    exposure = math.ldexp(1.0, math.frexp(mean)[1])
-    color = (light / exposure).to(torch.float32).numpy()
-    known = {} if guides is None else {"albedo": guides.albedo.numpy(), "normal": guides.normal.numpy()}
-    found = pyoidn.denoise(color, hdr=True, clean_aux=bool(known), **known)
-    return (torch.from_numpy(found).double() * exposure).to(image)
+    # Normalize, since the denoiser treats very dark images as black. A power of two scales without rounding.
+    scale = math.ldexp(1.0, math.frexp(mean)[1])
+    color = (radiance / scale).to(torch.float32).numpy()
+    aux = {} if guides is None else {"albedo": guides.albedo.numpy(), "normal": guides.normal.numpy()}
+    denoised = pyoidn.denoise(color, hdr=True, clean_aux=bool(aux), **aux)
+    return (torch.from_numpy(denoised).double() * scale).to(image)

@@ -1,6 +1,6 @@
-"""The one family of errors that scenecaptum raises on bad input.
+"""Exceptions raised on invalid input, and shared argument checks.
 
-A message names the parameter or file, what was expected, what came, and the fix.
+A message names the parameter or file, the expected and the actual value, and the fix.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from numbers import Real
 
 
 class SceneCaptumError(Exception):
-    """Something the caller can put right: a file, a name, a value, a metric or a missing library."""
+    """An error that the caller can fix: in a file, a name, a value, a metric or a missing library."""
 
 
 class BackendError(SceneCaptumError):
-    """The renderer cannot run on this machine; the message gives the one command that fixes it."""
+    """The renderer cannot run on this machine; the message gives the command that fixes it."""
 
 
 class UnknownNameError(SceneCaptumError, KeyError):
-    """A name that is not in a mapping of parameters; a ``KeyError`` too, as ``Mapping`` requires."""
+    """An unknown parameter name; also a ``KeyError``, as ``Mapping`` requires."""
 
     __str__ = Exception.__str__  # KeyError would quote the whole message
 
@@ -33,7 +33,7 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
 
 
 def whole_number(name: str, value: int, low: int = 1, high: int | None = None) -> int:
-    """Return ``value`` as an int, or say what is wrong with the setting called ``name``."""
+    """Return ``value`` as an int; raise if the argument ``name`` is not an integer within the limits."""
     whole = isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer()
     if not whole or value < low or (high is not None and value > high):
         span = f"of at least {low}" if high is None else f"from {low} to {high}"
@@ -42,5 +42,5 @@ def whole_number(name: str, value: int, low: int = 1, high: int | None = None) -
 
 
 def check_seed(name: str, value: int) -> int:
-    """Return a seed as an int: Mitsuba takes 32 bits."""
+    """Return a seed as an int; Mitsuba's seeds have 32 bits."""
     return whole_number(name, value, 0, 2**32 - 1)

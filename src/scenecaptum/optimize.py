@@ -1,4 +1,4 @@
-"""From a map to an action: lower a metric by moving the few parameters that matter most, within bounds."""
+"""Minimize a metric by changing the few most salient parameters within their bounds."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from tqdm import tqdm
 
 from .attr import VanillaSceneGradient
 from .attr._gradients import input_values
-from .attr._jackknife import jackknife, through_view
+from .attr._jackknife import jackknife, with_image_transform
 from .attr._metric import Metric, TargetedMetric
-from .attr._passes import DEFAULT_PASSES, Budget, channel_totals, pictures
+from .attr._passes import DEFAULT_REPLICATES, Budget, channel_totals, render_images
 from .attr._ranges import ranges
-from .attr._values import summarise
-from .attr._view import Denoise, Viewer
+from .attr._values import summarize
+from .attr._view import Denoise, TransformSelector
 from .errors import SceneCaptumError, check_seed, whole_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RATE = 0.05  # of Adam: about how far a parameter moves in a step, as a fraction of its range
-MARGIN = 0.01  # fraction of a range that is kept free at a physical bound, which itself may be degenerate
-SURE = 2.0  # standard errors that the goal must lie above the metric
+LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
+BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
+REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a scene measures.
+    """The metric of a scene.
 
     Attributes
     ----------
     value, error
         The metric and its standard error.
     image
-        The scene's picture, ``(H, W, 3)`` linear radiance.
+        The render, ``(H, W, 3)`` linear radiance.
     """
 
     value: float
@@ -47,16 +47,16 @@ class Measured:
 
 @dataclass(frozen=True)
 class Moved:
-    """A parameter that was moved.
+    """A parameter that was changed.
 
     Attributes
     ----------
     name, label
-        Its name in the scene, and a readable one.
+        Its name in the scene, and a readable label.
     before, after
-        What it was and what it is; of a texture the mean over its texels.
+        Its values; for a texture, the mean over the texels.
     fraction
-        The part of its range that it went, of a colour the channel that went farthest.
+        The change as a fraction of its range; for a colour, that of the channel that changed most.
     """
 
     name: str
@@ -67,23 +67,23 @@ class Moved:
 
 
 @dataclass(frozen=True, repr=False)
-class Optimisation:
-    """What ``minimize`` did; prints as a table.
+class Optimization:
+    """The result of ``minimize``; prints as a table.
 
     Attributes
     ----------
     values
-        The changed scene: ``renderer(values)`` renders it.
+        The optimized scene: ``renderer(values)`` renders it.
     moved
-        The parameters that were moved, most salient first; all others were held.
+        The parameters that were changed, most salient first; all others were kept constant.
     before, after
-        The metric and the picture of both scenes, from samples of their own.
+        The metric and the render of both scenes, from samples independent of the optimization steps.
     history
-        The metric at each step, as noisy as the step's own render.
+        The metric at each step, with the noise of that step's render.
     below
         The goal.
     metric
-        Its name.
+        Name of the metric.
     """
 
     values: Mapping[str, torch.Tensor]
@@ -100,20 +100,20 @@ class Optimisation:
         return _is_below(self.after, self.below)
 
     def plot(self) -> Figure:
-        """Draw the scene before and after, and the way between."""
-        from .visualization import plot_optimisation
+        """Plot the scene before and after, and the metric at every step."""
+        from .visualization import plot_optimization
 
-        return plot_optimisation(self)
+        return plot_optimization(self)
 
     def __str__(self) -> str:
-        from .visualization import optimisation_text
+        from .visualization import optimization_text
 
-        return optimisation_text(self)
+        return optimization_text(self)
 
     __repr__ = __str__
 
 
-def minimize(  # noqa: PLR0913 -- those of every method, and its own
+def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     renderer: Any,
     metric: Metric,
     below: float,
@@ -125,12 +125,12 @@ def minimize(  # noqa: PLR0913 -- those of every method, and its own
     spp: int | None = None,
     denoise: Denoise = "auto",
     show_progress: bool = False,
-) -> Optimisation:
-    """Lower a metric below a goal by torch's Adam, moving only the parameters that can move it most.
+) -> Optimization:
+    """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
-    The ranking of gradient × range says which parameters these are; all others are held. A colour moves by
-    channel, a texture by one colour for all of its texels. Every step renders with a seed of its own; the goal
-    counts as reached once samples that took no part in the steps say so.
+    Parameters are ranked by gradient × range; all but the top ones are kept constant. A colour changes per
+    channel, a texture by one offset per channel for all texels. Every step renders with a new seed. The goal
+    counts as reached once a measurement with independent samples confirms it.
 
     Example
     -------
@@ -143,35 +143,36 @@ def minimize(  # noqa: PLR0913 -- those of every method, and its own
     Parameters
     ----------
     renderer, metric
-        As for ``VanillaSceneGradient``; the metric returns a scalar, and the renderer must tell its ``bounds``.
-        To raise a metric, lower its negative.
+        As for ``VanillaSceneGradient``; the metric must return a scalar, and the renderer must have ``bounds``.
+        To increase a metric, minimize its negative.
     below
         The goal, in the metric's unit.
     top
-        How many parameters are moved.
+        Number of parameters to change.
     change
-        How far each may move at most, as a fraction of its physical range, or of its value where that is infinite.
+        Maximum change of each parameter, as a fraction of its physical range, or of its value if the range is
+        infinite.
     steps
-        How many steps at most.
+        Maximum number of steps.
     seed
         Seed from which all others are drawn.
     spp
-        Samples per pixel of each step, and of each measurement; the renderer's by default.
+        Samples per pixel of each step and each measurement; the renderer's by default.
     denoise
-        Whether a metric that is not linear sees denoised pictures, as for ``VanillaSceneGradient``; the scene as
-        it is decides for all steps.
+        Whether a non-linear metric is evaluated on denoised images, as for ``VanillaSceneGradient``; decided once,
+        for the original scene.
     show_progress
         Whether to show a progress bar.
 
     Returns
     -------
-    Optimisation
-        Whether the goal was reached is its ``reached``.
+    Optimization
+        Its ``reached`` is True if the goal was reached.
 
     Raises
     ------
     SceneCaptumError
-        Where an option is wrong, or no parameter moves the metric.
+        If an option is invalid, or no parameter affects the metric.
 
     References
     ----------
@@ -184,103 +185,106 @@ def minimize(  # noqa: PLR0913 -- those of every method, and its own
     values = input_values(renderer, None)
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
     count = whole_number("steps", steps)
-    first, last, *each = (
+    ranking_seed, measurement_seed, *step_seeds = (
         np.random.SeedSequence([check_seed("seed", seed), 6]).generate_state(2 + count).tolist()
     )
     ranked = VanillaSceneGradient(renderer, metric).attribute(
-        scale="range", seed=first, spp=spp, denoise=denoise
+        scale="range", seed=ranking_seed, spp=spp, denoise=denoise
     )
-    leading = [row for row in ranked.ranking(whole_number("top", top)) if row.saliency > 0]
-    if not leading:
-        raise SceneCaptumError(f"No parameter moves {ranked.info['metric']}: all its gradients are 0.")
-    budget = Budget.split(spp, DEFAULT_PASSES, last)
+    metric_name = str(ranked.info["metric"])
+    top_rows = [row for row in ranked.ranking(whole_number("top", top)) if row.saliency > 0]
+    if not top_rows:
+        raise SceneCaptumError(f"No parameter affects {metric_name}: all its gradients are 0.")
+    budget = Budget.split(spp, DEFAULT_REPLICATES, measurement_seed)
 
     def render(changed: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
-        return pictures(renderer, changed, budget.seeds[0], budget.spp[0])
+        return render_images(renderer, changed, budget.seeds[0], budget.spp[0])
 
-    (seen,) = through_view([TargetedMetric(metric)], render(values), Viewer(denoise, renderer))
+    (transformed,) = with_image_transform(
+        [TargetedMetric(metric)], render(values), TransformSelector(denoise, renderer)
+    )
 
     def measure(changed: Mapping[str, torch.Tensor]) -> Measured:
         images = render(changed)
-        found = jackknife(seen, images)
-        return Measured(found.value, found.standard_error or 0.0, torch.stack(images).mean(0))
+        estimate = jackknife(transformed, images)
+        return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
-    moves = _Moves(renderer, {row.name: values[row.name] for row in leading}, change)
+    optimizer = _BoundedAdam(renderer, {row.name: values[row.name] for row in top_rows}, change)
     history: list[float] = []
     before = after = measure(values)
-    for one in tqdm(each, disable=not show_progress, desc=str(ranked.info["metric"]), unit="step"):
-        image = renderer({**values, **moves.values()}, seed=one, spp=spp)
-        value, adjoint = seen.value_and_adjoint(image)
+    for step_seed in tqdm(step_seeds, disable=not show_progress, desc=metric_name, unit="step"):
+        image = renderer({**values, **optimizer.values()}, seed=step_seed, spp=spp)
+        value, adjoint = transformed.value_and_adjoint(image)
         history.append(value)
-        # A step's own samples led it there: fresh ones decide.
+        # The value of a step is biased low, since the optimizer fits its noise: check with independent samples.
         if value < below:
-            after = measure(values | _detached(moves.values()))
+            after = measure(values | _detached(optimizer.values()))
             if _is_below(after, below):
                 break
-        moves.step(image, adjoint)
+        optimizer.step(image, adjoint)
     else:
-        after = measure(values | _detached(moves.values()))
-    return Optimisation(
-        values=values | _detached(moves.values()),
-        moved=moves.summary({row.name: row.label for row in leading}),
+        after = measure(values | _detached(optimizer.values()))
+    return Optimization(
+        values=values | _detached(optimizer.values()),
+        moved=optimizer.summary({row.name: row.label for row in top_rows}),
         before=before,
         after=after,
         history=tuple(history),
         below=below,
-        metric=str(ranked.info["metric"]),
+        metric=metric_name,
     )
 
 
-class _Moves:
-    """How far each parameter has gone, by channel, in units of its range; and the optimizer that moves it.
+class _BoundedAdam:
+    """Adam on offsets of the parameters, by channel and in units of their ranges, clamped to bounds.
 
     Parameters
     ----------
     renderer
-        Tells the bounds.
+        Its ``bounds`` limit the parameters.
     start
-        The parameters where they begin.
+        Initial values.
     change
-        How far each may go.
+        Maximum offset.
     """
 
     def __init__(self, renderer: Any, start: Mapping[str, torch.Tensor], change: float) -> None:
         self.start = start
         self.change = change
-        self._lengths = {name: one.item() for name, one in ranges(renderer, start).items()}
+        self._ranges = {name: length.item() for name, length in ranges(renderer, start).items()}
         self._bounds = {name: renderer.bounds[name] for name in start}
-        self._ways = {
+        self._offsets = {
             name: value.new_zeros(channel_totals(value).shape).requires_grad_()
             for name, value in start.items()
         }
-        self._adam = torch.optim.Adam(self._ways.values(), lr=RATE)
+        self._adam = torch.optim.Adam(self._offsets.values(), lr=LEARNING_RATE)
 
     def values(self) -> dict[str, torch.Tensor]:
-        """Return where the parameters are, as functions of the way."""
-        found = {}
+        """Return the current values as functions of the offsets."""
+        current = {}
         for name, value in self.start.items():
-            way = self._ways[name].reshape(value.shape if value.ndim < 2 else (-1,))
+            offset = self._offsets[name].reshape(value.shape if value.ndim < 2 else (-1,))
             low, high = self._bounds[name]
-            margin = MARGIN * self._lengths[name]
-            # A value that is nearer to its bound already may stay there.
+            margin = BOUND_MARGIN * self._ranges[name]
+            # A value that starts within the margin may stay there.
             lowest, highest = value.clamp(max=low + margin), value.clamp(min=high - margin)
-            found[name] = torch.minimum(torch.maximum(value + self._lengths[name] * way, lowest), highest)
-        return found
+            current[name] = torch.minimum(torch.maximum(value + self._ranges[name] * offset, lowest), highest)
+        return current
 
     def step(self, image: torch.Tensor, adjoint: torch.Tensor) -> None:
-        """Make one step down the metric, whose derivative by the image is ``adjoint``."""
+        """Take one descent step, given the gradient of the metric with respect to the image."""
         self._adam.zero_grad()
         image.backward(adjoint)
         self._adam.step()
         with torch.no_grad():
-            for way in self._ways.values():
-                way.clamp_(-self.change, self.change)
+            for offset in self._offsets.values():
+                offset.clamp_(-self.change, self.change)
 
     def summary(self, labels: Mapping[str, str]) -> tuple[Moved, ...]:
-        """Say where every parameter was and is."""
-        before, after = summarise(self.start), summarise(self.values())
+        """Return the initial and current value of every parameter."""
+        before, after = summarize(self.start), summarize(self.values())
         return tuple(
-            Moved(name, labels[name], before[name], after[name], self._ways[name].abs().max().item())
+            Moved(name, labels[name], before[name], after[name], self._offsets[name].abs().max().item())
             for name in self.start
         )
 
@@ -290,4 +294,4 @@ def _detached(values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 
 
 def _is_below(measured: Measured, goal: float) -> bool:
-    return measured.value + SURE * measured.error < goal
+    return measured.value + REQUIRED_SIGMAS * measured.error < goal

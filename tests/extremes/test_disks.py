@@ -18,9 +18,9 @@ from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum import SceneCaptumError, projection, tradeoff
-from scenecaptum._writing import whole_file
 from scenecaptum.checkpoint import Checkpoint
 from scenecaptum.cli import _attribute, _files
+from scenecaptum.files import atomic_write
 from scenecaptum.visualization import save_render, write_report
 
 PICTURE = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(shifted()))
@@ -91,12 +91,12 @@ def test_folders_that_cannot_be_written(name: str, tmp_path: Path, mi: Any) -> N
 def test_full_disk_under_a_checkpoint(tmp_path: Path) -> None:
     """What was kept before stays good."""
     kept = Checkpoint(tmp_path)
-    kept.take("first", lambda: (PICTURE,))
+    kept.get_or_render("first", lambda: (PICTURE,))
     with _file_size_limit(1000), pytest.raises(SceneCaptumError, match="cannot be written"):
-        kept.take("second", lambda: (PICTURE,))
+        kept.get_or_render("second", lambda: (PICTURE,))
     assert len(os.listdir(tmp_path)) == 1
     again = Checkpoint(tmp_path)
-    (found,) = again.take("first", lambda: ())
+    (found,) = again.get_or_render("first", lambda: ())
     assert torch.equal(found, PICTURE)
     assert (again.reused, again.rendered) == (1, 0)
 
@@ -129,18 +129,21 @@ def test_disk_of_64_kilobytes(small_disk: Path) -> None:
 def test_devices_and_links_stay_what_they_are(tmp_path: Path) -> None:
     (tmp_path / "target").write_text("before")
     (tmp_path / "link").symlink_to(tmp_path / "target")
-    with whole_file(tmp_path / "link") as partial_file:
+    with atomic_write(tmp_path / "link") as partial_file:
         partial_file.write_text("after")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "target").read_text() == "after"
-    with whole_file("/dev/null") as device:
+    with atomic_write("/dev/null") as device:
         device.write_text("gone")
     assert not Path("/dev/null").is_file()
-    with pytest.raises(SceneCaptumError, match="No space left on device"), whole_file("/dev/full") as device:
+    with (
+        pytest.raises(SceneCaptumError, match="No space left on device"),
+        atomic_write("/dev/full") as device,
+    ):
         device.write_text("too much")
 
 
 def test_what_fails_while_a_file_is_written_leaves_none(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), whole_file(tmp_path / "a.txt") as partial_file:
+    with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "a.txt") as partial_file:
         partial_file.write_text("half" * (1 // partial_file.write_text("")))
     assert os.listdir(tmp_path) == []

@@ -11,7 +11,7 @@ from seeds import seeds, shifted
 from toy import ToyRenderer
 
 from scenecaptum import IntegratedGradientsScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient
-from scenecaptum.attr._heavy_tails import FALSE_ALARMS, _limit
+from scenecaptum.attr._heavy_tails import FALSE_ALARM_RATE, _critical_fraction
 
 RUNS = 100
 
@@ -38,25 +38,26 @@ def attribute(renderer, seed, **options):
     return VanillaSceneGradient(renderer, torch.mean).attribute(seed=seed, **{"spp": 64, **options})
 
 
-def test_errors_of_few_passes_are_called_unsure():
+def test_errors_of_few_replicates_are_marked():
     few = attribute(Fireflies(), shifted(), spp=3, replicates=3)
-    assert few.untrusted_errors() == dict.fromkeys(few, "an error told by 3 passes is itself unsure by 50 %")
-    assert "?  an error told by 3 passes" in str(few)
+    reason = "with 3 replicates the standard error has about 50 % relative uncertainty"
+    assert few.untrusted_errors() == dict.fromkeys(few, reason)
+    assert "?  with 3 replicates the standard error" in str(few)
     assert "(all parameters)" in str(few)
     assert not attribute(Fireflies(), shifted(), spp=4, replicates=4).untrusted_errors()
     alone = attribute(Fireflies(), shifted(), replicates=1)
     assert alone.untrusted_errors() == {}  # there is no error to be trusted
 
 
-def test_a_dominating_pass_is_noticed(tmp_path):
-    """Of 64 samples in 8 passes one in 400 is a thousand times as bright: now and then a single one is met."""
+def test_a_dominating_replicate_is_marked(tmp_path):
+    """64 samples in 8 replicates; one in 400 is a thousand times as bright, so that single ones occur."""
     renderer = Fireflies(brighter=1000.0)
     found = [attribute(renderer, seed) for seed in seeds(60)]
     met = [one for one in found if sum(row.norm() > 10 for row in one.replicates["x"]) == 1]
     assert len(met) > 3
     for one in met:
         assert set(one.untrusted_errors()) == {"x", "texture"}
-        assert "?  one pass has nearly all of the spread" in str(one)
+        assert "?  one replicate has nearly all of the spread" in str(one)
     met[0].save(tmp_path / "met.npz")
     assert SceneAttribution.load(tmp_path / "met.npz").untrusted_errors() == met[0].untrusted_errors()
 
@@ -80,16 +81,16 @@ def test_a_mark_stands_where_only_some_are_doubtful():
     assert "spiky" in made._repr_html_()
 
 
-def test_normal_passes_are_trusted():
+def test_normal_replicates_are_trusted():
     """False alarms are no more frequent than was set: one in a hundred results."""
     alarms = sum(bool(attribute(Fireflies(), seed).untrusted_errors()) for seed in seeds(RUNS))
-    assert alarms <= RUNS * FALSE_ALARMS + 4 * math.sqrt(RUNS * FALSE_ALARMS)
+    assert alarms <= RUNS * FALSE_ALARM_RATE + 4 * math.sqrt(RUNS * FALSE_ALARM_RATE)
 
 
 def test_limit_is_that_of_grubbs():
     """The critical value for 8 observations at 1 %, two-sided: G = 2.274 (Grubbs and Beck, 1972)."""
-    share = _limit(8, 0.01)
-    assert math.sqrt(share * 7) == pytest.approx(2.274, abs=2e-3)
+    fraction = _critical_fraction(8, 0.01)
+    assert math.sqrt(fraction * 7) == pytest.approx(2.274, abs=2e-3)
 
 
 def test_rounding_is_no_spread():
@@ -113,7 +114,7 @@ def test_median_of_means_is_the_median():
 
 
 def test_median_moves_less_than_the_mean_and_owns_up_to_it():
-    """A firefly moves the mean by an eighth of its pass; the median hardly, and its error holds the difference."""
+    """A firefly moves the mean by an eighth of its replicate, the median hardly; its error has the difference."""
     renderer = Fireflies(brighter=1000.0)
     clean = torch.stack([attribute(Fireflies(), seed)["x"] for seed in seeds(60)])
     means = [attribute(renderer, seed) for seed in seeds(60)]
@@ -128,7 +129,7 @@ def test_median_moves_less_than_the_mean_and_owns_up_to_it():
         assert bool((median.standard_error["x"] >= (mean["x"] - median["x"]).abs() * 0.999).all())
 
 
-def test_intervals_of_the_median_hold_the_truth_where_passes_are_normal():
+def test_intervals_of_the_median_cover_the_truth_for_normal_replicates():
     renderer = Fireflies()
     leaves = {name: value.clone().requires_grad_() for name, value in renderer.inputs.items()}
     (truth,) = torch.autograd.grad(renderer.exact(leaves).mean(), [leaves["x"]])
@@ -139,7 +140,7 @@ def test_intervals_of_the_median_hold_the_truth_where_passes_are_normal():
     assert inside / RUNS > 0.95 - 3 * math.sqrt(0.95 * 0.05 / RUNS)
 
 
-def test_most_passes_alike_are_no_reason_to_be_sure():
+def test_equal_replicates_do_not_hide_the_error():
     """A parameter that only rare paths reach: the median is 0, and its error is not."""
     rows = torch.tensor([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])[:, None]
     made = dataclasses.replace(
@@ -155,13 +156,13 @@ def test_most_passes_alike_are_no_reason_to_be_sure():
     assert median.standard_error["rare"].item() > 0.375
 
 
-def test_no_median_without_passes_of_one_scene():
+def test_no_median_without_replicates_of_one_scene():
     steps = IntegratedGradientsScene(ToyRenderer(), torch.mean).attribute(
         baselines={"x": torch.zeros(3)}, n_steps=4
     )
     with pytest.raises(SceneCaptumError, match="several scenes or rounds"):
         steps.median_of_means()
-    with pytest.raises(SceneCaptumError, match="1 pass"):
+    with pytest.raises(SceneCaptumError, match="1 replicate"):
         attribute(ToyRenderer(), shifted(), replicates=1).median_of_means()
     goal = attribute(Fireflies(), shifted(), tolerance=0.02)
     if len(goal.info["planner"]["rounds"]) > 1:

@@ -36,7 +36,7 @@ renderer = SceneRenderer("cornell-box", "reflectance", resolution=(32, 32), spp=
 from scenecaptum.rendering._engine import Engine  # takes a variant
 method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
 method.attribute(replicates=2, spp=2)  # imports and compiles what it takes, in vain
-Engine.primal, Engine.adjoint = logged(Engine.primal), logged(Engine.adjoint)
+Engine.primal, Engine.vjp = logged(Engine.primal), logged(Engine.vjp)
 os.write(log, b"started\\n")
 method.attribute(seed=1, replicates=16, checkpoint=folder or None).save(out)
 """
@@ -90,13 +90,13 @@ def test_kill_at_random_moments(tmp_path: Path) -> None:
     worst = max(
         float((resumed[name] - value).abs().max() / value.abs().max()) for name, value in whole.items()
     )
-    told = resumed.info["checkpoint"]
+    usage = resumed.info["checkpoint"]
     print(
-        f"\nkilled {killed} times, {lost} passes lost, {told['reused']} of {told['passes']} reused by the last "
-        f"run; largest relative difference from an uninterrupted run: {worst:.1e}"
+        f"\nkilled {killed} times, {lost} passes lost, {usage['reused']} of {usage['passes']} reused by the "
+        f"last run; largest relative difference from an uninterrupted run: {worst:.1e}"
     )
     assert lost <= killed
-    assert told["reused"] == done
+    assert usage["reused"] == done
     assert worst < 1e-5
     assert torch.allclose(torch.tensor(resumed.metric_value), torch.tensor(whole.metric_value), rtol=1e-6)
-    assert told["passes"] == PASSES
+    assert usage["passes"] == PASSES

@@ -95,7 +95,7 @@ def test_light_beyond_single_precision_is_refused_by_name_and_place(mi):
         SceneCaptumError, match=rf"seed {shifted(5)} is inf on 64 of 64 pixels: rows 0 to 7.* show walls"
     ):
         renderer(brightest, seed=shifted(5))
-    with pytest.raises(SceneCaptumError, match="In pass 1 of 8: The render with seed"):
+    with pytest.raises(SceneCaptumError, match="In replicate 1 of 8: The render with seed"):
         VanillaSceneGradient(renderer, mean).attribute(brightest, seed=shifted())
 
 
@@ -203,7 +203,7 @@ def test_impossible_light_raises_where_it_is_asked_for_by_name(mi, tmp_path, val
     path = tmp_path / "sky.exr"
     mi.Bitmap(texels).write(str(path))
     scene = room(mi, sky={"type": "envmap", "filename": str(path)})
-    said = rf"it holds {value:g} at row 2, columns? \d.*channel 1.*{words}"
+    said = rf"it is {value:g} at row 2, columns? \d.*channel 1.*{words}"
     for inputs in ("sky.data", ["emitters", "sky.data"]):
         with pytest.raises(SceneCaptumError, match=rf"'sky.data' cannot be differentiated: {said}"):
             SceneRenderer(scene, inputs=inputs)
@@ -214,7 +214,7 @@ def test_impossible_light_raises_where_it_is_asked_for_by_name(mi, tmp_path, val
         assert re.match(said, dict(renderer.plan.cautions)["sky.data"])
         assert re.match(said, renderer.parameters_table()["sky.data"].problem)
     with pytest.raises(
-        SceneCaptumError, match=rf"{RADIANCE!r} cannot be differentiated: it holds {value:g}.*{words}"
+        SceneCaptumError, match=rf"{RADIANCE!r} cannot be differentiated: it is {value:g}.*{words}"
     ):
         SceneRenderer(room(mi, lamp=value), inputs=RADIANCE)
     with pytest.raises(SceneCaptumError, match=f"none of which can be differentiated; {RADIANCE}"):
@@ -237,6 +237,6 @@ def test_impossible_light_that_nobody_asked_for_is_rendered_as_mitsuba_renders_i
 def test_light_that_is_not_finite_is_named_where_it_reaches_the_picture(mi, value):
     renderer = SceneRenderer(room(mi, lamp=value), inputs="reflectance")
     with pytest.raises(
-        SceneCaptumError, match=rf"on \d+ of 64 pixels.*{RADIANCE!r} may be why: it holds {value:g}"
+        SceneCaptumError, match=rf"on \d+ of 64 pixels.*{RADIANCE!r} may be the cause: it is {value:g}"
     ):
         renderer(seed=1)

@@ -39,7 +39,7 @@ def test_furnace(oven, reflectance, radiance):
 
 @pytest.mark.parametrize("reflectance", [0.0, 1.0])
 def test_furnace_of_black_and_of_white_walls(oven, reflectance):
-    # At 0 the slope is that at 0.001 (see _routes.LIFT), so that all is known to three thousandths.
+    # At 0 the slope is that at 0.001 (_derivative_routes.SINGULARITY_OFFSETS): 0.3 % is the accuracy.
     check_furnace(oven, reflectance, 2.0, rounding=3e-3 if reflectance == 0 else 2e-5)
 
 
@@ -196,7 +196,7 @@ def radiator(mi):
 
 
 def test_an_impossible_index_is_left_out_by_kinds_and_globs_and_a_caution_names_it(radiator):
-    said = "it holds -0.0485 at channel 1, outside the physical range [0, ∞) of its kind (ior)"
+    said = "it is -0.0485 at channel 1, outside the physical range [0, ∞) of its kind (ior)"
     assert ETA not in radiator.inputs
     assert {"knob.bsdf.k.value", "knob.bsdf.alpha.value", "ball.bsdf.reflectance.value"} <= set(
         radiator.inputs
@@ -210,13 +210,13 @@ def test_an_impossible_index_is_left_out_by_kinds_and_globs_and_a_caution_names_
 def test_an_impossible_index_raises_by_its_exact_name_only(mi):
     knob = {"type": "sphere", "bsdf": KNOB}
     for inputs in (ETA, ["materials", ETA]):
-        with pytest.raises(SceneCaptumError, match=f"'{ETA}' cannot be differentiated: it holds -0.0485"):
+        with pytest.raises(SceneCaptumError, match=f"'{ETA}' cannot be differentiated: it is -0.0485"):
             SceneRenderer(room(mi, knob=knob), inputs=inputs)
 
 
 def test_results_carry_the_caution(radiator):
     for method in (VanillaSceneGradient, FeatureAblationScene):
         found = method(radiator, mean).attribute(seed=0, replicates=2)
-        assert found.info["left_out"][ETA].startswith("it holds -0.0485")
-        assert f"! {ETA} is left out: it holds -0.0485" in " ".join(str(found).split())
+        assert found.info["left_out"][ETA].startswith("it is -0.0485")
+        assert f"! {ETA} is left out: it is -0.0485" in " ".join(str(found).split())
         assert ETA not in found

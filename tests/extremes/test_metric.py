@@ -124,10 +124,12 @@ def test_not_a_number_in_one_pass_is_found_there():
 
     with pytest.raises(
         SceneCaptumError,
-        match=r"In pass \d+ of \d+: The render with seed \d+ is inf on 2 of 16 pixels: rows 1 to 2, column 2",
+        match=r"In replicate \d+ of \d+: The render with seed \d+ is inf on 2 of 16 pixels: rows 1 to 2, column 2",
     ):
         by(Spoilt(), mean, spp=64, replicates=64)
-    with pytest.raises(SceneCaptumError, match=r"On the unchanged scene: In pass \d+ of 64: .* rows 1 to 2"):
+    with pytest.raises(
+        SceneCaptumError, match=r"On the unchanged scene: In replicate \d+ of 64: .* rows 1 to 2"
+    ):
         FeatureAblationScene(Spoilt(), mean).attribute(
             baselines={"x": torch.zeros(3)}, seed=shifted(), spp=128, replicates=64
         )
@@ -195,9 +197,9 @@ def test_metric_that_changes_its_image(renderer):
         return image.mean()
 
     for metric in (doubled, scaled):
-        with pytest.raises(SceneCaptumError, match="changes the image that it is given"):
+        with pytest.raises(SceneCaptumError, match="modifies its input image in place"):
             by(renderer, metric)
-        with pytest.raises(SceneCaptumError, match="changes the image that it is given"):
+        with pytest.raises(SceneCaptumError, match="modifies its input image in place"):
             FeatureAblationScene(renderer, metric).attribute(seed=shifted())
 
 

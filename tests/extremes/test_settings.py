@@ -114,7 +114,7 @@ def test_nothing_of_something_is_refused(mi, options, words):
         SceneRenderer(room(mi), **options)
 
 
-def test_two_samples_are_two_passes_and_said_to_be_few(renderer):
+def test_two_samples_are_two_replicates_with_a_warning(renderer):
     found = VanillaSceneGradient(renderer, mean).attribute(seed=shifted(), spp=2)
-    assert "told by 2 passes is itself unsure by 71 %" in str(found)
+    assert "with 2 replicates the standard error has about 71 % relative uncertainty" in str(found)
     assert set(found.untrusted_errors()) == set(found)

@@ -1,4 +1,4 @@
-"""What a longer path or a finer picture would change: the effect of a setting, measured on shared seeds."""
+"""The effect of another render setting, such as longer paths, on gradients, with common random numbers."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from ._gradients import Gradients, GradientSum, Point, sum_gradients
+from ._gradients import GradientEstimator, GradientSum, Point, sum_gradients
 from ._metric import TargetedMetric
 from ._passes import Budget
-from ._view import Viewer
+from ._view import TransformSelector
 
 Tensors = Mapping[str, torch.Tensor]
 
 
-class _Both:
-    """Two renderers of the same parameters as one; their pictures, which may differ in size, are laid end to end.
+class _RendererPair:
+    """Two renderers of the same parameters as one; their images, which may differ in size, are concatenated.
 
-    Both see the same seeds, so that most of their noise is gone from their difference. It has no ``seed_grad``: a
-    backward pass that chooses its pixels by the adjoint would choose others for either.
+    Both use the same seeds, so that most of the noise cancels in their difference. There is no ``seed_grad``: with
+    importance sampling of pixels, the two backward passes would sample different pixels.
     """
 
-    def __init__(self, one: Any, other: Any) -> None:
-        self.renderers = (one, other)
+    def __init__(self, first: Any, second: Any) -> None:
+        self.renderers = (first, second)
         self.shapes: list[torch.Size] = []
 
     def __call__(self, inputs: Tensors, *, seed: int, spp: int | None) -> torch.Tensor:
-        pictures = [renderer(inputs, seed=seed, spp=spp) for renderer in self.renderers]
-        self.shapes = [picture.shape for picture in pictures]
-        return torch.cat([picture.flatten() for picture in pictures])
+        images = [renderer(inputs, seed=seed, spp=spp) for renderer in self.renderers]
+        self.shapes = [image.shape for image in images]
+        return torch.cat([image.flatten() for image in images])
 
     def difference(self, metric: TargetedMetric) -> TargetedMetric:
-        """Return the metric of the other's picture minus that of the one's."""
+        """Return the metric of the second image minus that of the first."""
 
-        def change(pictures: torch.Tensor) -> torch.Tensor:
-            parts = pictures.split([shape.numel() for shape in self.shapes])
-            one, other = (part.reshape(shape) for part, shape in zip(parts, self.shapes, strict=True))
-            return metric.metric(other) - metric.metric(one)
+        def change(images: torch.Tensor) -> torch.Tensor:
+            parts = images.split([shape.numel() for shape in self.shapes])
+            first, second = (part.reshape(shape) for part, shape in zip(parts, self.shapes, strict=True))
+            return metric.metric(second) - metric.metric(first)
 
         change.__name__ = metric.name
         return dataclasses.replace(metric, metric=change)
@@ -53,18 +53,19 @@ def differences(
     budget: Budget,
     bar: tqdm[Any],
 ) -> list[GradientSum]:
-    """Return by how much the gradient of each metric is another with the other renderer.
+    """Return the gradient of each metric with the other renderer, minus that with the first.
 
     Raises
     ------
     KeyboardInterrupt
-        Where it was not finished.
+        If it was interrupted.
     """
-    both = _Both(renderer, other)
-    # Two pictures in one vector: what their noise puts into the two metrics is much the same.
-    viewer = Viewer(False, both)
-    gradients = Gradients(both, [both.difference(one) for one in metrics], budget, viewer, bar)
-    found, interrupted = sum_gradients(gradients, [point])
+    pair = _RendererPair(renderer, other)
+    # No denoising: the bias that noise causes in the two metrics largely cancels.
+    transform_selector = TransformSelector(False, pair)
+    changes = [pair.difference(metric) for metric in metrics]
+    gradients = GradientEstimator(pair, changes, budget, transform_selector, bar)
+    sums, interrupted = sum_gradients(gradients, [point])
     if interrupted:
         raise KeyboardInterrupt
-    return found
+    return sums

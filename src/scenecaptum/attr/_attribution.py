@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 
 from ..errors import SceneCaptumError, UnknownNameError, near_misses
-from ..scene import SurfaceMap
+from ..projection import SurfaceMap
 from ._jackknife import Adjoints
 from ._passes import channel_totals, covariance_of_mean
 from ._student import student_t
-from ._values import summarise
+from ._values import summarize
 
 if TYPE_CHECKING:
     import pandas
@@ -36,11 +36,11 @@ class Ranked(NamedTuple):
     rank
         From 1, the most salient.
     name, label
-        The parameter's name in the scene, and a readable one.
+        The parameter's name in the scene, and a readable label.
     saliency, saliency_error
-        Its magnitude and the standard error of that; errors are None where there were fewer than two passes.
+        Its magnitude and the standard error; errors are None with fewer than two replicates.
     total, total_error
-        The attribution, summed over texels, with one element per channel, and its standard errors.
+        The attribution summed over texels, one element per channel, and its standard errors.
     """
 
     rank: int
@@ -61,36 +61,35 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     attributions
         The tensors by name; ``attribution[name]`` is the same.
     standard_error
-        Standard errors of the same shapes, or None where there were fewer than two passes: the spread of the
-        passes and, as errors of their own size, the ``bias`` and the ``quadrature_error``.
+        Standard errors of the same shapes, or None with fewer than two replicates. They combine the standard error
+        over the replicates with ``bias`` and ``quadrature_error``.
     bias
-        By how much each gradient may be off for want of samples in the picture that a non-linear metric saw, and
-        by what a denoiser changed there: an error of its own size, to first order. None where there were fewer
-        than two passes.
+        Estimated first-order bias of each gradient, due to the noise of the metric image (for non-linear metrics)
+        and to its denoising. None with fewer than two replicates.
     quadrature_error
-        For integrals over a way, a ``(C,)`` tensor for each parameter: the error of the quadrature of its channel
-        totals, estimated from its own points. None for other methods.
+        For path integrals, a ``(C,)`` tensor for each parameter: the quadrature error of its channel totals,
+        estimated from the same points. None for other methods.
     replicates
-        For each parameter a ``(passes, C)`` tensor: its channel totals in every pass.
+        For each parameter a ``(replicates, C)`` tensor: its channel totals in every replicate.
     covariance
-        For each parameter a ``(C, C)`` tensor: the covariance of its channel totals, or None like the errors.
+        For each parameter a ``(C, C)`` tensor: the covariance of its channel totals. None if there are no errors.
     metric_value, metric_standard_error
-        The metric at the rendered image, or at what a denoiser makes of it corrected for what that changed, and
-        its standard error where there is one.
+        The metric at the rendered image, or at the denoised image with a first-order correction of the denoiser's
+        bias, and its standard error or None.
     convergence_delta, convergence_delta_error
-        For methods that have one: by how much the sum of the attributions exceeds the difference that they
-        explain (``info["explained"]``), and its standard error, which holds that of the quadrature.
-        ``info["convergence"]`` is ``"adds up"`` where |delta| and two errors are within 5 % of that difference,
-        ``"does not add up"`` where |delta| less two errors is beyond, else ``"cannot be told"``.
+        For methods that have one: the sum of the attributions minus the difference that they explain
+        (``info["explained"]``), and its standard error, including that of the quadrature.
+        ``info["convergence"]`` is ``"adds up"`` if |delta| plus two errors is within 5 % of that difference,
+        ``"does not add up"`` if |delta| minus two errors exceeds 5 %, else ``"cannot be told"``.
     parameter_values
-        What the parameters were: whole where they are small, a texture's mean over its texels; members of groups
-        by their own names.
+        The values of the parameters; for textures the mean over the texels, and nothing for other large tensors.
+        Members of groups have their own entries.
     labels
         A readable name for each parameter.
     image
         The rendered image, ``(H, W, 3)`` linear radiance.
     surfaces
-        Which objects each pixel shows, and which texels of textures, where the renderer knows.
+        The objects and texels visible in each pixel, if the renderer provides them.
     info
         How it was computed: method, metric, seed, samples, integrator, seconds, versions.
     """
@@ -131,22 +130,22 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
     def saliency(self) -> dict[str, float]:
         """Return each parameter's magnitude: the ℓ2 norm over its channels.
 
-        A texture is first summed over its texels: its saliency is that of raising all of them alike, so that a
-        texture of one colour ranks like that colour.
+        Textures are first summed over their texels, the derivative with respect to a common offset, so that a
+        uniform texture ranks like a constant colour.
         """
         return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
 
     def saliency_error(self) -> dict[str, float] | None:
-        """Return the standard error of each saliency, from the covariance of the channels over the passes.
+        """Return the standard error of each saliency, from the covariance of the channel totals.
 
-        It is None where there were fewer than two passes.
+        It is None with fewer than two replicates.
         """
         if self.covariance is None:
             return None
         return {name: _norm_error(channel_totals(self[name]), self.covariance[name]) for name in self}
 
     def ranking(self, top: int | None = None) -> list[Ranked]:
-        """Return the parameters by falling saliency, all of them or the ``top`` first."""
+        """Return the parameters by descending saliency, all or the first ``top``."""
         saliency, errors = self.saliency(), self.saliency_error()
         order = sorted(self, key=lambda name: -saliency[name])
         return [
@@ -168,34 +167,34 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return tuple(self.covariance[name].diagonal().sqrt().tolist())
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-        """Return for each parameter the lower and upper ends of a confidence interval, of its shape (Student's t).
+        """Return the lower and upper ends of a confidence interval for each parameter, of its shape (Student's t).
 
         Raises
         ------
         SceneCaptumError
-            Where there is no standard error, or ``level`` is not between 0 and 1.
+            If there is no standard error, or ``level`` is not between 0 and 1.
         """
         if self.standard_error is None:
             raise SceneCaptumError(
-                "There are no error bars: they take at least two passes. Call attribute(replicates=8)."
+                "There are no error bars: they require at least two replicates. Call attribute(replicates=8)."
             )
         if not 0 < level < 1:
             raise SceneCaptumError(f"level must lie between 0 and 1, not {level!r}.")
-        width = student_t(level, self.info.get("degrees_of_freedom", self.info["passes"] - 1))
+        quantile = student_t(level, self.info.get("degrees_of_freedom", self.info["replicates"] - 1))
         return {
-            name: (value - width * self.standard_error[name], value + width * self.standard_error[name])
+            name: (value - quantile * self.standard_error[name], value + quantile * self.standard_error[name])
             for name, value in self.items()
         }
 
     def metric_interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Return the ends of a confidence interval of the metric (Student's t), or None without an error bar."""
-        return metric_interval(self.metric_value, self.metric_standard_error, self.info["passes"], level)
+        """Return a confidence interval of the metric (Student's t), or None without a standard error."""
+        return metric_interval(self.metric_value, self.metric_standard_error, self.info["replicates"], level)
 
     def untrusted_errors(self) -> dict[str, str]:
-        """Return the parameters whose standard error cannot be trusted, each with the reason; ``?`` in tables.
+        """Return the parameters whose standard error is unreliable, each with the reason; ``?`` in tables.
 
-        There are too few passes, or one of them dominates the spread, as where a rare path is very bright: more
-        samples help, or ``median_of_means``.
+        Reasons are too few replicates, or a single replicate that dominates the variance, typically because of a
+        rare bright path. Use more samples or ``median_of_means``.
 
         References
         ----------
@@ -206,18 +205,18 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return untrusted_errors(self)
 
     def median_of_means(self) -> SceneAttribution:
-        """Return the same result with the median over the passes in place of their mean.
+        """Return this result with the median over the replicates instead of their mean.
 
-        Each pass is a mean over its samples, and a rare bright path moves only the passes that hold it. The price
-        is a bias where passes are skewed: light that arrives by rare paths is left out, and the more so the fewer
-        samples a pass has (see the page on extremes). The errors hold the spread of the passes, outliers clipped,
-        and what the median leaves out of the mean. Of a texture only the channel totals are medians; its texels
-        keep their pattern.
+        Each replicate is a mean over its samples, and a rare bright path affects only the replicates that contain
+        it. For skewed replicates the median is biased: it omits part of the light that arrives by rare paths, the
+        more the fewer samples a replicate has (see the page on extremes). The errors combine the standard error
+        over the replicates, with outliers clipped, and the difference between median and mean. For a texture, only
+        the channel totals are medians; the texels keep their pattern.
 
         Raises
         ------
         SceneCaptumError
-            Where there are no error bars, or the result is of several scenes or rounds.
+            If there are no error bars, or the result combines several scenes or rounds.
 
         References
         ----------
@@ -228,23 +227,24 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return median_of_means(self)
 
     def __sub__(self, other: SceneAttribution) -> SceneAttribution:
-        """Compare two metrics or two designs: this attribution minus ``other``, parameter by parameter.
+        """Return this attribution minus ``other``, to compare two metrics or two designs.
 
-        Two results of the same seed and samples share their noise, so the errors of their totals come from the
-        pass-by-pass differences; otherwise, and for the texels of a texture, they are taken as independent.
+        Results with the same seed and samples use common random numbers, so the errors of their totals are
+        computed from the differences of their replicates. Otherwise, and for single texels, they are treated as
+        independent.
 
         Raises
         ------
         SceneCaptumError
-            Where the parameters, or their shapes, differ.
+            If the parameters or their shapes differ.
         """
         if not isinstance(other, SceneAttribution):
             return NotImplemented
         if set(self) != set(other) or any(self[name].shape != other[name].shape for name in self):
-            odd = sorted(set(self) ^ set(other))
+            unmatched = sorted(set(self) ^ set(other))
             raise SceneCaptumError(
                 "Only attributions to the same parameters can be subtracted; these differ in "
-                f"{', '.join(odd[:3]) or 'the shape of a parameter'}{' …' if len(odd) > 3 else ''}."
+                f"{', '.join(unmatched[:3]) or 'the shape of a parameter'}{' …' if len(unmatched) > 3 else ''}."
             )
         from ._difference import subtract
 
@@ -256,7 +256,7 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         Raises
         ------
         SceneCaptumError
-            Where pandas is missing: ``pip install 'scenecaptum[frames]'``.
+            If pandas is not installed: ``pip install 'scenecaptum[frames]'``.
         """
         try:
             import pandas
@@ -267,12 +267,12 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return pandas.DataFrame([row._asdict() for row in self.ranking()]).set_index("rank")
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write everything to one file (numpy's ``.npz``, no pickle), from which ``load`` restores it.
+        """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.
 
         Raises
         ------
         SceneCaptumError
-            Where the file cannot be written; what was there before is as it was.
+            If the file cannot be written; an existing file stays unchanged.
         """
         from ._storage import save
 
@@ -280,19 +280,19 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SceneAttribution:
-        """Read what ``save`` wrote.
+        """Read a file written by ``save``.
 
         Raises
         ------
         SceneCaptumError
-            Where the file is missing, damaged, or something else.
+            If the file is missing, damaged or not a saved attribution, or was written by another version.
         """
         from ._storage import load
 
         return load(path)
 
     def heatmap(self, **options: Any) -> torch.Tensor:
-        """Return an ``(H, W)`` tensor in [0, 1]: each pixel has the saliency of what it shows.
+        """Return an ``(H, W)`` tensor in [0, 1]: the saliency of the parameters visible in each pixel.
 
         The ``options`` are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale``, ``decades``,
         ``maximum``, ``texels``, ``surfaces``.
@@ -314,13 +314,13 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
         return plot_overlay(self, ax, **options)
 
     def plot_bars(self, top: int | None = 15, ax: Axes | None = None) -> Figure:
-        """Draw the ranking as bars with their standard errors: the ``top`` first, or all, into ``ax`` if given."""
+        """Draw the first ``top`` parameters, or all, as bars with standard errors, into ``ax`` if given."""
         from ..visualization import plot_bars
 
         return plot_bars(self, top=top, ax=ax)
 
     def report(self, path: str | os.PathLike[str], *others: SceneAttribution) -> None:
-        """Write this result, and ``others`` beside it, to ``path`` as one HTML file to explore in a browser.
+        """Write this result and ``others`` to ``path`` as one interactive HTML file.
 
         Raises
         ------
@@ -353,30 +353,30 @@ def make_attribution(
     image: torch.Tensor,
     info: dict[str, Any],
 ) -> SceneAttribution:
-    """Put a result together from the passes, and ask the renderer for what it knows of itself.
+    """Build a result from a sum of gradients, with labels, surfaces and info from the renderer.
 
-    What Ctrl-C has left of a sum stands for the whole.
+    A sum that was interrupted is normalised to a total weight of 1.
     """
-    whole = 1 / gradients.share
+    scale = 1 / gradients.weight
     names = list(gradients.mean)
-    replicates = {name: whole * gradients.rows(name) for name in names}
-    barred = gradients.degrees_of_freedom > 0
-    bias = None if gradients.bias is None else {name: whole * one for name, one in gradients.bias.items()}
+    replicates = {name: scale * gradients.rows(name) for name in names}
+    has_errors = gradients.degrees_of_freedom > 0
+    bias = None if gradients.bias is None else {name: scale * value for name, value in gradients.bias.items()}
     return SceneAttribution(
-        attributions={name: whole * value for name, value in gradients.mean.items()},
-        standard_error={n: _error(gradients, n) for n in names} if barred else None,
+        attributions={name: scale * value for name, value in gradients.mean.items()},
+        standard_error={n: _error(gradients, n) for n in names} if has_errors else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
         bias=bias,
         replicates=replicates,
-        covariance=covariances(replicates, bias) if barred else None,
-        parameter_values=summarise(values),
+        covariance=covariances(replicates, bias) if has_errors else None,
+        parameter_values=summarize(values),
         labels=dict(getattr(renderer, "labels", {})),
         image=image,
         surfaces=surfaces_of(renderer, names),
         info={
             **info,
-            "passes": gradients.replicates,
+            "replicates": gradients.replicates,
             "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
@@ -389,49 +389,51 @@ def make_attribution(
 def metric_interval(
     value: float, error: float | None, replicates: int, level: float = 0.95
 ) -> tuple[float, float] | None:
-    """Return a confidence interval of a metric whose error so many replicates tell, or None without one."""
+    """Return a confidence interval of the metric (Student's t), or None without a standard error."""
     if error is None:
         return None
-    width = student_t(level, max(1, replicates - 1)) * error
-    return value - width, value + width
+    half_width = student_t(level, max(1, replicates - 1)) * error
+    return value - half_width, value + half_width
 
 
 def _effective_samples(
     renderer: Any, gradients: GradientSum, adjoints: Adjoints, values: Tensors, spp: int | None
 ) -> dict[str, float]:
-    """Return how many samples tell the spread of each gradient, where the renderer knows."""
-    ask = getattr(renderer, "effective_samples", None)
-    if ask is None or spp is None or not gradients.degrees_of_freedom:
+    """Return the effective number of samples behind each standard error, if the renderer provides it."""
+    estimate = getattr(renderer, "effective_samples", None)
+    if estimate is None or spp is None or not gradients.degrees_of_freedom:
         return {}
-    adjoint = torch.stack(adjoints.passes).mean(0)
-    each = max(1, spp // gradients.replicates)
-    found: dict[str, float] = ask(values, adjoint, spp=each, replicates=gradients.replicates)
-    return found
+    adjoint = torch.stack(adjoints.per_replicate).mean(0)
+    spp_per_replicate = max(1, spp // gradients.replicates)
+    counts: dict[str, float] = estimate(
+        values, adjoint, spp=spp_per_replicate, replicates=gradients.replicates
+    )
+    return counts
 
 
 def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:
-    """Return what the renderer knows of what its pixels show, with the texels of the named parameters."""
+    """Return the renderer's map from pixels to objects, with the texels of the named parameters, if it has one."""
     with_texels = getattr(renderer, "surfaces_with_texels", None)
-    found: SurfaceMap | None = with_texels(names) if with_texels else getattr(renderer, "surfaces", None)
-    return found
+    surfaces: SurfaceMap | None = with_texels(names) if with_texels else getattr(renderer, "surfaces", None)
+    return surfaces
 
 
 def _error(gradients: GradientSum, name: str) -> torch.Tensor:
-    """Return a standard error, elementwise: the spread, and the bias that was taken out."""
+    """Return the elementwise standard error, including the bias."""
     error = gradients.error(name)
     if gradients.bias is not None:
         error = error.hypot(gradients.bias[name])
-    return error / gradients.share
+    return error / gradients.weight
 
 
 def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Tensor]:
     """Return the covariance of each parameter's channel totals."""
-    totals = {} if bias is None else {name: channel_totals(one) for name, one in bias.items()}
-    return {name: covariance_of_mean(one, totals.get(name)) for name, one in replicates.items()}
+    bias_totals = {} if bias is None else {name: channel_totals(value) for name, value in bias.items()}
+    return {name: covariance_of_mean(rows, bias_totals.get(name)) for name, rows in replicates.items()}
 
 
 def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:
-    """Return the standard error of a norm, to first order: the spread along the vector's direction."""
+    """Return the first-order standard error of a norm: the standard deviation in the direction of the vector."""
     total, covariance = total.double(), covariance.double()
     norm = total.norm()
     if norm == 0:

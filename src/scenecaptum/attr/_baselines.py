@@ -1,4 +1,4 @@
-"""From ``baselines=`` to the scene that an attribution starts from: what "absent" means for each parameter."""
+"""Resolving ``baselines=`` to the value that represents the absence of each parameter."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Values: TypeAlias = "Mapping[str, torch.Tensor]"
 PRESETS = ("dark", "black", "grey")
 KINDS = ("emitters", "reflectance", "roughness", "ior", "opacity", "surface", "media")
 
-# What shapes a light or its sky without being its power: 0 would be no darkness but another, or no, light.
-_SHAPE_OF_LIGHT = {"cutoff_angle", "beam_width", "turbidity", "albedo", "sun_aperture"}
+# Emitter parameters that do not scale the power: setting them to 0 would not switch the light off.
+_NON_POWER_ROLES = {"cutoff_angle", "beam_width", "turbidity", "albedo", "sun_aperture"}
 
 
 def resolve_baselines(
@@ -29,7 +29,7 @@ def resolve_baselines(
     *,
     default: Values | None = None,
 ) -> dict[str, torch.Tensor]:
-    """Return the baseline of every parameter: a tensor of its own for each, shaped like its value.
+    """Return the baseline of every parameter, a new tensor with the shape of its value.
 
     Example
     -------
@@ -41,49 +41,50 @@ def resolve_baselines(
     Parameters
     ----------
     renderer
-        Its ``parameters_table()`` tells kinds and bounds; without one, its ``bounds`` are used where it has them.
+        Provides kinds and bounds by ``parameters_table()``, or else bounds by ``bounds``; both are optional.
     values
         The current values by parameter name.
     baselines
-        - None: lights and reflectances are 0, and everything else keeps its current value, since a roughness or
+        - None: emitters and reflectances are 0, and everything else keeps its current value, since a roughness or
           an index of refraction of 0 is unphysical. Without a ``parameters_table()`` everything is 0.
-        - ``"dark"``: all lights are off. ``"black"``: all reflectances are 0. ``"grey"``: each reflectance is its
-          own mean over texels and channels. Everything else keeps its current value.
+        - ``"dark"``: all emitters are off. ``"black"``: all reflectances are 0. ``"grey"``: each reflectance is
+          its own mean over texels and channels. Everything else keeps its current value.
         - A number or a tensor: the baseline of every parameter.
         - A mapping whose keys are exact names, globs, or kinds (``"emitters"``, ``"reflectance"``,
           ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"``, ``"media"``), and whose values are numbers or
-          tensors that broadcast to the parameter. A name counts before a glob, a glob before a kind, and of two
-          globs the first. What none of them names is as with None.
-        - Another scene, which is anything with ``inputs``: its values of the same names.
+          tensors that broadcast to the parameter. Names take precedence over globs, globs over kinds, and earlier
+          globs over later ones. Parameters that no key matches are treated as with None.
+        - Another scene (any object with ``inputs``): its values of the same names.
     default
-        Stands in for the rule of None, by parameter name.
+        Replaces the rule for None, by parameter name.
 
     Raises
     ------
     SceneCaptumError
-        Where a preset, name, shape or scene does not fit, or a baseline lies outside the physical bounds.
+        If a preset or name is unknown, a shape or scene does not match, or a baseline is outside the physical
+        bounds.
     """
     others: Values | None = getattr(baselines, "inputs", None)
     if isinstance(baselines, str):
-        chosen = _preset(renderer, values, baselines)
+        given = _preset(renderer, values, baselines)
     elif others is not None:
-        chosen = _other_scene(values, others)
+        given = _other_scene(values, others)
     else:
-        chosen = dict(default) if default is not None else _absent(renderer, values)
+        given = dict(default) if default is not None else _absent(renderer, values)
         if isinstance(baselines, Mapping):
-            chosen |= _named(renderer, values, baselines)
+            given |= _from_mapping(renderer, values, baselines)
         elif baselines is not None:
-            chosen = dict.fromkeys(values, baselines)
-    resolved = {name: _fitted(name, chosen[name], value) for name, value in values.items()}
+            given = dict.fromkeys(values, baselines)
+    resolved = {name: _broadcast(name, given[name], value) for name, value in values.items()}
     for name, baseline in resolved.items():
-        # A scene's own value is what its renderer accepted, be it at a bound or beyond.
+        # The renderer has already accepted the current values, even if they are out of bounds.
         if not torch.equal(baseline, values[name]):
             _check_bounds(renderer, name, baseline)
     return resolved
 
 
 def table_of(renderer: Any) -> Mapping[str, Parameter] | None:
-    """Return what the renderer knows of its parameters, if it knows anything."""
+    """Return the renderer's table of parameters, or None."""
     describe: Callable[[], Mapping[str, Parameter]] | None = getattr(renderer, "parameters_table", None)
     return None if describe is None else describe()
 
@@ -92,36 +93,40 @@ def _absent(renderer: Any, values: Values) -> dict[str, Any]:
     table = table_of(renderer)
     if table is None:
         return dict.fromkeys(values, 0.0)
-    return {n: 0.0 if _is_light(table[n]) or _reflects(table[n]) else value for n, value in values.items()}
+    return {
+        name: 0.0 if _is_emitted_power(table[name]) or _is_reflectance(table[name]) else value
+        for name, value in values.items()
+    }
 
 
 def _preset(renderer: Any, values: Values, preset: str) -> dict[str, Any]:
     if preset not in PRESETS:
         raise SceneCaptumError(
-            f"baselines={preset!r} is no preset.{near_misses(preset, PRESETS)} Presets are "
-            f"{', '.join(PRESETS)}; a number, a mapping by parameter name, or another renderer will do as well."
+            f"baselines={preset!r} is not a preset.{near_misses(preset, PRESETS)} Presets are "
+            f"{', '.join(PRESETS)}; or give a number, a mapping by parameter name, or another renderer."
         )
     table = table_of(renderer)
     if table is None:
         raise SceneCaptumError(
-            f"baselines={preset!r} needs to know which parameters are lights and which reflectances, and this "
-            "renderer has no parameters_table() to tell. Give numbers or tensors by parameter name."
+            f"baselines={preset!r} needs the kinds of the parameters, and this renderer has no "
+            "parameters_table(). Give numbers or tensors by parameter name."
         )
-    concerned = [name for name in values if (_is_light if preset == "dark" else _reflects)(table[name])]
-    if not concerned:
-        what = "light" if preset == "dark" else "reflectance"
+    is_affected = _is_emitted_power if preset == "dark" else _is_reflectance
+    affected = [name for name in values if is_affected(table[name])]
+    if not affected:
+        kind = "light" if preset == "dark" else "reflectance"
         raise SceneCaptumError(
-            f"baselines={preset!r} changes nothing: there is no {what} among the {len(values)} inputs. "
+            f"baselines={preset!r} changes nothing: there is no {kind} among the {len(values)} inputs. "
             'Select some with SceneRenderer(…, inputs=["reflectance", "emitters"]), or give other baselines.'
         )
-    return {**values, **{n: values[n].mean().item() if preset == "grey" else 0.0 for n in concerned}}
+    return {**values, **{n: values[n].mean().item() if preset == "grey" else 0.0 for n in affected}}
 
 
-def _is_light(parameter: Parameter) -> bool:
-    return parameter.kind == "emitters" and parameter.role not in _SHAPE_OF_LIGHT
+def _is_emitted_power(parameter: Parameter) -> bool:
+    return parameter.kind == "emitters" and parameter.role not in _NON_POWER_ROLES
 
 
-def _reflects(parameter: Parameter) -> bool:
+def _is_reflectance(parameter: Parameter) -> bool:
     return parameter.kind == "reflectance"
 
 
@@ -139,18 +144,18 @@ def _and_more(names: list[str]) -> str:
     return f" (nor {len(names) - 1} more)" if len(names) > 1 else ""
 
 
-def _named(renderer: Any, values: Values, baselines: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the baselines that a mapping gives, the vaguest keys first, so that the exact ones win."""
+def _from_mapping(renderer: Any, values: Values, baselines: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the baselines given by a mapping; more specific keys override less specific ones."""
     ranked: list[tuple[int, dict[str, Any]]] = []
     for key, baseline in reversed(list(baselines.items())):
         rank, names = _matches(renderer, values, key)
         ranked.append((rank, dict.fromkeys(names, baseline)))
     ranked.sort(key=lambda entry: entry[0])
-    return {name: baseline for _, chosen in ranked for name, baseline in chosen.items()}
+    return {name: baseline for _, matched in ranked for name, baseline in matched.items()}
 
 
 def _matches(renderer: Any, values: Values, key: Any) -> tuple[int, list[str]]:
-    """Return how exact a key is (0: a kind, 1: a glob, 2: a name), and the parameters that it means."""
+    """Return how specific a key is (0: a kind, 1: a glob, 2: a name), and the parameters that it matches."""
     if not isinstance(key, str):
         raise SceneCaptumError(f"baselines must be keyed by names, globs or kinds, not {type(key).__name__}.")
     if key in values:
@@ -158,7 +163,7 @@ def _matches(renderer: Any, values: Values, key: Any) -> tuple[int, list[str]]:
     table = table_of(renderer)
     if key in KINDS and table is None:
         raise SceneCaptumError(
-            f"baselines names the kind {key!r}, but this renderer has no parameters_table() that tells kinds. "
+            f"baselines names the kind {key!r}, but this renderer has no parameters_table(). "
             f"Use the names of its parameters: {', '.join(values)}."
         )
     if key in KINDS and table is not None:
@@ -174,8 +179,8 @@ def _matches(renderer: Any, values: Values, key: Any) -> tuple[int, list[str]]:
     return rank, names
 
 
-def _fitted(name: str, baseline: Any, value: torch.Tensor) -> torch.Tensor:
-    """Return a baseline as a tensor of its own, with the shape, type and device of its parameter."""
+def _broadcast(name: str, baseline: Any, value: torch.Tensor) -> torch.Tensor:
+    """Return a baseline as a new tensor with the shape, dtype and device of its parameter."""
     try:
         tensor = torch.as_tensor(baseline, dtype=value.dtype, device=value.device).detach()
     except (TypeError, ValueError, RuntimeError):
@@ -193,13 +198,13 @@ def _fitted(name: str, baseline: Any, value: torch.Tensor) -> torch.Tensor:
 
 def _check_bounds(renderer: Any, name: str, baseline: torch.Tensor) -> None:
     if not torch.isfinite(baseline).all():
-        raise SceneCaptumError(f"The baseline of {name!r} holds a value that is not finite.")
-    low, high, open_low, written = _bounds(renderer, name)
-    least, most = baseline.min().item(), baseline.max().item()
-    if least < low or most > high or (open_low and least == low):
+        raise SceneCaptumError(f"The baseline of {name!r} contains a value that is not finite.")
+    low, high, open_low, interval = _bounds(renderer, name)
+    smallest, largest = baseline.min().item(), baseline.max().item()
+    if smallest < low or largest > high or (open_low and smallest == low):
         raise SceneCaptumError(
-            f"The baseline of {name!r} is {most if most > high else least:.6g}, outside its physical bounds "
-            f'{written}. Give one inside: baselines={{"{name}": …}}.'
+            f"The baseline of {name!r} is {largest if largest > high else smallest:.6g}, outside its physical "
+            f'bounds {interval}. Give a value inside: baselines={{"{name}": …}}.'
         )
 
 

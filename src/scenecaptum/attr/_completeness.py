@@ -1,4 +1,4 @@
-"""Whether attributions add up to what they explain."""
+"""Completeness: whether attributions add up to the difference of the metric that they explain."""
 
 from __future__ import annotations
 
@@ -14,58 +14,57 @@ from ._method import Result, Run
 from ._metric import TargetedMetric
 from ._passes import covariance_of_mean
 
-# The part of what they explain that attributions may miss, two standard errors included, and still add up.
-MISSED = 0.05
+# Allowed deviation relative to the explained difference, including two standard errors.
+TOLERANCE = 0.05
 
-ADDS_UP, DOES_NOT, UNKNOWN = "adds up", "does not add up", "cannot be told"
+ADDS_UP, DOES_NOT_ADD_UP, INCONCLUSIVE = "adds up", "does not add up", "cannot be told"
 
-# What rounding may leave, relative to the sum of the magnitudes: single precision, some operations.
+# Rounding error of a sum in single precision, relative to the sum of the magnitudes.
 ROUNDING = 16 * torch.finfo(torch.float32).eps
 
 
-def difference(
+def metric_difference(
     metric: TargetedMetric, images: Sequence[torch.Tensor], references: Sequence[Sequence[torch.Tensor]]
 ) -> tuple[float, float | None]:
-    """Return ``M(image) − mean of M(references)``, and its standard error where there are several passes.
+    """Return ``M(image) − mean of M(references)`` and its standard error, or None for a single replicate.
 
-    The passes of all scenes share their seeds. The jackknife takes out the bias that their noise puts into a
-    metric that is not linear.
+    The scenes are rendered with common random numbers. The delete-one jackknife removes the first-order bias that
+    image noise causes in a non-linear metric.
     """
 
-    def rest(passes: Sequence[torch.Tensor], without: int | None) -> torch.Tensor:
-        kept = [image for number, image in enumerate(passes) if number != without]
-        return torch.stack(kept).mean(0)
+    def mean_without(replicates: Sequence[torch.Tensor], left_out: int | None) -> torch.Tensor:
+        return torch.stack([image for number, image in enumerate(replicates) if number != left_out]).mean(0)
 
-    def at(without: int | None) -> float:
-        others = [metric.value(rest(passes, without)) for passes in references]
-        return metric.value(rest(images, without)) - sum(others) / len(others)
+    def difference_without(left_out: int | None) -> float:
+        values = [metric.value(mean_without(replicates, left_out)) for replicates in references]
+        return metric.value(mean_without(images, left_out)) - sum(values) / len(values)
 
     count = len(images)
     if count == 1:
-        return at(None), None
-    whole = count * at(None)
-    pseudo = [whole - (count - 1) * at(without) for without in range(count)]
-    mean = sum(pseudo) / count
-    return mean, math.sqrt(sum((one - mean) ** 2 for one in pseudo) / (count * (count - 1)))
+        return difference_without(None), None
+    full = count * difference_without(None)
+    pseudo_values = [full - (count - 1) * difference_without(left_out) for left_out in range(count)]
+    mean = sum(pseudo_values) / count
+    return mean, math.sqrt(sum((value - mean) ** 2 for value in pseudo_values) / (count * (count - 1)))
 
 
-def completed(
+def with_convergence(
     attribution: SceneAttribution, explained: tuple[float, float | None], quadrature_error: float = 0.0
 ) -> SceneAttribution:
-    """Return an attribution that says how far it adds up to the difference that it explains.
+    """Return the attribution with its convergence delta, given the difference to explain and its standard error.
 
-    ``quadrature_error`` is that of the integral of all attributions together.
+    ``quadrature_error`` is that of the sum of all attributions.
     """
     value, error = explained
     delta = sum_of(attribution).item() - value
     if attribution.covariance is None or error is None:
         error = None
     else:
-        rows = torch.stack([one.double().sum(1) for one in attribution.replicates.values()]).sum(0)
+        rows = torch.stack([totals.double().sum(1) for totals in attribution.replicates.values()]).sum(0)
         bias = None if attribution.bias is None else sum_of(attribution.bias)[None]
-        noise = covariance_of_mean(rows[:, None], bias).item()
-        error = math.hypot(math.sqrt(noise), error, quadrature_error)
-    magnitude = sum(one.double().abs().sum().item() for one in attribution.values())
+        variance = covariance_of_mean(rows[:, None], bias).item()
+        error = math.hypot(math.sqrt(variance), error, quadrature_error)
+    magnitude = sum(tensor.double().abs().sum().item() for tensor in attribution.values())
     info = {
         **attribution.info,
         **convergence(delta, error, value, magnitude),
@@ -76,20 +75,20 @@ def completed(
 
 def sum_of(tensors: Mapping[str, torch.Tensor]) -> torch.Tensor:
     """Return the sum of all elements of all tensors, 0-d."""
-    return torch.stack([one.double().sum() for one in tensors.values()]).sum()
+    return torch.stack([tensor.double().sum() for tensor in tensors.values()]).sum()
 
 
 def convergence(delta: float, error: float | None, explained: float, magnitude: float) -> dict[str, Any]:
-    """Return what ``info`` says of attributions that miss a difference by ``delta``.
+    """Return the entries of ``info`` about convergence.
 
     Parameters
     ----------
     delta, error
-        By how much they exceed it, and the standard error of that, None where it is not known.
+        The sum of the attributions minus the explained difference, and its standard error or None.
     explained
         The difference.
     magnitude
-        The sum of their magnitudes, of which single precision leaves a rounding error.
+        The sum of the attributions' magnitudes, which determines the rounding error.
     """
     rounding = ROUNDING * (magnitude + abs(explained))
     return {
@@ -99,9 +98,9 @@ def convergence(delta: float, error: float | None, explained: float, magnitude: 
 
 
 def verdict(delta: float, error: float | None, explained: float, rounding: float = 0.0) -> str:
-    """Say whether attributions add up: within their errors, and those within a part of what they explain.
+    """Return whether attributions add up to what they explain, within 5 % including two standard errors.
 
-    A large error is no excuse: where it hides whether they add up, that cannot be told.
+    The verdict is ``"cannot be told"`` if the error is too large to decide.
 
     Example
     -------
@@ -109,17 +108,19 @@ def verdict(delta: float, error: float | None, explained: float, rounding: float
     ('adds up', 'does not add up', 'cannot be told')
     """
     if error is None or not math.isfinite(delta):
-        return ADDS_UP if abs(delta) <= rounding < math.inf else UNKNOWN
-    allowed = MISSED * abs(explained) + rounding
+        return ADDS_UP if abs(delta) <= rounding < math.inf else INCONCLUSIVE
+    allowed = TOLERANCE * abs(explained) + rounding
     if abs(delta) + 2 * error <= allowed:
         return ADDS_UP
-    return DOES_NOT if abs(delta) - 2 * error > allowed else UNKNOWN
+    return DOES_NOT_ADD_UP if abs(delta) - 2 * error > allowed else INCONCLUSIVE
 
 
-def hand_over(run: Run, results: list[SceneAttribution], *, interrupted: bool, with_delta: bool) -> Result:
-    """Return results as they were asked for: alone or with their deltas, as Captum does."""
-    asked = run.hand_over(results, interrupted=interrupted)
+def return_with_delta(
+    run: Run, results: list[SceneAttribution], *, interrupted: bool, with_delta: bool
+) -> Result:
+    """Return the results, with their convergence deltas if requested, as in Captum."""
+    result = run.return_results(results, interrupted=interrupted)
     if not with_delta:
-        return asked
-    deltas = [torch.tensor(one.convergence_delta) for one in results]
-    return asked, deltas if run.several else deltas[0]
+        return result
+    deltas = [torch.tensor(attribution.convergence_delta) for attribution in results]
+    return result, deltas if run.returns_list else deltas[0]

@@ -16,12 +16,12 @@ from ._quadrature_error import covariance_of_quadrature
 
 def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
     """Return ``a - b`` for attributions to the same parameters."""
-    replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _share_noise(a, b) else {}
+    replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _has_common_random_numbers(a, b) else {}
     bias = None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a}
     values = {name: a[name] - b[name] for name in a}
     quadrature_error = _quadrature_error(a, b)
     covariance = _covariance(a, b, replicates, bias)
-    if replicates and covariance is not None:  # which hold the noise only
+    if replicates and covariance is not None:  # replicates contain the noise only
         for name, error in (quadrature_error or {}).items():
             covariance[name] = covariance[name] + covariance_of_quadrature(error, values[name])
     return dataclasses.replace(
@@ -42,25 +42,28 @@ def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
 
 
 def _info(a: SceneAttribution, b: SceneAttribution) -> dict[str, Any]:
-    of_one = ("explained", "convergence", "quadrature_error")
-    info = {key: value for key, value in a.info.items() if key not in of_one}
+    not_shared = ("explained", "convergence", "quadrature_error")
+    info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {"metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)}
     delta = _minus(a.convergence_delta, b.convergence_delta)
-    ours, theirs = a.info.get("explained"), b.info.get("explained")
-    if delta is None or ours is None or theirs is None:
+    explained_a, explained_b = a.info.get("explained"), b.info.get("explained")
+    if delta is None or explained_a is None or explained_b is None:
         return info
     error = _hypot(a.convergence_delta_error, b.convergence_delta_error)
-    return info | convergence(delta, error, ours - theirs, abs(ours) + abs(theirs))
+    magnitude = abs(explained_a) + abs(explained_b)
+    return info | convergence(delta, error, explained_a - explained_b, magnitude)
 
 
 def _quadrature_error(a: SceneAttribution, b: SceneAttribution) -> dict[str, torch.Tensor] | None:
-    """Return the quadrature errors of both, as if they were independent: of which sign they are is not known."""
-    known = [one.quadrature_error for one in (a, b) if one.quadrature_error is not None]
-    return {name: torch.stack([one[name] for one in known]).norm(dim=0) for name in a} if known else None
+    """Combine the quadrature errors as if they were independent, because their signs are unknown."""
+    errors = [side.quadrature_error for side in (a, b) if side.quadrature_error is not None]
+    if not errors:
+        return None
+    return {name: torch.stack([error[name] for error in errors]).norm(dim=0) for name in a}
 
 
-def _share_noise(a: SceneAttribution, b: SceneAttribution) -> bool:
-    same = all(a.info.get(key) == b.info.get(key) for key in ("seed", "spp", "passes", "resolution"))
+def _has_common_random_numbers(a: SceneAttribution, b: SceneAttribution) -> bool:
+    same = all(a.info.get(key) == b.info.get(key) for key in ("seed", "spp", "replicates", "resolution"))
     return same and bool(a.replicates) and bool(b.replicates)
 
 
@@ -78,20 +81,20 @@ def _covariance(
 
 
 def _errors(
-    a: SceneAttribution, b: SceneAttribution, shared: Mapping[str, torch.Tensor] | None
+    a: SceneAttribution, b: SceneAttribution, paired_covariance: Mapping[str, torch.Tensor] | None
 ) -> dict[str, torch.Tensor] | None:
-    """Return the errors of the elements; ``shared`` is the covariance where the two share their noise."""
+    """Return elementwise errors; ``paired_covariance`` is given if both sides use common random numbers."""
     if a.standard_error is None or b.standard_error is None:
         return None
     errors = {name: torch.hypot(a.standard_error[name], b.standard_error[name]) for name in a}
-    for name, covariance in (shared or {}).items():
-        if a[name].ndim < 2:  # its channel totals are its elements
+    for name, covariance in (paired_covariance or {}).items():
+        if a[name].ndim < 2:  # its elements are its channel totals
             errors[name] = covariance.diagonal().sqrt().reshape(a[name].shape).to(a[name])
     return errors
 
 
 def _common(a: Tensors, b: Tensors) -> dict[str, torch.Tensor]:
-    """Return the values that both designs have."""
+    """Return the values that are equal in both designs."""
     return {name: value for name, value in a.items() if name in b and torch.equal(value, b[name])}
 
 

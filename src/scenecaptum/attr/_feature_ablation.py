@@ -1,4 +1,4 @@
-"""Feature ablation: what each part of the scene is worth when it alone is taken away."""
+"""Feature ablation: the effect of setting each part of the scene to its baseline."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
-from ._passes import DEFAULT_PASSES, channel_totals
+from ._passes import DEFAULT_REPLICATES, channel_totals
 from ._perturbation import Arm, Effect, Effects, Perturbation
 from ._view import Denoise
 
 
 class FeatureAblationScene(Perturbation):
-    """The effect of each feature: the metric of the scene minus that with the feature at its baseline.
+    """The effect of each feature: the metric of the scene minus the metric with the feature at its baseline.
 
     Example
     -------
@@ -31,17 +31,17 @@ class FeatureAblationScene(Perturbation):
     >>> abs(attribution["light"].item() - attribution.metric_value) < 1e-6  # no light, no luminance
     True
 
-    Without ``groups`` a feature is an element of a scalar, vector or matrix, and a whole channel of a texture or
-    grid, whose effect is spread evenly over its texels, so that the channel's total is the effect. With
-    ``groups`` all parameters of a group are taken away together, and the result has a number for each group.
+    Without ``groups`` a feature is an element of a scalar, vector or matrix, or a whole channel of a texture or
+    grid, whose effect is distributed evenly over its texels, so that the channel's total is the effect. With
+    ``groups`` all parameters of a group are ablated together, and the result has one number per group.
 
     Parameters
     ----------
     renderer
         A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image.
     metric
-        A torch function from the image to a scalar, or to a vector of which ``target`` names elements; it need not
-        be differentiable.
+        A torch function from the image to a scalar, or to a vector indexed by ``target``; it need not be
+        differentiable.
 
     References
     ----------
@@ -57,7 +57,7 @@ class FeatureAblationScene(Perturbation):
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
@@ -69,30 +69,28 @@ class FeatureAblationScene(Perturbation):
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list of
-            results from the same renders.
+            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
+            the same renders.
         baselines
-            What a feature is set to when it is taken away: None (lights and reflectances 0, everything else as it
-            is), ``"dark"``, ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another
-            renderer.
+            Values of ablated features: None (emitters and reflectances 0, everything else unchanged), ``"dark"``,
+            ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
-            members; what is in no group is taken away alone.
+            members; parameters in no group are ablated one by one.
         seed
-            Seed from which those of all replicates are drawn; the same for the scene with and without a feature.
+            Random seed. All scenes are rendered with common random numbers.
         spp
-            Total samples per pixel over the unchanged scene and all changed ones, the renderer's by default: each
-            scene gets its share, rounded up, split over the replicates, and each replicate at least one sample.
+            Total samples per pixel over the unchanged scene and all changed ones; the renderer's by default. They
+            are split evenly over scenes and replicates, rounded up to at least one each.
         replicates
-            Number of independent seeds. Their spread gives the standard errors; with 1 there are none, and no
-            correction of the bias that a noisy image puts into a non-linear metric.
+            Number of independent replicates, whose variance gives the standard errors. With 1 there are no errors,
+            and no correction of the bias that image noise causes in a non-linear metric.
         denoise
-            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
-            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
-            was done.
+            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
+            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
         checkpoint
-            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
-            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
+            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
+            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
         show_progress
             Whether to show a progress bar.
 
@@ -100,15 +98,15 @@ class FeatureAblationScene(Perturbation):
         -------
         SceneAttribution
             Signed effects in units of the metric, shaped like the parameters, or 0-d by group with the members in
-            ``info["groups"]``. A feature that is at its baseline already has effect 0, and costs no render.
+            ``info["groups"]``. A feature that is already at its baseline has effect 0 and is not rendered.
 
         Raises
         ------
         SceneCaptumError
-            Where baselines or groups do not fit the parameters, every feature is at its baseline already, or the
+            If baselines or groups do not fit the parameters, every feature is already at its baseline, or the
             metric is not a finite scalar.
         AttributionInterrupted
-            On Ctrl-C after all features of one parameter or more, with the result for these.
+            On Ctrl-C after all features of at least one parameter, with the result for these.
         """
         values = input_values(self.renderer, inputs)
         absent = resolve_baselines(self.renderer, values, baselines)
@@ -116,20 +114,20 @@ class FeatureAblationScene(Perturbation):
         features = _elements(values, absent) if members is None else _whole(values, absent, members)
         if not features:
             raise SceneCaptumError(
-                f"There is nothing to ablate: all {len(values)} inputs are at their baselines already. Give "
-                "others with baselines=, a number or a mapping by name, say."
+                f"There is nothing to ablate: all {len(values)} inputs are already at their baselines. Give other "
+                "baselines=, such as a number or a mapping by name."
             )
         arms = [Arm("the unchanged scene", lambda: values)]
-        arms += [Arm(one.what, partial(_without, one, values, absent)) for one in features]
+        arms += [Arm(feature.description, partial(_ablate, feature, values, absent)) for feature in features]
         measured = self._measure(
             arms,
             target,
             Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
         )
-        likes = dict(values) if members is None else {group: torch.zeros(()) for group in members}
+        templates = dict(values) if members is None else {group: torch.zeros(()) for group in members}
 
-        def effects_of(pseudo: torch.Tensor) -> tuple[Effects, None]:
-            return _effects(pseudo, features, likes), None
+        def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
+            return _effects(pseudo_values, features, templates), None
 
         info = {"quantity": "effect of ablation"}
         grouped = {} if members is None else {"groups": {g: list(names) for g, names in members.items()}}
@@ -137,14 +135,14 @@ class FeatureAblationScene(Perturbation):
 
 
 class _Feature(NamedTuple):
-    """What is taken away together: the channel of a parameter, or whole parameters (channel None)."""
+    """A channel of a parameter, or whole parameters (channel None), that are ablated together."""
 
     owner: str
     names: tuple[str, ...]
     channel: int | None
 
     @property
-    def what(self) -> str:
+    def description(self) -> str:
         element = "" if self.channel is None else f"[{self.channel}]"
         return f"the scene with {self.owner!r}{element} at its baseline"
 
@@ -167,11 +165,11 @@ def _whole(values: Values, absent: Values, members: Mapping[str, tuple[str, ...]
 
 
 def _channel(tensor: torch.Tensor, channel: int) -> torch.Tensor:
-    """Return a view of one channel at all places of a texture, or of one element of a scalar or vector."""
+    """Return a view of one channel of a texture, or of one element of a scalar or vector."""
     return tensor.reshape(-1)[channel] if tensor.ndim < 2 else tensor[..., channel]
 
 
-def _without(feature: _Feature, values: Values, absent: Values) -> dict[str, torch.Tensor]:
+def _ablate(feature: _Feature, values: Values, absent: Values) -> dict[str, torch.Tensor]:
     if feature.channel is None:
         return {**values, **{name: absent[name] for name in feature.names}}
     (name,) = feature.names
@@ -180,16 +178,16 @@ def _without(feature: _Feature, values: Values, absent: Values) -> dict[str, tor
     return {**values, name: changed}
 
 
-def _effects(pseudo: torch.Tensor, features: list[_Feature], likes: Values) -> Effects:
+def _effects(pseudo_values: torch.Tensor, features: list[_Feature], templates: Values) -> Effects:
     """Return the effect of every parameter or group whose features have all been measured."""
     effects: Effects = {}
-    done = len(pseudo) - 1
-    for owner, like in likes.items():
-        own = [(index, one.channel or 0) for index, one in enumerate(features) if one.owner == owner]
-        if any(index >= done for index, _ in own):
+    finished = len(pseudo_values) - 1
+    for owner, template in templates.items():
+        owned = [(index, f.channel or 0) for index, f in enumerate(features) if f.owner == owner]
+        if any(index >= finished for index, _ in owned):
             continue
-        totals = pseudo.new_zeros(pseudo.shape[1], channel_totals(like).numel())
-        for index, channel in own:
-            totals[:, channel] = pseudo[0] - pseudo[1 + index]
-        effects[owner] = Effect.of_totals(totals, like)
+        totals = pseudo_values.new_zeros(pseudo_values.shape[1], channel_totals(template).numel())
+        for index, channel in owned:
+            totals[:, channel] = pseudo_values[0] - pseudo_values[1 + index]
+        effects[owner] = Effect.of_totals(totals, template)
     return effects

@@ -1,4 +1,4 @@
-"""Gradients at random places between baseline scenes and noisy inputs."""
+"""Gradient SHAP: gradients at random points between baseline scenes and noisy inputs."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import torch
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._baselines import Baselines, resolve_baselines
-from ._completeness import completed, difference, hand_over
-from ._gradients import Point, between
+from ._completeness import metric_difference, return_with_delta, with_convergence
+from ._gradients import Point, interpolated_point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_PASSES
+from ._passes import DEFAULT_REPLICATES
 from ._ranges import Noise
 from ._view import Denoise
 
 
 class GradientShapScene(GradientMethod):
-    """The expectation of ``(θ + ε − θ₀) · ∂M(θ₀ + α(θ + ε − θ₀))/∂θ`` over baselines θ₀, places α and noise ε.
+    """The expectation of ``(θ + ε − θ₀) · ∂M(θ₀ + α(θ + ε − θ₀))/∂θ`` over baselines θ₀, fractions α and noise ε.
 
-    It approximates SHAP values where the baselines are a distribution: "compared with the rooms that it might have
-    been". The attributions add up to ``M(θ)`` less the mean of ``M(θ₀)``, within the error.
+    It approximates SHAP values with respect to a distribution of baselines. The attributions add up to ``M(θ)``
+    minus the mean of ``M(θ₀)``, within the error.
 
     Example
     -------
@@ -59,7 +59,7 @@ class GradientShapScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         picture_spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
@@ -71,13 +71,12 @@ class GradientShapScene(GradientMethod):
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
-            of results from the same renders.
+            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
+            the same renders.
         baselines
-            A list of scenes to compare with, each as ``IntegratedGradientsScene`` takes it, or a single one. All
-            are equally likely.
+            A baseline as for ``IntegratedGradientsScene``, or a list of baselines with equal probability.
         n_samples
-            How many random scenes.
+            Number of random scenes.
         stdevs
             Noise on the inputs, as in ``SmoothGradScene``.
         return_convergence_delta
@@ -88,13 +87,13 @@ class GradientShapScene(GradientMethod):
         Returns
         -------
         SceneAttribution
-            Signed contributions with standard errors from the spread of the scenes; a list of them for a list of
-            targets.
+            Signed contributions with standard errors from the variance between scenes; a list of them for a list
+            of targets.
 
         Raises
         ------
         SceneCaptumError
-            Where a setting does not fit, or as ``VanillaSceneGradient``.
+            If a setting is invalid, or as for ``VanillaSceneGradient``.
         AttributionInterrupted
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
@@ -107,23 +106,24 @@ class GradientShapScene(GradientMethod):
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")
-        starts = [resolve_baselines(self.renderer, run.values, one) for one in given]
+        starts = [resolve_baselines(self.renderer, run.values, baseline) for baseline in given]
         noise = Noise(self.renderer, run.values, stdevs)
         budget = run.budget(count, pairs=1)
-        sums, gradients, interrupted = run.sums(_points(noise, starts, count, seed), budget, at_random=True)
-        images, *references = run.own_images([run.values, *starts], sums)
+        points = _points(noise, starts, count, seed)
+        sums, gradients, interrupted = run.sums(points, budget, random_points=True)
+        images, *references = run.render_scenes([run.values, *starts], sums)
         results = [
-            completed(
-                run.result(metric, one, own, budget, gradients, interrupted=interrupted),
-                difference(own.metric, images, references),
+            with_convergence(
+                run.result(metric, total, evaluation, budget, gradients, interrupted=interrupted),
+                metric_difference(evaluation.metric, images, references),
             )
-            for metric, one, own in zip(run.metrics, sums, run.own(images), strict=True)
+            for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True)
         ]
-        return hand_over(run, results, interrupted=interrupted, with_delta=return_convergence_delta)
+        return return_with_delta(run, results, interrupted=interrupted, with_delta=return_convergence_delta)
 
 
 def _points(noise: Noise, starts: list[dict[str, torch.Tensor]], count: int, seed: int) -> Iterator[Point]:
     rng = np.random.default_rng([check_seed("seed", seed), 3])
     for _ in range(count):
-        start, place = starts[rng.integers(len(starts))], rng.uniform()
-        yield between(start, noise.draw(int(rng.integers(2**62))), place, 1 / count)
+        start, fraction = starts[rng.integers(len(starts))], rng.uniform()
+        yield interpolated_point(start, noise.sample(int(rng.integers(2**62))), fraction, 1 / count)

@@ -1,4 +1,4 @@
-"""Weighted sums of gradients over points of parameter space: what every gradient method comes down to."""
+"""Weighted sums of gradients over points of parameter space: the core of every gradient method."""
 
 from __future__ import annotations
 
@@ -13,218 +13,245 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from .._finite import NotFiniteError, check_gradient, check_image, located
 from ..errors import SceneCaptumError
-from ._jackknife import Adjoints, is_linear, jackknife, still_linear, through_view
+from ..finite import NotFiniteError, check_gradient, check_image, error_context
+from ._jackknife import Adjoints, adjoints_if_linear, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
 from ._passes import (
     NOISY_PICTURE_RATIO,
     PICTURE_RATIO,
     Budget,
-    Spread,
+    ReplicateStatistics,
     channel_totals,
-    picture_seeds,
-    pictures,
+    extra_image_seeds,
+    render_images,
 )
-from ._view import Viewer
+from ._view import TransformSelector
 
 Tensors = Mapping[str, torch.Tensor]
 
-# Samples per pixel that a metric sees at least at each of several points, where it is not linear: what the noise
-# of fewer puts into its derivative is more than the jackknife can take out again.
-LEAST_SEEN = 16
+# Minimum samples per pixel of the metric image at each of several points, for non-linear metrics. With fewer, the
+# bias of the metric's derivative is larger than the jackknife can remove.
+MIN_METRIC_SPP = 16
 
 
 @dataclass(frozen=True)
 class Point:
-    """Parameter values at which the gradient is taken, and what it counts.
+    """A point of parameter space where the gradient is evaluated, and its weight in the sum.
 
     Attributes
     ----------
     values
-        Where.
-    share
-        Its part of the sum: the shares of all points sum to 1.
+        Parameter values.
+    weight
+        The weights of all points sum to 1.
     factors
-        What each parameter's gradient is multiplied by, elementwise; 1 where a name is missing.
+        Elementwise factors of the gradients, by parameter name; missing names mean 1.
     """
 
     values: Tensors
-    share: float = 1.0
+    weight: float = 1.0
     factors: Tensors = field(default_factory=dict)
 
 
-def between(start: Tensors, end: Tensors, place: float, share: float) -> Point:
-    """Return a point on the straight line between two scenes, whose gradient is multiplied by the way."""
-    # lerp works from the nearer end, so that rounding does not lead beyond either: they may be physical bounds.
-    values = {name: torch.lerp(start[name], end[name], place) for name in end}
-    return Point(values, share, {name: end[name] - start[name] for name in end})
+def interpolated_point(start: Tensors, end: Tensors, fraction: float, weight: float) -> Point:
+    """Return a point on the line from ``start`` to ``end``, whose gradient is multiplied by ``end − start``."""
+    # lerp stays within the interval despite rounding: its ends may be physical bounds.
+    values = {name: torch.lerp(start[name], end[name], fraction) for name in end}
+    return Point(values, weight, {name: end[name] - start[name] for name in end})
 
 
 @dataclass
 class PointGradient:
-    """A point's gradients, times its factors: their spread over the passes, and what the metric saw.
+    """The gradients at a point, times its factors.
 
-    ``spp`` are the samples per pixel of each pass, or 1 where the renderer decides.
-
-    ``bias`` is what the image's noise would have put into them, 0 for a name that is missing, or None where that
-    is not known.
+    Attributes
+    ----------
+    statistics
+        Mean and standard error over the replicates, by parameter name.
+    adjoints
+        The metric's value and adjoint images at the point.
+    weight
+        Weight of the point in a sum.
+    spp
+        Samples per pixel of each replicate, or 1 for the renderer's default.
+    bias
+        Estimated bias due to image noise, by parameter name; missing names mean 0. None if unknown.
     """
 
-    spreads: dict[str, Spread]
+    statistics: dict[str, ReplicateStatistics]
     adjoints: Adjoints
-    share: float
+    weight: float
     spp: int = 1
     bias: dict[str, torch.Tensor] | None = None
 
     @property
-    def passes(self) -> int:
-        """How many passes are finished."""
-        return min(len(spread.totals) for spread in self.spreads.values())
+    def replicates(self) -> int:
+        """Number of finished replicates."""
+        return min(len(statistics.totals) for statistics in self.statistics.values())
 
 
 class GradientSum:
-    """Running sum of the gradients of points, each weighted by its share.
+    """Running weighted sum of the gradients at points.
 
-    The error comes from the spread of the passes at those points that have several; those with a single pass are
-    taken to be as noisy, for their share and their samples. Where the points are drawn at random the error comes
-    from the spread of the points, which holds that of the passes as well.
+    The error is estimated from the replicates at points that have several. Points with a single replicate are
+    assumed to have the same noise, scaled by their weight and samples. For random points, the error is estimated
+    from the variance between points, which includes that of the replicates.
+
+    Parameters
+    ----------
+    values
+        Define the names and shapes.
+    random_points
+        Whether the points are independent random samples.
+    keep_points
+        Whether to store all points in ``points``.
 
     Attributes
     ----------
     bias
-        What the image's noise would have put into the sum, or None.
-    share
-        The sum of the shares so far: below 1 where Ctrl-C ended it.
-    seen
-        What the metric made of the last point.
-    kept
-        All points, where they are to be kept.
+        Estimated bias of the sum due to image noise, or None if unknown.
+    weight
+        Sum of the weights so far: below 1 after an interruption.
+    adjoints
+        The metric's value and adjoint images at the last point.
+    points
+        All points, or None.
     totals
-        For each point the channel totals of its passes, by name.
+        For each point, the channel totals of its replicates by parameter name.
     """
 
-    def __init__(self, values: Tensors, *, at_random: bool = False, keep: bool = False) -> None:
+    def __init__(self, values: Tensors, *, random_points: bool = False, keep_points: bool = False) -> None:
         self.bias: dict[str, torch.Tensor] | None = {n: torch.zeros_like(v) for n, v in values.items()}
-        self.share = 0.0
-        self.seen: Adjoints | None = None
-        self.kept: list[PointGradient] | None = [] if keep else None
+        self.weight = 0.0
+        self.adjoints: Adjoints | None = None
+        self.points: list[PointGradient] | None = [] if keep_points else None
         self.totals: list[dict[str, list[torch.Tensor]]] = []
-        self._passes: list[int] = []
+        self._counts: list[int] = []  # replicates of each point
         self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
         self._error = {name: torch.zeros_like(value) for name, value in values.items()}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
-        self._noise: dict[str, list[float]] = {name: [] for name in values}  # of each point
-        # How much of the variance is told by several passes, and how much there is, in units of that of a sample.
-        self._told = self._whole = 0.0
-        self._points = {name: Spread() for name in values} if at_random else None
+        self._variances: dict[str, list[float]] = {name: [] for name in values}  # of each point
+        # Variance of all points, and of those with several replicates, in units of the variance of one sample.
+        self._total_variance = self._measured_variance = 0.0
+        self._between_points = {name: ReplicateStatistics() for name in values} if random_points else None
 
     def add(self, point: PointGradient) -> None:
-        """Take in a point, all of it or what Ctrl-C has left of it."""
-        self.share += point.share
-        self.seen = point.adjoints
-        self._passes.append(point.passes)
-        self.totals.append({name: spread.totals for name, spread in point.spreads.items()})
-        of_a_sample = point.share**2 / (point.passes * point.spp)
-        self._whole += of_a_sample
-        self._told += of_a_sample if point.passes > 1 else 0.0
-        for name, spread in point.spreads.items():
-            if self._points is None:
-                self._sum[name].add_(spread.mean, alpha=point.share)
+        """Add a point; after an interruption it may have fewer replicates."""
+        self.weight += point.weight
+        self.adjoints = point.adjoints
+        self._counts.append(point.replicates)
+        self.totals.append({name: statistics.totals for name, statistics in point.statistics.items()})
+        variance = point.weight**2 / (point.replicates * point.spp)
+        self._total_variance += variance
+        self._measured_variance += variance if point.replicates > 1 else 0.0
+        for name, statistics in point.statistics.items():
+            if self._between_points is None:
+                self._sum[name].add_(statistics.mean, alpha=point.weight)
             else:
-                self._points[name].add(spread.mean)
-            if point.passes > 1 and self._by_passes:
-                self._error[name].hypot_(point.share * spread.error())
-                totals = torch.stack(spread.totals)
-                scale = point.share / math.sqrt(point.passes * (point.passes - 1))
+                self._between_points[name].add(statistics.mean)
+            if point.replicates > 1 and self._error_from_replicates:
+                self._error[name].hypot_(point.weight * statistics.error())
+                totals = torch.stack(statistics.totals)
+                scale = point.weight / math.sqrt(point.replicates * (point.replicates - 1))
                 deviations = scale * (totals - totals.mean(0))
                 self._deviations[name].extend(deviations)
-                self._noise[name].append(deviations.square().sum().item())
+                self._variances[name].append(deviations.square().sum().item())
         if self.bias is None or point.bias is None:
             self.bias = None
         else:
-            for name, one in point.bias.items():
-                self.bias[name].add_(one, alpha=point.share)
-        if self.kept is not None:
-            self.kept.append(point)
+            for name, bias in point.bias.items():
+                self.bias[name].add_(bias, alpha=point.weight)
+        if self.points is not None:
+            self.points.append(point)
 
     @cached_property
     def mean(self) -> dict[str, torch.Tensor]:
-        """By parameter name, elementwise: the sum, once the last point is in."""
-        if self._points is None:
+        """The weighted sum by parameter name; read it only after the last point has been added."""
+        if self._between_points is None:
             return self._sum
-        return {name: self.share * points.mean for name, points in self._points.items()}
+        return {name: self.weight * points.mean for name, points in self._between_points.items()}
 
     @property
     def replicates(self) -> int:
-        """How many independent replicates the error is told by: points or passes."""
-        if not self._by_passes:
-            return len(self._passes)
-        return sum(n for n in self._passes if n > 1) or sum(self._passes)
+        """Number of independent replicates behind the error: points if these are random, replicates otherwise."""
+        if not self._error_from_replicates:
+            return len(self._counts)
+        return sum(n for n in self._counts if n > 1) or sum(self._counts)
 
     @property
     def degrees_of_freedom(self) -> int:
-        """How many independent deviations tell the error; none for a single pass.
+        """Effective degrees of freedom of the error; 0 for a single replicate.
 
-        Where some points have more of the noise than others, these are fewer than there are (Welch, 1947). What
-        part each has is the same for all parameters, as far as the noise of so few passes can tell.
+        If the points contribute unequally to the variance, these are fewer (Welch, 1947). The contributions are
+        averaged over the parameters, because with few replicates they cannot be estimated for each.
         """
-        if not self._by_passes:
-            return len(self._passes) - 1
-        free = torch.tensor([n - 1.0 for n in self._passes if n > 1])
-        noise = [torch.tensor(one, dtype=torch.float64) for one in self._noise.values() if sum(one) > 0]
-        if not noise:
-            return int(free.sum())
-        part = torch.stack([one / one.sum() for one in noise]).mean(0)
-        return max(1, round(1 / (part.square() / free).sum().item()))
+        if not self._error_from_replicates:
+            return len(self._counts) - 1
+        degrees = torch.tensor([n - 1.0 for n in self._counts if n > 1])
+        variances = [torch.tensor(v, dtype=torch.float64) for v in self._variances.values() if sum(v) > 0]
+        if not variances:
+            return int(degrees.sum())
+        fraction = torch.stack([variance / variance.sum() for variance in variances]).mean(0)
+        return max(1, round(1 / (fraction.square() / degrees).sum().item()))
 
     def error(self, name: str) -> torch.Tensor:
-        """Return the standard error of ``mean``, elementwise."""
-        if self._by_passes or self._points is None:
-            return math.sqrt(self._whole / self._told) * self._error[name]
-        return self.share * self._points[name].error()
+        """Return the elementwise standard error of ``mean``."""
+        if self._error_from_replicates or self._between_points is None:
+            return math.sqrt(self._total_variance / self._measured_variance) * self._error[name]
+        return self.weight * self._between_points[name].error()
 
     def rows(self, name: str) -> torch.Tensor:
-        """Return ``(replicates, C)`` channel totals whose mean, and whose mean's covariance, are those of the sum.
+        """Return ``(replicates, C)`` channel totals that have the mean and the covariance of the mean of the sum.
 
-        For a single point these are the totals of its passes.
+        For a single point these are the totals of its replicates.
         """
         mean = channel_totals(self.mean[name]).double()
         if not self.degrees_of_freedom:
             return mean[None]
         deviations = self.deviations(name)
         count = len(deviations)
-        # The passes of a point deviate from its own mean: all rows from the mean of all would count too little.
+        # Deviations are from the mean of each point, so rescale them as deviations of all rows from one mean.
         return mean + math.sqrt(count * (count - 1)) * deviations
 
     def deviations(self, name: str) -> torch.Tensor:
-        """Return ``(replicates, C)`` channel totals whose squares sum to the variance of those of the sum."""
-        if self._by_passes or self._points is None:
-            return math.sqrt(self._whole / self._told) * torch.stack(self._deviations[name])
-        totals = torch.stack(self._points[name].totals)
+        """Return ``(replicates, C)`` deviations of channel totals whose squares sum to its variance."""
+        if self._error_from_replicates or self._between_points is None:
+            scale = math.sqrt(self._total_variance / self._measured_variance)
+            return scale * torch.stack(self._deviations[name])
+        totals = torch.stack(self._between_points[name].totals)
         count = len(totals)
-        return self.share / math.sqrt(count * (count - 1)) * (totals - totals.mean(0))
+        return self.weight / math.sqrt(count * (count - 1)) * (totals - totals.mean(0))
 
     @property
-    def _by_passes(self) -> bool:
-        return self._points is None or len(self._passes) == 1
+    def _error_from_replicates(self) -> bool:
+        return self._between_points is None or len(self._counts) == 1
 
 
-class Gradients:
-    """Takes gradients at points, for several metrics at once: each point is rendered once for all of them.
+class GradientEstimator:
+    """Estimates gradients at points, for several metrics at once: each point is rendered once for all metrics.
 
     Parameters
     ----------
     renderer
         As for every attribution method.
     metrics
-        Whose gradients are taken.
+        The metrics to differentiate.
     budget
-        How samples are split over points and passes.
-    viewer
-        How metrics that are not linear see the pictures.
+        Samples and seeds for every point and replicate.
+    transform_selector
+        Decides whether non-linear metrics are evaluated on denoised images.
     bar
-        Moves on by one with every rendering and with every backward pass.
+        Updated after every render and every backward pass.
+
+    Attributes
+    ----------
+    image
+        Mean image of the last point.
+    image_spp
+        Samples per pixel in each image of the last point.
+    extra_spp
+        Samples per pixel that were added for the metric images, over all points.
     """
 
     def __init__(
@@ -232,84 +259,86 @@ class Gradients:
         renderer: Any,
         metrics: Sequence[TargetedMetric],
         budget: Budget,
-        viewer: Viewer,
+        transform_selector: TransformSelector,
         bar: tqdm[Any],
     ) -> None:
         self.renderer = renderer
         self.metrics = metrics
         self.budget = budget
-        self.viewer = viewer
+        self.transform_selector = transform_selector
         self.bar = bar
-        self.image = torch.zeros(())  # of the last point
-        self.picture_spp: int | None = None  # of each picture of the last point
-        # Samples per pixel that were added to let a metric see enough.
-        self.extra = 0
-        self._first: list[Adjoints] = []
-        # A renderer that cannot replay its backward pass with another seed is called twice.
-        self._replays = "seed_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
+        self.image = torch.zeros(())
+        self.image_spp: int | None = None
+        self.extra_spp = 0
+        self._first_adjoints: list[Adjoints] = []
+        # A renderer without seed_grad is called twice per replicate.
+        self._has_seed_grad = (
+            "seed_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
+        )
 
     @property
-    def samples(self) -> int | None:
-        """Samples per pixel of all pictures of a single point, or None where the renderer decides."""
+    def total_image_spp(self) -> int | None:
+        """Samples per pixel in all images of a single point, or None for the renderer's default."""
         total = self.budget.total
-        return None if total is None else total + self.extra
+        return None if total is None else total + self.extra_spp
 
     @property
-    def points(self) -> int:
-        """At how many points gradients are taken."""
+    def n_points(self) -> int:
+        """Number of points."""
         return len(self.budget.spp)
 
-    def at(self, index: int, point: Point) -> tuple[list[PointGradient], bool]:
-        """Take the gradients at a point, the number ``index`` of the budget.
+    def estimate(self, index: int, point: Point) -> tuple[list[PointGradient], bool]:
+        """Estimate the gradients at a point, number ``index`` of the budget.
 
         Returns
         -------
-        found
-            One for each metric; with the passes that were finished.
+        gradients
+            One for each metric, from the finished replicates.
         interrupted
-            Whether Ctrl-C ended it before its last pass.
+            Whether Ctrl-C was pressed before the last backward pass finished.
         """
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
         images, graphs = self._render(index, leaves)
-        images = self._with_picture_samples(index, point.values, images)
+        images = self._add_image_samples(index, point.values, images)
         self.image = torch.stack(images).mean(0)
-        found = [
-            PointGradient(
-                {name: Spread() for name in leaves}, adjoints, point.share, self.budget.spp[index] or 1
-            )
-            for adjoints in self._seen(index, point.values, images)
+        spp = self.budget.spp[index] or 1
+        results = [
+            PointGradient({name: ReplicateStatistics() for name in leaves}, adjoints, point.weight, spp)
+            for adjoints in self._evaluate_metrics(index, point.values, images)
         ]
         try:
             for number, graph in enumerate(graphs):
-                if self._is_late(number):
+                if self._is_out_of_time(number):
                     break
-                with located(f"In backward pass {number + 1} of {len(graphs)}"):
-                    pulled = [_pull_back(graph, leaves, one.adjoints.passes[number], point) for one in found]
-                for one, gradients in zip(found, pulled, strict=True):
-                    for name, gradient in gradients.items():
-                        one.spreads[name].add(gradient)
+                with error_context(f"In backward pass {number + 1} of {len(graphs)}"):
+                    gradients = [
+                        _vjp(graph, leaves, r.adjoints.per_replicate[number], point) for r in results
+                    ]
+                for result, by_name in zip(results, gradients, strict=True):
+                    for name, gradient in by_name.items():
+                        result.statistics[name].add(gradient)
                 self.bar.update()
-            for one in found:
-                one.bias = _bias(graphs[0], leaves, one.adjoints, point)
+            for result in results:
+                result.bias = _bias(graphs[0], leaves, result.adjoints, point)
         except KeyboardInterrupt:
-            return found, True
-        return found, False
+            return results, True
+        return results, False
 
-    def _is_late(self, done: int) -> bool:
-        """Whether there is no time for one more pass after those that are done."""
+    def _is_out_of_time(self, finished: int) -> bool:
+        """Whether there is no time for another backward pass."""
         return False
 
     def _render(
         self, index: int, leaves: dict[str, torch.Tensor]
     ) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-        """Render every pass: the images that the metric sees, and the same as graphs to be differentiated."""
+        """Render every replicate; return the images for the metric and the images to differentiate."""
         spp = self.budget.spp[index]
         images, graphs = [], []
-        # A point may have more seeds for pictures than it has passes.
+        # A point may have more image seeds than replicates.
         seeds = list(zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False))
         for number, (seed_grad, seed) in enumerate(seeds, 1):
-            with located(f"In pass {number} of {len(seeds)}"):
-                if self._replays:
+            with error_context(f"In replicate {number} of {len(seeds)}"):
+                if self._has_seed_grad:
                     graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
                     images.append(graph.detach())
                 else:
@@ -320,91 +349,104 @@ class Gradients:
             self.bar.update()
         return images, graphs
 
-    def _seen(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[Adjoints]:
-        """Return what each metric makes of the images, or of more and better ones where it needs them."""
-        found: list[Adjoints | None]
+    def _evaluate_metrics(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[Adjoints]:
+        """Evaluate each metric on the images; render images with more samples for the metrics that need them."""
+        results: list[Adjoints | None]
         if len(images) == len(self.budget.seeds[index]):
-            found = [jackknife(metric, images) for metric in through_view(self.metrics, images, self.viewer)]
+            results = [jackknife(metric, images) for metric in self._transformed_metrics(images)]
         else:
-            found = [still_linear(*one, images[0]) for one in zip(self.metrics, self._first, strict=True)]
+            known = zip(self.metrics, self._first_adjoints, strict=True)
+            results = [adjoints_if_linear(metric, first, images[0]) for metric, first in known]
         spp = self.budget.spp[index]
-        few = spp is not None and spp * len(images) < self._least(index) and len(self.budget.spp) > 1
-        if any(one is None or (few and not one.is_linear) for one in found):
-            better = self._better(index, values, images)
-            found = [
-                one if one is not None and one.is_linear else jackknife(metric, better)
-                for metric, one in zip(through_view(self.metrics, better, self.viewer), found, strict=True)
+        too_few = spp is not None and spp * len(images) < self._min_metric_spp(index) and self.n_points > 1
+        if any(result is None or (too_few and not result.is_linear) for result in results):
+            metric_images = self._render_metric_images(index, values, images)
+            results = [
+                result if result is not None and result.is_linear else jackknife(metric, metric_images)
+                for metric, result in zip(self._transformed_metrics(metric_images), results, strict=True)
             ]
-        seen = [_for_passes(one, len(images)) for one in found if one is not None]
-        self._first = self._first or seen
-        return seen
+        adjoints = [_match_replicates(result, len(images)) for result in results if result is not None]
+        self._first_adjoints = self._first_adjoints or adjoints
+        return adjoints
 
-    def _with_picture_samples(
+    def _transformed_metrics(self, images: list[torch.Tensor]) -> list[TargetedMetric]:
+        return with_image_transform(self.metrics, images, self.transform_selector)
+
+    def _add_image_samples(
         self, index: int, values: Tensors, images: list[torch.Tensor]
     ) -> list[torch.Tensor]:
-        """Add samples to the pictures of a single point, without a graph, where a metric is not linear.
+        """Add primal samples to the images of a single point if a metric is not linear.
 
-        They cost a third of what a sample of the backward pass costs.
+        They cost a third of a sample of the backward pass.
         """
         spp = self.budget.spp[index]
-        self.picture_spp = spp
-        if spp is None or self.points > 1 or all(is_linear(one, images) for one in self.metrics):
+        self.image_spp = spp
+        if spp is None or self.n_points > 1 or all(is_linear(metric, images) for metric in self.metrics):
             return images
         ratio = self.budget.picture_ratio
         if ratio is None:
-            ratio = NOISY_PICTURE_RATIO if self.viewer.choose(images).denoises else PICTURE_RATIO
+            ratio = NOISY_PICTURE_RATIO if self.transform_selector.select(images).denoises else PICTURE_RATIO
         more = math.ceil((ratio - 1) * spp)
         if more == 0:
             return images
-        self.picture_spp = spp + more
-        seeds = picture_seeds(self.budget.seeds[index][: len(images)])
-        added = pictures(self.renderer, values, seeds, more)
-        self.extra += more * len(images)
-        return [torch.lerp(one, new, more / (spp + more)) for one, new in zip(images, added, strict=True)]
+        self.image_spp = spp + more
+        seeds = extra_image_seeds(self.budget.seeds[index][: len(images)])
+        added = render_images(self.renderer, values, seeds, more)
+        self.extra_spp += more * len(images)
+        return [torch.lerp(image, new, more / (spp + more)) for image, new in zip(images, added, strict=True)]
 
-    def _least(self, index: int) -> int:
-        """Return how many samples a metric that is not linear has to see at one of several points."""
+    def _min_metric_spp(self, index: int) -> int:
+        """Return the minimum samples per pixel for a non-linear metric at one of several points."""
         spp, ratio = self.budget.spp[index], self.budget.picture_ratio
-        asked = 0 if spp is None or ratio is None else spp * ratio * self.budget.passes[index]
-        return max(LEAST_SEEN, math.ceil(asked))
+        requested = 0 if spp is None or ratio is None else spp * ratio * self.budget.replicates[index]
+        return max(MIN_METRIC_SPP, math.ceil(requested))
 
-    def _better(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[torch.Tensor]:
-        """Render a picture for each seed, with as many samples as a metric that is not linear has to see."""
+    def _render_metric_images(
+        self, index: int, values: Tensors, images: list[torch.Tensor]
+    ) -> list[torch.Tensor]:
+        """Render an image for each seed with enough samples for a non-linear metric."""
         seeds, spp = self.budget.seeds[index], self.budget.spp[index]
         if spp is not None:
-            spp = math.ceil(max(self._least(index), spp * len(images)) / len(seeds))
-            self.extra += spp * len(seeds)
-        return pictures(self.renderer, values, seeds, spp)
+            spp = math.ceil(max(self._min_metric_spp(index), spp * len(images)) / len(seeds))
+            self.extra_spp += spp * len(seeds)
+        return render_images(self.renderer, values, seeds, spp)
 
 
-def _for_passes(adjoints: Adjoints, passes: int) -> Adjoints:
-    """Return adjoints for so many passes: a single one takes the mean."""
-    if len(adjoints.passes) == passes:
+def _match_replicates(adjoints: Adjoints, replicates: int) -> Adjoints:
+    """Return adjoints for this number of replicates; a single replicate gets the mean."""
+    if len(adjoints.per_replicate) == replicates:
         return adjoints
-    return dataclasses.replace(adjoints, passes=(torch.stack(adjoints.passes).mean(0),))
+    return dataclasses.replace(adjoints, per_replicate=(torch.stack(adjoints.per_replicate).mean(0),))
 
 
 def sum_gradients(
-    gradients: Gradients, points: Iterable[Point], *, at_random: bool = False, keep: bool = False
+    gradients: GradientEstimator,
+    points: Iterable[Point],
+    *,
+    random_points: bool = False,
+    keep_points: bool = False,
 ) -> tuple[list[GradientSum], bool]:
-    """Sum the gradients of points, one sum for each metric; and say whether Ctrl-C ended it early.
+    """Return the sum of the gradients at all points for each metric, and whether Ctrl-C interrupted it.
 
-    What is finished then is kept: the points before the last, or the passes of the first.
+    After an interruption the sum has the finished points, or the finished replicates of the first point.
     """
     sums: list[GradientSum] = []
     try:
         for index, point in enumerate(points):
             try:
-                found, interrupted = gradients.at(index, point)
+                estimates, interrupted = gradients.estimate(index, point)
             except NotFiniteError:
-                if point.share:
+                if point.weight:
                     raise
-                continue  # it would only have told an error
-            if interrupted and (index or not all(one.passes for one in found)):
+                continue  # only used for an error estimate
+            if interrupted and (index or not all(estimate.replicates for estimate in estimates)):
                 raise KeyboardInterrupt
-            sums = sums or [GradientSum(point.values, at_random=at_random, keep=keep) for _ in found]
-            for one, into in zip(found, sums, strict=True):
-                into.add(one)
+            sums = sums or [
+                GradientSum(point.values, random_points=random_points, keep_points=keep_points)
+                for _ in estimates
+            ]
+            for total, estimate in zip(sums, estimates, strict=True):
+                total.add(estimate)
             if interrupted:
                 return sums, True
     except KeyboardInterrupt:
@@ -415,7 +457,7 @@ def sum_gradients(
 
 
 def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tensor]:
-    """Return the values to attribute to: those given, or the renderer's own."""
+    """Return the values to attribute to: ``inputs``, or those of the renderer."""
     values = getattr(renderer, "inputs", None) if inputs is None else inputs
     if not values:
         raise SceneCaptumError(
@@ -429,38 +471,38 @@ def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tenso
 
 
 def require_memory(renderer: Any, spp: Iterable[int | None], pictures: int) -> None:
-    """Refuse what will not fit into memory, where the renderer can tell: so many pictures at the same time.
+    """Raise if this number of images will not fit into memory at the same time, where the renderer can predict it.
 
     Raises
     ------
     SceneCaptumError
-        With settings that would fit.
+        The message suggests settings that would fit.
     """
     if hasattr(renderer, "require_memory"):
-        renderer.require_memory(spp=max(one or 1 for one in spp), pictures=pictures)
+        renderer.require_memory(spp=max(count or 1 for count in spp), pictures=pictures)
 
 
-def _pull_back(
+def _vjp(
     graph: torch.Tensor, leaves: dict[str, torch.Tensor], adjoint: torch.Tensor, point: Point
 ) -> dict[str, torch.Tensor]:
     gradients = torch.autograd.grad(
         graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True
     )
-    found = {
+    by_name = {
         name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
     }
-    for name, gradient in found.items():
+    for name, gradient in by_name.items():
         check_gradient(name, gradient, "its adjoint image is finite")
-    return {**found, **{name: found[name] * factor for name, factor in point.factors.items()}}
+    return {**by_name, **{name: by_name[name] * factor for name, factor in point.factors.items()}}
 
 
 def _bias(
     graph: torch.Tensor, leaves: dict[str, torch.Tensor], adjoints: Adjoints, point: Point
 ) -> dict[str, torch.Tensor] | None:
-    """Return the bias that the image's noise would have put into each gradient, from the samples of one pass."""
+    """Return the bias due to image noise of each gradient, estimated with the samples of one replicate."""
     if adjoints.bias is None:
         return None
     if adjoints.bias_adjoint is None:
         return {}
-    return _pull_back(graph, leaves, adjoints.bias_adjoint, point)
+    return _vjp(graph, leaves, adjoints.bias_adjoint, point)

@@ -1,4 +1,4 @@
-"""From ``groups=`` to the parameters that are changed, or counted, together."""
+"""Resolving ``groups=`` to groups of parameters that are attributed together."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PRESETS = ("kind", "material", "object")
 
 
 def resolve_groups(renderer: Any, names: Iterable[str], groups: Groups = None) -> dict[str, tuple[str, ...]]:
-    """Return the members of every group; together the groups hold each parameter exactly once.
+    """Return the members of every group. Each parameter is in exactly one group.
 
     Example
     -------
@@ -32,28 +32,27 @@ def resolve_groups(renderer: Any, names: Iterable[str], groups: Groups = None) -
     Parameters
     ----------
     renderer
-        Its ``parameters_table()`` tells kinds and owners, its ``surfaces`` which objects show a parameter.
+        Provides kinds and owners by ``parameters_table()``, and the objects that use a parameter by ``surfaces``.
     names
         The parameters to be grouped.
     groups
-        - None: each parameter is a group of its own, named as the parameter.
-        - ``"kind"``: reflectances, roughnesses, lights, ….
-        - ``"material"``: by the materials, lights or media that own the parameter.
-        - ``"object"``: by what shows the parameter. A parameter that several objects show is in one group with
-          those that the very same objects show; one that no object shows goes to its owner.
-        - A mapping from a group's name to the names or globs of its members. A parameter that is in none stays
-          alone.
+        - None: each parameter is a group, named like the parameter.
+        - ``"kind"``: reflectances, roughnesses, emitters, ….
+        - ``"material"``: by the materials, emitters or media that own the parameter.
+        - ``"object"``: by the set of objects that use the parameter. A parameter that no object uses is grouped
+          with its owner.
+        - A mapping from a group's name to the names or globs of its members. Other parameters stay separate.
 
     Raises
     ------
     SceneCaptumError
-        Where a name matches nothing or is in two groups, or the renderer does not know what is asked for.
+        If a name matches nothing or is in two groups, or the renderer does not provide the required information.
     """
     names = tuple(names)
     if groups is None:
         return {name: (name,) for name in names}
     if isinstance(groups, Mapping):
-        return _given(names, groups)
+        return _from_mapping(names, groups)
     if groups not in PRESETS:
         raise SceneCaptumError(
             f"groups={groups!r} must be {', '.join(map(repr, PRESETS))}, or a mapping from a group's name to the "
@@ -62,47 +61,49 @@ def resolve_groups(renderer: Any, names: Iterable[str], groups: Groups = None) -
     table = table_of(renderer)
     if table is None:
         raise SceneCaptumError(
-            f"groups={groups!r} asks the renderer what it knows of its parameters, and this one has no "
-            "parameters_table(). Give a mapping from a group's name to the names of its members."
+            f"groups={groups!r} requires a renderer with a parameters_table(). Give a mapping from a group's name "
+            "to the names of its members."
         )
     if groups == "object":
         return _by_object(renderer, table, names)
     if groups == "kind":
-        return _collect(names, lambda name: (table[name].kind,))
-    return _collect(names, lambda name: table[name].owners or (name,))
+        return _group_by(names, lambda name: (table[name].kind,))
+    return _group_by(names, lambda name: table[name].owners or (name,))
 
 
-def _given(names: tuple[str, ...], groups: Mapping[str, str | Iterable[str]]) -> dict[str, tuple[str, ...]]:
+def _from_mapping(
+    names: tuple[str, ...], groups: Mapping[str, str | Iterable[str]]
+) -> dict[str, tuple[str, ...]]:
     group_of: dict[str, str] = {}
     for group, members in groups.items():
-        wanted = [members] if isinstance(members, str) else list(members)
-        if not wanted:
+        patterns = [members] if isinstance(members, str) else list(members)
+        if not patterns:
             raise SceneCaptumError(f"The group {group!r} is empty: give it names or globs, or leave it out.")
-        for name in {name: None for one in wanted for name in _matching(names, group, one)}:
+        for name in {name: None for pattern in patterns for name in _matching(names, group, pattern)}:
             if name in group_of:
                 raise SceneCaptumError(
-                    f"{name!r} is in two groups, {group_of[name]!r} and {group!r}; it can change with one only."
+                    f"{name!r} is in two groups, {group_of[name]!r} and {group!r}: remove it from one of them."
                 )
             group_of[name] = group
-    alone = [name for name in names if name not in group_of]
-    if clashing := [name for name in alone if name in groups]:
+    ungrouped = [name for name in names if name not in group_of]
+    if clashing := [name for name in ungrouped if name in groups]:
         raise SceneCaptumError(
             f"The group {clashing[0]!r} has the name of a parameter that is not in it. Give it another name."
         )
-    collected = {group: tuple(n for n in names if group_of.get(n) == group) for group in groups}
-    return {**collected, **{name: (name,) for name in alone}}
+    members_of = {group: tuple(n for n in names if group_of.get(n) == group) for group in groups}
+    return {**members_of, **{name: (name,) for name in ungrouped}}
 
 
-def _matching(names: tuple[str, ...], group: str, wanted: str) -> list[str]:
-    if not isinstance(wanted, str):
+def _matching(names: tuple[str, ...], group: str, pattern: str) -> list[str]:
+    if not isinstance(pattern, str):
         raise SceneCaptumError(
-            f"The group {group!r} must hold names or globs of parameters, not {type(wanted).__name__}."
+            f"The group {group!r} must contain names or globs of parameters, not {type(pattern).__name__}."
         )
-    matched = [wanted] if wanted in names else [name for name in names if fnmatchcase(name, wanted)]
+    matched = [pattern] if pattern in names else [name for name in names if fnmatchcase(name, pattern)]
     if not matched:
         raise SceneCaptumError(
-            f"The group {group!r} names {wanted!r}, which matches none of the {len(names)} inputs."
-            f"{near_misses(wanted, names)}"
+            f"The group {group!r} names {pattern!r}, which matches none of the {len(names)} inputs."
+            f"{near_misses(pattern, names)}"
         )
     return matched
 
@@ -112,37 +113,35 @@ def _by_object(
 ) -> dict[str, tuple[str, ...]]:
     surfaces = getattr(renderer, "surfaces", None)
     if surfaces is None:
-        raise SceneCaptumError(
-            'groups="object" needs a renderer that knows what each object shows, as a SceneRenderer does.'
-        )
-    showing: dict[str, list[str]] = {}
-    for shown_by, below in zip(surfaces.objects, surfaces.parameters, strict=True):
-        for name in below:
-            showing.setdefault(name, []).append(shown_by)
-    return _collect(names, lambda name: tuple(showing.get(name) or table[name].owners or (name,)))
+        raise SceneCaptumError('groups="object" requires a renderer with surfaces, such as a SceneRenderer.')
+    objects_using: dict[str, list[str]] = {}
+    for object_name, parameters in zip(surfaces.objects, surfaces.parameters, strict=True):
+        for name in parameters:
+            objects_using.setdefault(name, []).append(object_name)
+    return _group_by(names, lambda name: tuple(objects_using.get(name) or table[name].owners or (name,)))
 
 
-def _collect(
-    names: tuple[str, ...], holders_of: Callable[[str], tuple[str, ...]]
+def _group_by(
+    names: tuple[str, ...], owners_of: Callable[[str], tuple[str, ...]]
 ) -> dict[str, tuple[str, ...]]:
-    """Put the parameters of the same holders into one group, which goes by their names."""
+    """Group the parameters with the same owners; a group is named after its owners."""
     members: dict[tuple[str, ...], list[str]] = {}
     for name in names:
-        members.setdefault(holders_of(name), []).append(name)
-    short = [_abbreviated(holders) for holders in members]
+        members.setdefault(owners_of(name), []).append(name)
+    abbreviations = [_abbreviate(owners) for owners in members]
     return {
-        brief if short.count(brief) == 1 else ", ".join(holders): tuple(members[holders])
-        for brief, holders in zip(short, members, strict=True)
+        abbreviation if abbreviations.count(abbreviation) == 1 else ", ".join(owners): tuple(members[owners])
+        for abbreviation, owners in zip(abbreviations, members, strict=True)
     }
 
 
-def _abbreviated(holders: tuple[str, ...]) -> str:
-    shown = ", ".join(holders[:2])
-    return shown if len(holders) <= 2 else f"{shown} and {len(holders) - 2} more"
+def _abbreviate(owners: tuple[str, ...]) -> str:
+    first = ", ".join(owners[:2])
+    return first if len(owners) <= 2 else f"{first} and {len(owners) - 2} more"
 
 
-def add_up(attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]) -> SceneAttribution:
-    """Return the sum of each group's attributions, 0-d by group, with the errors that their passes tell."""
+def sum_groups(attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]) -> SceneAttribution:
+    """Return the sum of each group's attributions, 0-d by group, with standard errors from the replicates."""
 
     def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:
         return torch.stack([tensors[name].sum() for name in names]).sum()

@@ -1,4 +1,4 @@
-"""When the spread of the passes does not tell the error, and a combination of passes that rare paths move less."""
+"""Detection of unreliable standard errors, and an estimate that is robust against rare bright paths."""
 
 from __future__ import annotations
 
@@ -14,32 +14,31 @@ from ._student import student_t
 if TYPE_CHECKING:
     from ._attribution import SceneAttribution
 
-FEW = 4  # passes; the error of fewer is itself unsure by 50 % and more
+MIN_REPLICATES = 4  # with fewer, the standard error has a relative uncertainty of 50 % or more
 
-# How often a result whose passes are normally distributed may be called dominated, over all its parameters.
-FALSE_ALARMS = 0.01
+# Probability of reporting a dominating replicate for normally distributed replicates, over all parameters.
+FALSE_ALARM_RATE = 0.01
 
-# Effective number of samples that make up a spread: where these are fewer, intervals may hold the truth in less
-# than 85 % of runs (benchmarks/interval_coverage.py).
-FEW_SAMPLES = 7.0
+# With fewer effective samples, 95 % intervals may contain the true value in less than 85 % of runs
+# (benchmarks/interval_coverage.py).
+MIN_EFFECTIVE_SAMPLES = 7.0
 
-# A spread so small, relative to what spreads, is rounding.
-ROUNDING = 1e-5
+ROUNDING = 1e-5  # relative deviations below this are due to rounding
 
-# The standard deviation of a normal distribution, in units of its median absolute deviation.
-TO_SIGMA = 1.4826
-CLIPPED = 3.0  # standard deviations
+# Standard deviation of a normal distribution relative to its median absolute deviation.
+MAD_TO_SIGMA = 1.4826
+CLIP_SIGMAS = 3.0
 
-# By how much the variance of a median exceeds that of the mean, where all is normal.
-MEDIAN_LOSS = math.pi / 2
+# Variance of the median relative to that of the mean, for a normal distribution.
+MEDIAN_VARIANCE_RATIO = math.pi / 2
 
 
 def untrusted_errors(attribution: SceneAttribution) -> dict[str, str]:
-    """Return the parameters whose standard error cannot be trusted, each with the reason.
+    """Return the parameters whose standard error is unreliable, each with the reason.
 
-    One pass dominates where its share of the squared deviations is more than chance allows among normally
-    distributed passes: Grubbs' test for one outlier, at a level shared by all parameters. Such a pass holds a rare
-    bright path, and as likely as not paths as bright have been missed.
+    A replicate dominates if its fraction of the squared deviations is significant under a normal distribution
+    (Grubbs' test for one outlier, with Bonferroni correction for all parameters). Such a replicate contains a rare
+    bright path, and similar paths have probably been missed.
 
     References
     ----------
@@ -47,32 +46,39 @@ def untrusted_errors(attribution: SceneAttribution) -> dict[str, str]:
     """
     if attribution.covariance is None:
         return {}
-    free = attribution.info.get("degrees_of_freedom", attribution.info.get("passes", FEW) - 1)
-    if free < FEW - 1:
-        unsure = 100 / math.sqrt(2 * free)
-        reason = f"an error told by {free + 1} passes is itself unsure by {unsure:.0f} %"
+    replicates = attribution.info.get("replicates", MIN_REPLICATES)
+    degrees = attribution.info.get("degrees_of_freedom", replicates - 1)
+    if degrees < MIN_REPLICATES - 1:
+        uncertainty = 100 / math.sqrt(2 * degrees)
+        reason = (
+            f"with {degrees + 1} replicates the standard error has about {uncertainty:.0f} % relative "
+            "uncertainty"
+        )
         return dict.fromkeys(attribution, reason)
-    # A difference is no better than either of its sides.
+    # A difference is as unreliable as either of its sides.
     sides = attribution.info, attribution.info.get("minus", {})
     counts = [item for side in sides for item in side.get("effective_samples", {}).items()]
-    found = {n: _rare(count) for n, count in counts if count < FEW_SAMPLES and n in attribution}
+    reasons = {
+        name: _few_samples_reason(count)
+        for name, count in counts
+        if count < MIN_EFFECTIVE_SAMPLES and name in attribution
+    }
     for name, rows in attribution.replicates.items():
-        most = _largest_share(rows)
-        if most > _limit(len(rows), FALSE_ALARMS / len(attribution)):
-            found[name] = (
-                "one pass has nearly all of the spread: a rare bright path, and others may be missing"
+        if _largest_fraction(rows) > _critical_fraction(len(rows), FALSE_ALARM_RATE / len(attribution)):
+            reasons[name] = (
+                "one replicate has nearly all of the spread: a rare bright path, and others may be missing"
             )
-    return found
+    return reasons
 
 
-def _rare(samples: float) -> str:
-    if not samples:
-        return "no path of a pilot has met it: its light is rare, or there is none"
-    return "so few samples make up its spread that it hardly tells the error: its light is rare"
+def _few_samples_reason(effective_samples: float) -> str:
+    if not effective_samples:
+        return "no path of the pilot contributes to it: its light is rare, or there is none"
+    return "too few samples contribute to its variance for a reliable error: its light is rare"
 
 
-def _largest_share(rows: torch.Tensor) -> float:
-    """Return the largest share that one pass has of the squared deviations; 0 where these are rounding."""
+def _largest_fraction(rows: torch.Tensor) -> float:
+    """Return the largest fraction of the squared deviations in one replicate; 0 if these are only rounding."""
     rows = rows.double()
     deviations = rows - rows.mean(0)
     squares = deviations.square().sum(1)
@@ -81,14 +87,14 @@ def _largest_share(rows: torch.Tensor) -> float:
     return float(squares.max() / squares.sum())
 
 
-def _limit(passes: int, level: float) -> float:
-    """Return the share of the squared deviations that one of so many normal passes has by chance at a level."""
-    square = student_t(1 - level / passes, passes - 2) ** 2
-    return (passes - 1) / passes * square / (passes - 2 + square)
+def _critical_fraction(replicates: int, level: float) -> float:
+    """Return the critical value of Grubbs' test, as a fraction of the squared deviations."""
+    square = student_t(1 - level / replicates, replicates - 2) ** 2
+    return (replicates - 1) / replicates * square / (replicates - 2 + square)
 
 
 def median_of_means(attribution: SceneAttribution) -> SceneAttribution:
-    """Return the same result with the median over the passes, each of which is a mean over its samples.
+    """Return the result with the median over the replicates, each of which is a mean over its samples.
 
     References
     ----------
@@ -98,20 +104,20 @@ def median_of_means(attribution: SceneAttribution) -> SceneAttribution:
     from ._attribution import covariances
 
     _check(attribution)
-    rows = {name: _robust_rows(one) for name, one in attribution.replicates.items()}
+    rows = {name: _robust_rows(original) for name, original in attribution.replicates.items()}
     covariance = covariances(rows, attribution.bias)
-    for name, one in attribution.replicates.items():
-        # What the median leaves out may be light that is there: it counts as an error of its own size.
-        left_out = rows[name].mean(0) - one.double().mean(0)
-        covariance[name] = covariance[name] + left_out[:, None] * left_out
+    for name, original in attribution.replicates.items():
+        # The difference of median and mean may be real light: it counts as an error of its own size.
+        difference = rows[name].mean(0) - original.double().mean(0)
+        covariance[name] = covariance[name] + difference[:, None] * difference
     assert attribution.covariance is not None
     assert attribution.standard_error is not None
     errors = {}
-    for name, one in attribution.standard_error.items():
-        # The texels of a texture have no passes of their own: their errors change as that of their total.
-        was, now = (kept[name].diagonal().double() for kept in (attribution.covariance, covariance))
-        ratio = torch.where(was > 0, (now / was).sqrt(), 1.0).to(one)
-        errors[name] = one * (ratio if one.ndim else ratio[0])
+    for name, error in attribution.standard_error.items():
+        # Replicates of single texels are not stored: scale their errors like the error of the total.
+        before, after = (matrix[name].diagonal().double() for matrix in (attribution.covariance, covariance))
+        ratio = torch.where(before > 0, (after / before).sqrt(), 1.0).to(error)
+        errors[name] = error * (ratio if error.ndim else ratio[0])
     return dataclasses.replace(
         attribution,
         attributions={n: _with_total(value, rows[n].mean(0)) for n, value in attribution.items()},
@@ -123,35 +129,35 @@ def median_of_means(attribution: SceneAttribution) -> SceneAttribution:
 
 
 def _check(attribution: SceneAttribution) -> None:
-    """Refuse a result whose replicates are not passes over one and the same scene."""
+    """Raise if the replicates do not belong to a single scene."""
     info = attribution.info
     rounds = (info.get("planner") or {}).get("rounds", ())
     several = (info.get("budget") or {}).get("points", 1) > 1 or len(rounds) > 1
     if attribution.covariance is None or not attribution.replicates or several:
-        one = "1 pass" if info.get("passes", 1) == 1 else "passes that were not kept"
-        why = "several scenes or rounds" if several else one
+        few = "1 replicate" if info.get("replicates", 1) == 1 else "replicates that were not stored"
         raise SceneCaptumError(
-            f"The median is taken over independent passes at one scene, and this result is of {why}. Attribute "
-            "with VanillaSceneGradient or InputXGradientScene in 8 passes or more, without tolerance= or top=."
+            "The median requires independent replicates of one scene, but this result has "
+            f"{'several scenes or rounds' if several else few}. Use VanillaSceneGradient or InputXGradientScene "
+            "with 8 or more replicates, without tolerance= or top=."
         )
 
 
 def _robust_rows(rows: torch.Tensor) -> torch.Tensor:
-    """Return rows whose mean is the median of the given, and whose spread tells its error."""
+    """Return rows whose mean is the median of the given rows and whose variance gives its standard error."""
     rows = rows.double()
     median = rows.quantile(0.5, dim=0)
     deviations = rows - median
-    reach = CLIPPED * TO_SIGMA * deviations.abs().quantile(0.5, dim=0)
-    # Where most passes are equal, it is a rare path that tells them apart: no reason to be sure.
-    clipped = torch.where(reach > 0, deviations.clamp(-reach, reach), deviations)
-    return median + math.sqrt(MEDIAN_LOSS) * (clipped - clipped.mean(0))
+    limit = CLIP_SIGMAS * MAD_TO_SIGMA * deviations.abs().quantile(0.5, dim=0)
+    # If most replicates are equal, the others differ by rare paths: do not clip these.
+    clipped = torch.where(limit > 0, deviations.clamp(-limit, limit), deviations)
+    return median + math.sqrt(MEDIAN_VARIANCE_RATIO) * (clipped - clipped.mean(0))
 
 
 def _with_total(value: torch.Tensor, total: torch.Tensor) -> torch.Tensor:
-    """Return a gradient with other channel totals; what a texture lacks is added where its gradient is large."""
+    """Return a gradient with new channel totals; for a texture the change is distributed by gradient magnitude."""
     if value.ndim < 2:
         return total.reshape(value.shape).to(value)
     texels = value.reshape(-1, value.shape[-1]).double()
     size = texels.abs()
-    share = size / size.sum(0).clamp_min(torch.finfo(torch.float64).tiny)
-    return (texels + share * (total - texels.sum(0))).reshape(value.shape).to(value)
+    fraction = size / size.sum(0).clamp_min(torch.finfo(torch.float64).tiny)
+    return (texels + fraction * (total - texels.sum(0))).reshape(value.shape).to(value)

@@ -1,4 +1,4 @@
-"""Inputs times gradients."""
+"""Input × gradient."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from ..checkpoint import Folder
 from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_PASSES
-from ._planner import SHARE, Goal, reach
+from ._passes import DEFAULT_REPLICATES
+from ._planner import DEFAULT_SHARE, Goal, attribute_to_goal
 from ._view import Denoise
 
 
 class InputXGradientScene(GradientMethod):
-    """The gradient times the input, ``θ · ∂M(R(θ))/∂θ``: what a parameter would account for if all were linear.
+    """The gradient times the input, ``θ · ∂M(R(θ))/∂θ``: the contribution of a parameter under a linear model.
 
-    Of an emitter's radiance it is exactly what that emitter adds to a metric that is linear in the image.
+    For an emitter's radiance and a metric that is linear in the image, it is exactly the contribution of the
+    emitter.
 
     Example
     -------
@@ -49,10 +50,10 @@ class InputXGradientScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         picture_spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         tolerance: float | None = None,
-        share: float = SHARE,
+        share: float = DEFAULT_SHARE,
         top: int | None = None,
         time_limit: float | None = None,
         checkpoint: Folder = None,
@@ -83,4 +84,5 @@ class InputXGradientScene(GradientMethod):
             Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
         )
         goal = Goal(tolerance, share, top, time_limit)
-        return reach(run, Point(run.values, factors=run.values), goal, spp, quantity="input × gradient")
+        point = Point(run.values, factors=run.values)
+        return attribute_to_goal(run, point, goal, spp, quantity="input × gradient")

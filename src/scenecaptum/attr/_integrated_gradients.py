@@ -1,4 +1,4 @@
-"""Gradients along the way from a baseline scene."""
+"""Integrated gradients: gradients along the path from a baseline scene."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import torch
 
 from ..checkpoint import Folder
 from ._baselines import Baselines, resolve_baselines
-from ._completeness import completed, difference, hand_over
-from ._gradients import between
+from ._completeness import metric_difference, return_with_delta, with_convergence
+from ._gradients import interpolated_point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_PASSES
+from ._passes import DEFAULT_REPLICATES
 from ._quadrature import Method, quadrature
 from ._quadrature_error import error_of_sum, with_quadrature_error
 from ._view import Denoise
 
 
 class IntegratedGradientsScene(GradientMethod):
-    """Gradients averaged on the way from a baseline, times the way: ``(θ − θ₀) · ∫ ∂M(θ₀ + α(θ − θ₀)) dα``.
+    """Gradients averaged along the path from a baseline, times the path: ``(θ − θ₀) · ∫ ∂M(θ₀ + α(θ − θ₀)) dα``.
 
-    The attributions add up to ``M(θ) − M(θ₀)``: how much of the result is due to what, compared with a scene in
-    which it is absent. What they miss of it is ``convergence_delta``; ``info["convergence"]`` says what to make of
-    it. All errors hold that of the quadrature as well as the noise.
+    The attributions add up to ``M(θ) − M(θ₀)``. The remaining difference is ``convergence_delta``, and
+    ``info["convergence"]`` tells whether it is within the error. All errors include the quadrature error and the
+    noise.
 
     Example
     -------
@@ -57,7 +57,7 @@ class IntegratedGradientsScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         picture_spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
@@ -69,41 +69,40 @@ class IntegratedGradientsScene(GradientMethod):
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
-            of results from the same renders.
+            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
+            the same renders.
         baselines
-            The scene to compare with: ``"dark"`` (lights off), ``"black"`` (reflectances 0), ``"grey"`` (each
+            The scene to compare with: ``"dark"`` (emitters off), ``"black"`` (reflectances 0), ``"grey"`` (each
             reflectance its mean), a number, a mapping from names, globs or kinds to values, or another scene. By
-            default lights and reflectances are 0 and everything else stays: it is attributed 0.
+            default emitters and reflectances are 0 and everything else is unchanged, with an attribution of 0.
         n_steps
-            At how many scenes on the way gradients are taken. Each has a seed of its own. Fewer than 8 tell too
-            little of their own error, which is then large.
+            Number of quadrature points, each with its own seed. With fewer than 8 the estimated quadrature error
+            is large.
         method
-            How these are placed and weighted: ``"gausslegendre"`` or one of the Riemann sums, as in Captum. The
-            weights always sum to 1 (Captum 0.9's trapezoid misses 2 % at 50 steps). A Riemann sum without a point
-            at an end takes a gradient there too, which tells the error only.
+            Quadrature rule: ``"gausslegendre"`` or one of the Riemann sums, as in Captum. The weights always sum
+            to 1 (Captum 0.9's trapezoid misses 2 % at 50 steps). Riemann sums without a point at an end evaluate
+            an additional gradient there, only for the error estimate.
         return_convergence_delta
             Return ``(attribution, delta)``.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
-            members: the result has the sum of each group, and every other parameter alone.
+            members: the result has the sum of each group. Parameters in no group stay separate.
         seed
-            Seed from which those of all passes are drawn.
+            Random seed, from which the seeds of all replicates are derived.
         spp
-            Total samples per pixel, split over the steps. A metric that is not linear sees at least 16 at each;
-            an eighth more goes to either end (``info["budget"]``).
+            Total samples per pixel, split over the steps. Non-linear metrics use at least 16 at each step. Another
+            eighth is used for each end of the path (``info["budget"]``).
         picture_spp
-            Samples per pixel, over all scenes, of the pictures that a metric sees which is not linear; by default
-            no more than it must see.
+            Samples per pixel of the metric images over all steps, for non-linear metrics; by default the minimum.
         replicates
-            At how many of the steps, spread over the way, the noise is told by two passes; 1 for no error bars.
+            Number of steps, spread over the path, that have two replicates to estimate the noise; 1 for no error
+            bars.
         denoise
-            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
-            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
-            was done.
+            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
+            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
         checkpoint
-            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
-            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
+            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
+            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
         show_progress
             Whether to show a progress bar.
 
@@ -115,9 +114,9 @@ class IntegratedGradientsScene(GradientMethod):
         Raises
         ------
         SceneCaptumError
-            Where a baseline does not fit or lies outside the physical bounds, or as ``VanillaSceneGradient``.
+            If a baseline does not fit or is outside the physical bounds, or as for ``VanillaSceneGradient``.
         AttributionInterrupted
-            On Ctrl-C after the first step: the steps so far stand for all.
+            On Ctrl-C after the first step, with the integral estimated from the steps so far.
         """
         rule = quadrature(method, n_steps)
         run = self._start(
@@ -126,17 +125,20 @@ class IntegratedGradientsScene(GradientMethod):
             Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
         )
         start = resolve_baselines(self.renderer, run.values, baselines)
-        points = (between(start, run.values, *one) for one in zip(rule.places, rule.weights, strict=True))
-        # In their order the first are spread over the whole way.
-        budget = run.budget(len(rule.places), pairs=replicates)
+        points = (
+            interpolated_point(start, run.values, node, weight)
+            for node, weight in zip(rule.nodes, rule.weights, strict=True)
+        )
+        # The first nodes of a rule are spread over the whole path.
+        budget = run.budget(len(rule.nodes), pairs=replicates)
         sums, gradients, interrupted = run.sums(points, budget)
-        images, reference = run.own_images([run.values, start], sums)
+        images, reference = run.render_scenes([run.values, start], sums)
         results = []
-        for metric, one, own in zip(run.metrics, sums, run.own(images), strict=True):
-            found = run.result(
-                metric, one, own, budget, gradients, interrupted=interrupted, quadrature=method
+        for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True):
+            result = run.result(
+                metric, total, evaluation, budget, gradients, interrupted=interrupted, quadrature=method
             )
-            found = with_quadrature_error(found, rule, one, run.members)
-            explained = difference(own.metric, images, [reference])
-            results.append(completed(found, explained, error_of_sum(rule, one)))
-        return hand_over(run, results, interrupted=interrupted, with_delta=return_convergence_delta)
+            result = with_quadrature_error(result, rule, total, run.members)
+            explained = metric_difference(evaluation.metric, images, [reference])
+            results.append(with_convergence(result, explained, error_of_sum(rule, total)))
+        return return_with_delta(run, results, interrupted=interrupted, with_delta=return_convergence_delta)

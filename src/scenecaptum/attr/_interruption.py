@@ -1,4 +1,4 @@
-"""What is left when the user stops an attribution."""
+"""The exception for an interrupted attribution, with the partial result."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from ._attribution import SceneAttribution
 
 
 class AttributionInterrupted(KeyboardInterrupt):
-    """Ctrl-C during an attribution whose finished passes already give a result.
+    """Raised on Ctrl-C during an attribution if the finished replicates already give a result.
 
     Attributes
     ----------
     partial
-        The attribution from the passes that were finished; its bars are as wide as that makes them.
+        The attribution from the finished replicates, with its standard errors.
     partials
-        One such attribution for each target, where there are several; ``partial`` is the first.
+        One such attribution for each target; ``partial`` is the first.
     """
 
     def __init__(self, partial: SceneAttribution, *others: SceneAttribution) -> None:
-        super().__init__("interrupted; .partial holds the result of the finished passes")
+        super().__init__("interrupted; .partial has the result of the finished replicates")
         self.partial = partial
         self.partials = (partial, *others)

@@ -1,4 +1,4 @@
-"""What a metric makes of several noisy pictures: its value, its adjoint images, and the noise and bias of both."""
+"""Jackknife estimates of a metric's value and adjoint images, with the noise and bias of both."""
 
 from __future__ import annotations
 
@@ -11,75 +11,77 @@ import numpy as np
 import torch
 
 from ._metric import TargetedMetric
-from ._view import RAW, View, Viewer
+from ._view import IDENTITY, ImageTransform, TransformSelector
 
-# Standard errors by which the metric at half of the samples may differ from that at all, and from which on the
-# difference tells how fast it falls.
-CHANCE, CLEAR = 2.0, 4.0
+# Drift is the metric at half of the samples minus the metric at all samples. From 2 standard errors it is
+# significant, from 4 it is known well enough to extrapolate.
+SIGNIFICANT_DRIFT = 2.0
+_CLEAR_DRIFT = 4.0
 
-_AGREED = 3.0  # standard errors from 0
-
-_SLOWEST = 0.2  # exponent of the slowest fall of a bias that is taken into account
-_NEAR = 0.03  # of the way from the denoised picture to the noisy one: single bright pixels lie far beyond
-_REACH = 2.0  # standard errors that a bias counts for which is known by its size only
+_CONSISTENT_BIAS = 3.0  # standard errors from 0
+_MIN_EXPONENT = 0.2  # of the decay of the bias with the number of samples
+# Step from the denoised to the noisy image; small, because the two differ much in single bright pixels.
+_PROBE_STEP = 0.03
+_BIAS_SIGMAS = 2.0  # a bias of which only the magnitude is known counts as this many standard errors
 
 
 @dataclass(frozen=True)
 class Adjoints:
-    """What the metric makes of the primal passes.
+    """The metric's value and adjoint images, estimated from the primal images.
 
     Attributes
     ----------
     value, standard_error, bias
-        The metric at the mean image, the jackknife's estimate of its standard error, and by how much the value may
-        still be off for want of samples (None for a single pass). The standard error holds the bias.
-    passes
-        The adjoint image to be propagated by each backward pass.
+        The metric at the mean image, the jackknife estimate of its standard error, and the estimated remaining
+        bias due to the finite number of samples (None for a single replicate). The standard error includes the
+        bias.
+    per_replicate
+        The adjoint image for each backward pass.
     bias_adjoint
-        By how much the adjoint may be off on average, for want of samples or by the denoiser, or None where the
-        metric is linear.
+        Estimated bias of the adjoint, due to the finite number of samples or to the denoiser; None for a linear
+        metric.
     drift
-        The metric at half of the samples minus that at all, on average, and the standard error without the bias:
-        what is drifting and by how much chance; None where the metric is linear or there is a single pass.
+        The metric at half of the samples minus that at all samples, on average, and the standard error without the
+        bias. None for a linear metric or a single replicate.
     denoised
-        The metric at the denoised picture, where that is nearer to the truth and was not wanted; the difference is
-        part of the standard error.
-    view
-        How the metric saw the pictures.
+        The metric at the denoised image, if that is estimated to be more accurate but denoising was switched off.
+        The difference is part of the standard error.
+    transform
+        From the render to the metric image.
     """
 
     value: float
     standard_error: float | None
     bias: float | None
-    passes: tuple[torch.Tensor, ...]
+    per_replicate: tuple[torch.Tensor, ...]
     bias_adjoint: torch.Tensor | None
     drift: tuple[float, float] | None = None
     denoised: float | None = None
-    view: View = RAW
+    transform: ImageTransform = IDENTITY
 
     @property
     def is_linear(self) -> bool:
-        """Whether the metric is linear, as far as can be seen here."""
+        """Whether the metric was found to be linear."""
         return self.bias is not None and self.bias_adjoint is None
 
 
 def jackknife(
     metric: TargetedMetric, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
 ) -> Adjoints:
-    """Evaluate a metric on the mean image, and on other weighted means of the images.
+    """Evaluate a metric at the mean image and at other weighted means of the images, a generalised jackknife.
 
-    Image ``i`` has the share ``s_i²`` of all ``samples`` (by default all have as many). In mean ``r`` it has the
-    weight ``s_i² + t·s_i·v_ri``, with ``VᵀV = 1 − s sᵀ``. Then the noise of these means has ``t²`` times the
-    covariance of that of the mean image, and to first order the spread of what the metric makes of them tells the
-    metric's own. To leave out one image at a time is such a choice, with a small ``t``: where the metric jumps (a
-    pixel that crosses a threshold, the kink of a network), dividing by it blows the jump up. Here weights differ
-    by as much as they can without any below 0.
+    Image ``i`` has the fraction ``s_i²`` of all ``samples`` (by default equal). In weighted mean ``r`` it has the
+    weight ``s_i² + t·s_i·v_ri``, with ``VᵀV = 1 − s sᵀ``. The noise of these means has ``t²`` times the covariance
+    of the noise of the mean image, so to first order the variance of the metric over them, divided by ``t²``, is
+    the variance of the metric. The delete-one jackknife is one such choice, with a small ``t``. If the metric has
+    jumps (a pixel that crosses a threshold, the kink of a network), dividing by a small ``t`` amplifies them. This
+    implementation uses the largest ``t`` for which all weights are non-negative.
 
-    Backward pass ``i`` gets the adjoint image ``a = ∂M/∂I`` of the mean, without the bias that its noise puts
-    there as far as that can be told, and with what the means say of ``H (image i − mean)``, ``H`` being the
-    metric's Hessian: the spread of the propagated gradients contains the noise of the image at its full size, and
-    their mean is free of the bias of first order that a noisy image puts into the gradient of a metric that bends.
-    How far the metric at half of the samples is from that at all tells what bias is left in either.
+    Backward pass ``i`` gets the adjoint image ``a = ∂M/∂I`` of the mean, minus its estimated bias, plus an
+    estimate of ``H (image i − mean)``, where ``H`` is the Hessian of the metric. The variance of the propagated
+    gradients then contains the full noise of the image, and their mean is free of the first-order bias that a
+    noisy image causes in the gradient of a non-linear metric. The drift of the metric from half of the samples to
+    all of them gives the remaining bias of value and adjoint.
 
     References
     ----------
@@ -88,170 +90,180 @@ def jackknife(
     """
     count = len(images)
     weights = [1.0] * count if samples is None else samples
-    shares = torch.tensor([weight / sum(weights) for weight in weights], dtype=torch.float64)
+    fractions = torch.tensor([weight / sum(weights) for weight in weights], dtype=torch.float64)
     stack = torch.stack(tuple(images))
-    value, adjoint = metric.value_and_adjoint(_mean(stack, shares))
+    value, adjoint = metric.value_and_adjoint(_mean(stack, fractions))
     if count == 1:
-        return Adjoints(value, None, None, (adjoint,), None, view=metric.view)
+        return Adjoints(value, None, None, (adjoint,), None, transform=metric.transform)
 
-    roots = shares.sqrt()
+    roots = fractions.sqrt()
     directions, step = _directions(tuple(roots.tolist()))
-    changes = roots * directions
-    values, moved = _at_means(metric, stack, shares + step * changes)
-    drift = _excess(values, value, step).item()
+    weight_changes = roots * directions
+    values, adjoints = _evaluate_at_means(metric, stack, fractions + step * weight_changes)
+    drift = _second_order(values, value, step).item()
     error = math.sqrt(values.var().item()) / step
-    if not metric.view.denoises and _is_rounding(moved - adjoint, adjoint):
-        # The metric is linear: rounding is not worth a pass.
+    if not metric.transform.denoises and _is_rounding(adjoints - adjoint, adjoint):
+        # The metric is linear: a bias of the size of rounding errors is not worth a backward pass.
         return Adjoints(value, error, drift, (adjoint,) * count, None)
 
-    bias_adjoint = _excess(moved, adjoint, step)
-    _, near = _at_means(metric, stack, shares + step / 2 * changes)
-    bias_adjoint = _trust(bias_adjoint, _excess(near, adjoint, step / 2)) * bias_adjoint
-    agreed = _is_agreed((moved + adjoint) / 2 - near, _mean(stack, shares))
-    removed = bias_adjoint if agreed else torch.zeros_like(adjoint)
-    deviations = torch.tensordot((directions / roots).T.to(moved), (moved - moved.mean(0)) / step, 1)
-    singles, alone = _at_means(metric, stack, torch.eye(count, dtype=torch.float64))
-    deviations = _larger(deviations, alone - torch.tensordot(shares.to(alone), alone, 1))
-    left = 1.0
-    if abs(drift) > CLEAR * error:
-        left = _bias_left(drift, singles.mean().item() - value, 1 / shares.square().sum().item())
-    moved_by, turned_by = _by_view(metric, stack, shares, value, adjoint)
+    bias_adjoint = _second_order(adjoints, adjoint, step)
+    _, half_step_adjoints = _evaluate_at_means(metric, stack, fractions + step / 2 * weight_changes)
+    bias_adjoint = (
+        _shrinkage(bias_adjoint, _second_order(half_step_adjoints, adjoint, step / 2)) * bias_adjoint
+    )
+    curvature = (adjoints + adjoint) / 2 - half_step_adjoints
+    is_consistent = _is_consistent(curvature, _mean(stack, fractions))
+    removed = bias_adjoint if is_consistent else torch.zeros_like(adjoint)
+    coefficients = (directions / roots).T.to(adjoints)
+    deviations = torch.tensordot(coefficients, (adjoints - adjoints.mean(0)) / step, 1)
+    single_values, single_adjoints = _evaluate_at_means(metric, stack, torch.eye(count, dtype=torch.float64))
+    single_mean = torch.tensordot(fractions.to(single_adjoints), single_adjoints, 1)
+    deviations = _larger(deviations, single_adjoints - single_mean)
+    remaining = 1.0
+    if abs(drift) > _CLEAR_DRIFT * error:
+        single_drift = single_values.mean().item() - value
+        remaining = _remaining_bias(drift, single_drift, 1 / fractions.square().sum().item())
+    value_error, adjoint_error = _transform_errors(metric, stack, fractions, value, adjoint)
     return Adjoints(
         value=value,
-        standard_error=math.hypot(error, left * drift, moved_by),
-        bias=left * drift,
-        passes=tuple(adjoint - removed + deviations),
-        bias_adjoint=left * bias_adjoint + turned_by,
+        standard_error=math.hypot(error, remaining * drift, value_error),
+        bias=remaining * drift,
+        per_replicate=tuple(adjoint - removed + deviations),
+        bias_adjoint=remaining * bias_adjoint + adjoint_error,
         drift=(drift, error),
-        denoised=None if metric.view.nearer is None else value + moved_by,
-        view=metric.view,
+        denoised=None if metric.transform.more_accurate is None else value + value_error,
+        transform=metric.transform,
     )
 
 
 def _larger(near: torch.Tensor, far: torch.Tensor) -> torch.Tensor:
-    """Return of two estimates of the same deviations the larger, for each pixel.
+    """Return the larger of two estimates of the same deviations, per pixel.
 
-    ``near`` comes from means of the pictures, ``far`` from the pictures themselves, which have more noise. Where
-    the metric bends evenly, both agree. A pixel just off a threshold shows only from afar what it may do.
+    ``near`` comes from weighted means of the images, ``far`` from the single images, which are noisier. For a
+    smoothly curved metric both agree. The effect of a pixel that is close to a threshold may show in ``far`` only.
     """
     return torch.where(near.square().sum(0) >= far.square().sum(0), near, far)
 
 
-def _bias_left(doubled: float, single: float, count: float) -> float:
-    """Return how large the bias at all samples is, in units of what half of the samples add to it.
+def _remaining_bias(half_drift: float, single_drift: float, count: float) -> float:
+    """Return the bias at all samples in units of ``half_drift``, by a power law.
 
-    A bias that falls as ``N^−α`` rises by ``2^α − 1`` times itself at half of the samples (``doubled``), and by
-    ``count^α − 1`` times at the samples of one of so many pictures (``single``). A smooth metric has ``α = 1``;
-    one that rates single bright pixels may have much less, and more bias left than the first step shows.
+    A bias that decays as ``N^−α`` increases by ``2^α − 1`` times itself at half of the samples (``half_drift``),
+    and by ``count^α − 1`` times itself at the samples of one of ``count`` images (``single_drift``). A smooth
+    metric has ``α = 1``. For a metric that responds to single bright pixels α may be much smaller and the
+    remaining bias larger.
     """
-    if doubled == 0 or single / doubled >= count - 1 or count <= 2:
+    if half_drift == 0 or single_drift / half_drift >= count - 1 or count <= 2:
         return 1.0
-    exponents = torch.linspace(_SLOWEST, 1.0, 100, dtype=torch.float64)
+    ratio = single_drift / half_drift
+    exponents = torch.linspace(_MIN_EXPONENT, 1.0, 100, dtype=torch.float64)
     ratios = (count**exponents - 1) / (2**exponents - 1)
-    exponent = exponents[(ratios - single / doubled).abs().argmin()] if single / doubled > 0 else 1.0
+    exponent = exponents[(ratios - ratio).abs().argmin()] if ratio > 0 else 1.0
     return float(1 / (2**exponent - 1))
 
 
-def _by_view(
+def _transform_errors(
     metric: TargetedMetric,
     images: torch.Tensor,
-    shares: torch.Tensor,
+    fractions: torch.Tensor,
     value: float,
     adjoint: torch.Tensor,
 ) -> tuple[float, torch.Tensor]:
-    """Return how far the view may put off the value and the adjoint: errors of their own size."""
-    if metric.view.nearer is not None:
-        better, there = metric.through(metric.view.nearer).value_and_adjoint(_mean(images, shares))
-        return better - value, there - adjoint
-    if metric.view.denoises:
-        bent, turned = _by_denoiser(metric, images, shares, adjoint)
-        return bent / _REACH, turned
+    """Return the errors of value and adjoint that are due to the choice of the image transform."""
+    if metric.transform.more_accurate is not None:
+        better = metric.with_transform(metric.transform.more_accurate)
+        better_value, better_adjoint = better.value_and_adjoint(_mean(images, fractions))
+        return better_value - value, better_adjoint - adjoint
+    if metric.transform.denoises:
+        value_bias, adjoint_bias = _denoiser_bias(metric, images, fractions, adjoint)
+        return value_bias / _BIAS_SIGMAS, adjoint_bias
     return 0.0, torch.zeros_like(adjoint)
 
 
-def _by_denoiser(
-    metric: TargetedMetric, images: torch.Tensor, shares: torch.Tensor, adjoint: torch.Tensor
+def _denoiser_bias(
+    metric: TargetedMetric, images: torch.Tensor, fractions: torch.Tensor, adjoint: torch.Tensor
 ) -> tuple[float, torch.Tensor]:
-    """Return by how much what the denoiser has changed may move the value and the adjoint.
+    """Return the bias of the value and of the adjoint that is caused by the denoiser.
 
-    Let T be the true picture. The value holds the first order of ``T − S`` and lacks the second,
-    ``⟨T − S, H (T − S)⟩ / 2``. A noisy picture stands for T on either side, another on one than on the other, so
-    that their noise has no part in it; ``H`` is told by going as far as the noise of the mean picture does. The
-    adjoint lacks ``H (T − S)``.
+    Let T be the true image and S the denoised image. The value includes the term of first order in ``T − S`` but
+    not that of second order, ``⟨T − S, H (T − S)⟩ / 2``. Two independent noisy images stand in for T on the two
+    sides of the product, so that their noise averages out. ``H`` is estimated by finite differences whose step is
+    the noise of the mean image. The adjoint lacks ``H (T − S)``.
     """
-    mean = _mean(images, shares)
-    seen = metric.view(mean)
-    bent = 0.0
-    for share, image in zip(shares.tolist(), images.clamp_min(0), strict=True):
-        step = math.sqrt(share)
-        _, moved = metric.value_and_adjoint_at(torch.lerp(seen, image, step))
-        others = mean - seen - share * (image - seen)
-        bent += share / step * ((moved - adjoint).double() * others.double()).sum().item() / 2
-    _, near = metric.value_and_adjoint_at(torch.lerp(seen, mean.clamp_min(0), _NEAR))
-    return bent / (1 - shares.square().sum().item()), (near - adjoint) / _NEAR
+    mean = _mean(images, fractions)
+    denoised = metric.transform(mean)
+    value_bias = 0.0
+    for fraction, image in zip(fractions.tolist(), images.clamp_min(0), strict=True):
+        step = math.sqrt(fraction)
+        _, stepped = metric.value_and_adjoint_at(torch.lerp(denoised, image, step))
+        others = mean - denoised - fraction * (image - denoised)
+        product = ((stepped - adjoint).double() * others.double()).sum().item()
+        value_bias += fraction / step * product / 2
+    _, stepped = metric.value_and_adjoint_at(torch.lerp(denoised, mean.clamp_min(0), _PROBE_STEP))
+    return value_bias / (1 - fractions.square().sum().item()), (stepped - adjoint) / _PROBE_STEP
 
 
 def _mean(images: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Return a weighted mean: of equal images that image, and nowhere below all of them, in spite of rounding."""
+    """Return a weighted mean that is exact for equal images, and never below their minimum despite rounding."""
     first = images[0]
     return (first + torch.einsum("r,r...->...", weights.to(images), images - first)).clamp_min(images.amin(0))
 
 
-def _at_means(
+def _evaluate_at_means(
     metric: TargetedMetric, images: torch.Tensor, weights: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the metric's values and adjoints at weighted means of the images, one for each row of weights."""
+    """Return the metric's values and adjoints at the weighted mean of the images for each row of weights."""
     values, adjoints = zip(*(metric.value_and_adjoint(_mean(images, row)) for row in weights), strict=True)
     return torch.tensor(values, dtype=torch.float64), torch.stack(adjoints)
 
 
-def _excess(moved: torch.Tensor, centre: torch.Tensor | float, step: float) -> torch.Tensor:
-    """Return by how much the noise of the mean image lifts what is known at means with more noise by ``step``."""
-    count = len(moved)
-    return (moved.mean(0) - centre) / (step**2 * (count - 1) / count)
+def _second_order(stepped: torch.Tensor, centre: torch.Tensor | float, step: float) -> torch.Tensor:
+    """Return the second-order effect of the noise of the mean image, from steps of ``step`` times that noise."""
+    count = len(stepped)
+    return (stepped.mean(0) - centre) / (step**2 * (count - 1) / count)
 
 
-def _trust(far: torch.Tensor, near: torch.Tensor) -> float:
-    """Return how much of a bias is bias and not noise, between 0 and 1, from two estimates.
+def _shrinkage(full_step: torch.Tensor, half_step: torch.Tensor) -> float:
+    """Return the estimated fraction of bias, as opposed to noise, in a bias estimate; between 0 and 1.
 
-    ``near`` was made with half the step. Where the metric bends smoothly, both are alike. Where its derivative
-    jumps, as that of a network with ReLUs at every kink, they are mostly noise: the number of jumps on the way is
-    proportional to the step ``t``, their signs are random, and the sum is divided by ``t²``, so that the square of
-    the noise goes as ``t⁻³``: eight times as much at half the step.
+    For a smoothly curved metric the estimates at full and at half step agree. If the metric's derivative jumps,
+    like that of a ReLU network at every kink, they are mostly noise: the number of jumps crossed is proportional
+    to the step ``t``, their signs are random, and the sum is divided by ``t²``, so that the squared noise is
+    proportional to ``t⁻³``, eight times larger at half the step.
     """
-    square, nearer = (one.double().square().sum().item() for one in (far, near))
-    noise = (nearer - square) / (8 - 1)
-    return min(1.0, max(0.0, 1 - noise / square)) if square else 0.0
+    full, half = (bias.double().square().sum().item() for bias in (full_step, half_step))
+    noise = (half - full) / (8 - 1)
+    return min(1.0, max(0.0, 1 - noise / full)) if full else 0.0
 
 
-def _is_agreed(bends: torch.Tensor, image: torch.Tensor) -> bool:
-    """Whether all means of the pictures say the same of a bias, so that it is worth taking out.
+def _is_consistent(curvature: torch.Tensor, image: torch.Tensor) -> bool:
+    """Whether a bias is consistent over all weighted means of the images, so that it is worth removing.
 
-    Where a metric bends alike in many pixels, they agree. Where it bends in a few that happen to lie near a
-    threshold, they do not: taking their mean out would add more noise than it removes bias.
+    It is if many pixels contribute similarly. If it comes from a few pixels that happen to be close to a
+    threshold, removing it would add more noise than it removes bias.
 
     Parameters
     ----------
-    bends
-        ``(means, …)``: by how much the adjoint bends on the way to each.
+    curvature
+        ``(means, …)``: second difference of the adjoint towards each mean.
     image
-        Weighs the pixels by their light.
+        Weights of the pixels.
     """
-    told = (bends * image).double().flatten(1).sum(1)
-    return bool(told.mean().abs() > _AGREED * told.std() / math.sqrt(len(told)))
+    weighted = (curvature * image).double().flatten(1).sum(1)
+    return bool(weighted.mean().abs() > _CONSISTENT_BIAS * weighted.std() / math.sqrt(len(weighted)))
 
 
 @lru_cache(maxsize=64)
 def _directions(roots: tuple[float, ...]) -> tuple[torch.Tensor, float]:
     """Return ``V``, ``(n, n)`` with ``VᵀV = 1 − s sᵀ`` and rows that sum to 0, and the step ``t``.
 
-    ``t`` is the largest with which no element of ``s ± t·v`` is below 0, for any row. Where ``s`` has equal
-    elements, the shifts of any sequence whose spectrum is flat, but for the mean, will do; a reflection turns
-    these into those of another ``s``. Of many sequences with random phases the best is taken.
+    ``t`` is the largest step for which no element of ``s ± t·v`` is negative, for any row. If all elements of
+    ``s`` are equal, the cyclic shifts of any sequence with a flat spectrum (except for the mean) are a solution; a
+    reflection maps them to any other ``s``. Takes the best of many sequences with random phases.
     """
     count = len(roots)
     random = np.random.default_rng(0)
-    tries = min(200, 1 + 10**6 // count**2)  # many passes take memory, and fit well enough
+    tries = min(200, 1 + 10**6 // count**2)  # limits memory; many replicates need few tries
     spectra = np.exp(2j * np.pi * random.uniform(size=(tries, count // 2 + 1)))
     spectra[:, 0] = 0
     if count % 2 == 0:
@@ -264,46 +276,48 @@ def _directions(roots: tuple[float, ...]) -> tuple[torch.Tensor, float]:
 
 
 def _reflection(direction: np.ndarray) -> np.ndarray:
-    """Return the reflection that turns the unit vector of equal elements into another one."""
+    """Return the Householder reflection that maps the unit vector with equal elements to ``direction``."""
     normal = len(direction) ** -0.5 - direction
     square = normal @ normal
     identity: np.ndarray = np.eye(len(direction))
     return identity if square < 1e-24 else identity - 2 / square * np.outer(normal, normal)
 
 
-def still_linear(metric: TargetedMetric, elsewhere: Adjoints, image: torch.Tensor) -> Adjoints | None:
-    """Let a metric that was linear elsewhere see one image; return None where it is linear no more.
-
-    A linear metric has the same adjoint everywhere.
-    """
+def adjoints_if_linear(metric: TargetedMetric, known: Adjoints, image: torch.Tensor) -> Adjoints | None:
+    """Evaluate a metric at a single image if its adjoint equals that at another point, else return None."""
     value, adjoint = metric.value_and_adjoint(image)
-    if not (elsewhere.is_linear and _is_rounding(adjoint - elsewhere.passes[0], adjoint)):
+    if not (known.is_linear and _is_rounding(adjoint - known.per_replicate[0], adjoint)):
         return None
     return Adjoints(value, None, 0.0, (adjoint,), None)
 
 
 def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
-    """Whether a metric has the same adjoint at two pictures: two that differ, or one and a darker one made of it.
+    """Whether a metric has the same adjoint at two different images; the second may be derived from the first.
 
-    One that has no derivative is not linear, as far as can be told.
+    A metric without a derivative counts as non-linear.
     """
     first = images[0]
     darker = torch.lerp(first, first.roll(1, 0), 0.5) / 2
     other = next((image for image in images[1:] if not torch.equal(image, first)), darker)
-    adjoint, moved = (metric.value_and_derivative(image)[1] for image in (first, other))
-    return adjoint is not None and moved is not None and _is_rounding(moved - adjoint, adjoint)
+    adjoint, other_adjoint = (metric.value_and_derivative(image)[1] for image in (first, other))
+    if adjoint is None or other_adjoint is None:
+        return False
+    return _is_rounding(other_adjoint - adjoint, adjoint)
 
 
-def through_view(
+def with_image_transform(
     metrics: Sequence[TargetedMetric],
     images: Sequence[torch.Tensor],
-    viewer: Viewer,
+    transform_selector: TransformSelector,
     samples: Sequence[float] | None = None,
 ) -> list[TargetedMetric]:
-    """Return the metrics, those that are not linear with the view that suits the pictures of a scene."""
+    """Return the metrics, the non-linear ones with the image transform that is selected for these images."""
     linear = [is_linear(metric, images) for metric in metrics]
-    view = RAW if all(linear) else viewer.choose(images, samples)
-    return [m if one else m.through(view) for m, one in zip(metrics, linear, strict=True)]
+    transform = IDENTITY if all(linear) else transform_selector.select(images, samples)
+    return [
+        metric if is_lin else metric.with_transform(transform)
+        for metric, is_lin in zip(metrics, linear, strict=True)
+    ]
 
 
 def _is_rounding(difference: torch.Tensor, of: torch.Tensor) -> bool:

@@ -1,4 +1,4 @@
-"""What all gradient methods do alike: read the call, take gradients at points, and return results."""
+"""Shared implementation of the gradient methods: from the arguments of ``attribute`` to its results."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
 from ._attribution import SceneAttribution, make_attribution, metric_interval
 from ._gradients import (
-    LEAST_SEEN,
-    Gradients,
+    MIN_METRIC_SPP,
+    GradientEstimator,
     GradientSum,
     Point,
     input_values,
     require_memory,
     sum_gradients,
 )
-from ._groups import Groups, add_up, resolve_groups
+from ._groups import Groups, resolve_groups, sum_groups
 from ._interruption import AttributionInterrupted
-from ._jackknife import Adjoints, jackknife, through_view
+from ._jackknife import Adjoints, jackknife, with_image_transform
 from ._metric import Metric, Target, TargetedMetric
-from ._passes import Budget, pictures
+from ._passes import Budget, render_images
 from ._picture_info import describe_picture
-from ._view import Denoise, Viewer
+from ._view import Denoise, TransformSelector
 
 Targets: TypeAlias = "Target | list[Target]"
 
 # A ``SceneAttribution``, or a list of them where ``target`` is a list.
 Result: TypeAlias = Any
 
-# One sample for so many shows the metric the inputs themselves, where gradients are taken elsewhere.
-OWN = 8
+# If gradients are evaluated at other points, the metric at the inputs gets this fraction of the samples.
+INPUT_SAMPLE_FRACTION = 1 / 8
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What was asked for, in every method alike."""
+    """Arguments common to all methods."""
 
     seed: int
     spp: int | None
@@ -56,20 +56,20 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Own:
-    """The metric at the inputs themselves, and their picture.
+class InputEvaluation:
+    """The metric at the inputs, and their image.
 
     Attributes
     ----------
-    samples
-        Per pixel of the picture, where they are known.
+    spp
+        Samples per pixel of the image, if known.
     metric
-        With the view through which it saw the picture.
+        With the image transform that was used.
     """
 
     adjoints: Adjoints
     image: torch.Tensor
-    samples: int | None
+    spp: int | None
     metric: TargetedMetric
 
 
@@ -83,126 +83,140 @@ class Run:
         The inputs to attribute to.
     metrics
         One for each target.
-    several
-        Whether the targets were a list.
+    returns_list
+        Whether the targets were given as a list.
     members
-        The parameters of each group, where there are groups.
+        The parameters of each group, or None without groups.
     """
 
     method: str
     renderer: Any
     values: dict[str, torch.Tensor]
     metrics: list[TargetedMetric]
-    several: bool
+    returns_list: bool
     members: dict[str, tuple[str, ...]] | None
     settings: Settings
     watch: Stopwatch = field(init=False)
-    viewer: Viewer = field(init=False)
+    transform_selector: TransformSelector = field(init=False)
 
     def __post_init__(self) -> None:
         self.watch = Stopwatch(self.renderer)
-        self.viewer = Viewer(self.settings.denoise, self.renderer)
+        self.transform_selector = TransformSelector(self.settings.denoise, self.renderer)
 
-    def finish(
+    def attribute(
         self,
         points: Iterable[Point],
         count: int = 1,
         *,
-        at_random: bool = False,
+        random_points: bool = False,
         moment: Callable[[GradientSum], GradientSum] | None = None,
         **info: Any,
     ) -> Result:
-        """Sum the gradients of so many points, and return what ``attribute`` returns.
+        """Sum the gradients of ``count`` points and return the result of ``attribute``.
 
-        With a ``moment`` the result is what this makes of all points, each of which tells its noise.
+        ``moment`` computes another statistic from all points, each of which then has several replicates.
         """
-        budget = self.budget(count, pairs=1 if at_random and moment is None else count)
-        sums, gradients, interrupted = self.sums(points, budget, at_random=at_random, keep=moment is not None)
+        budget = self.budget(count, pairs=1 if random_points and moment is None else count)
+        sums, gradients, interrupted = self.sums(
+            points, budget, random_points=random_points, keep_points=moment is not None
+        )
         if count == 1:
-            owns = [
-                Own(one.seen, gradients.image, gradients.samples, metric.through(one.seen.view))
-                for metric, one in zip(self.metrics, sums, strict=True)
-                if one.seen is not None
+            evaluations = [
+                InputEvaluation(
+                    total.adjoints,
+                    gradients.image,
+                    gradients.total_image_spp,
+                    metric.with_transform(total.adjoints.transform),
+                )
+                for metric, total in zip(self.metrics, sums, strict=True)
+                if total.adjoints is not None
             ]
         else:
-            owns = self.own(self.own_images([self.values], sums)[0])
+            evaluations = self.evaluate_inputs(self.render_scenes([self.values], sums)[0])
         results = [
             self.result(
                 metric,
-                moment(one) if moment else one,
-                own,
+                moment(total) if moment else total,
+                evaluation,
                 budget,
                 gradients,
                 interrupted=interrupted,
                 **info,
             )
-            for metric, one, own in zip(self.metrics, sums, owns, strict=True)
+            for metric, total, evaluation in zip(self.metrics, sums, evaluations, strict=True)
         ]
-        return self.hand_over(results, interrupted=interrupted)
+        return self.return_results(results, interrupted=interrupted)
 
     def budget(self, points: int, *, pairs: int | None = None) -> Budget:
-        """Split the samples over so many points, the first ``pairs`` of which are seen twice or more."""
+        """Split the samples over the points; the first ``pairs`` points have at least two replicates."""
         settings = self.settings
         budget = Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
-        budget = budget.with_pictures(settings.picture_spp, budget.total)
-        require_memory(self.renderer, budget.spp, max(budget.passes))
+        budget = budget.with_picture_spp(settings.picture_spp, budget.total)
+        require_memory(self.renderer, budget.spp, max(budget.replicates))
         return budget
 
     def sums(
-        self, points: Iterable[Point], budget: Budget, *, at_random: bool = False, keep: bool = False
-    ) -> tuple[list[GradientSum], Gradients, bool]:
-        """Sum the gradients of points for each target; say whether Ctrl-C ended it early."""
+        self,
+        points: Iterable[Point],
+        budget: Budget,
+        *,
+        random_points: bool = False,
+        keep_points: bool = False,
+    ) -> tuple[list[GradientSum], GradientEstimator, bool]:
+        """Sum the gradients of the points for each target; also return whether Ctrl-C interrupted it."""
         with tqdm(
-            total=2 * sum(budget.passes),
+            total=2 * sum(budget.replicates),
             disable=not self.settings.show_progress,
             desc=self.metrics[0].name,
-            unit="pass",
+            unit="replicate",
         ) as bar:
-            gradients = Gradients(self.renderer, self.metrics, budget, self.viewer, bar)
-            sums, interrupted = sum_gradients(gradients, points, at_random=at_random, keep=keep)
+            gradients = GradientEstimator(self.renderer, self.metrics, budget, self.transform_selector, bar)
+            sums, interrupted = sum_gradients(
+                gradients, points, random_points=random_points, keep_points=keep_points
+            )
         return sums, gradients, interrupted
 
-    def own(self, images: Sequence[torch.Tensor], samples: int | None = None) -> list[Own]:
-        """Let every metric see the inputs themselves, in pictures of so many samples per pixel in all."""
+    def evaluate_inputs(self, images: Sequence[torch.Tensor]) -> list[InputEvaluation]:
+        """Evaluate every metric on images of the inputs."""
         image = torch.stack(tuple(images)).mean(0)
-        metrics = through_view(self.metrics, images, self.viewer)
-        return [Own(jackknife(metric, images), image, samples, metric) for metric in metrics]
+        metrics = with_image_transform(self.metrics, images, self.transform_selector)
+        return [InputEvaluation(jackknife(metric, images), image, None, metric) for metric in metrics]
 
-    def own_images(
+    def render_scenes(
         self, scenes: Sequence[Mapping[str, torch.Tensor]], sums: Sequence[GradientSum]
     ) -> list[list[torch.Tensor]]:
-        """Render scenes in independent passes, all under the same seeds: their differences have less noise.
+        """Render independent replicates of each scene, with common random numbers for all scenes.
 
-        ``sums`` tell whether every metric is linear.
+        ``sums`` show whether the metrics are linear.
         """
         settings, spp = self.settings, self.settings.spp
         if spp is not None:
-            linear = all(one.seen is not None and one.seen.is_linear for one in sums)
-            spp = max(math.ceil(spp / OWN), 1 if linear else LEAST_SEEN)
+            linear = all(total.adjoints is not None and total.adjoints.is_linear for total in sums)
+            spp = max(math.ceil(spp * INPUT_SAMPLE_FRACTION), 1 if linear else MIN_METRIC_SPP)
         seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
         budget = Budget.split(spp, settings.replicates, seed)
-        return [pictures(self.renderer, values, budget.seeds[0], budget.spp[0]) for values in scenes]
+        return [render_images(self.renderer, values, budget.seeds[0], budget.spp[0]) for values in scenes]
 
     def result(
         self,
         metric: TargetedMetric,
-        found: GradientSum,
-        own: Own,
+        total: GradientSum,
+        evaluation: InputEvaluation,
         budget: Budget,
-        gradients: Gradients,
+        gradients: GradientEstimator,
         *,
         interrupted: bool,
         **info: Any,
     ) -> SceneAttribution:
-        """Put one result together."""
-        seen = own.adjoints
-        interval = metric_interval(seen.value, seen.standard_error, found.replicates)
+        """Build the result for one target."""
+        adjoints = evaluation.adjoints
+        interval = metric_interval(adjoints.value, adjoints.standard_error, total.replicates)
         attribution = make_attribution(
             self.renderer,
-            found,
-            seen,
+            total,
+            adjoints,
             values=self.values,
-            image=own.image,
+            image=evaluation.image,
             info={
                 "method": self.method,
                 "metric": metric.name,
@@ -210,41 +224,40 @@ class Run:
                 "spp": budget.total,
                 "budget": _budget_info(budget, gradients),
                 "picture": describe_picture(
-                    seen.view,
-                    seen.value,
-                    seen.drift,
-                    own.samples,
-                    denoised=seen.denoised,
+                    adjoints.transform,
+                    adjoints.value,
+                    adjoints.drift,
+                    evaluation.spp,
+                    denoised=adjoints.denoised,
                     interval=interval,
                     half_class=getattr(metric.metric, "half_class", None),
                 ),
                 "interrupted": interrupted,
-                **self.watch.record,
+                **self.watch.info,
                 **info,
             },
         )
-        return attribution if self.members is None else add_up(attribution, self.members)
+        return attribution if self.members is None else sum_groups(attribution, self.members)
 
-    def hand_over(self, results: list[SceneAttribution], *, interrupted: bool) -> Result:
-        """Return the results as they were asked for, or raise them where Ctrl-C ended it early."""
+    def return_results(self, results: list[SceneAttribution], *, interrupted: bool) -> Result:
+        """Return one result or a list, as requested; raise AttributionInterrupted after an interruption."""
         if interrupted:
             raise AttributionInterrupted(*results)
-        return results if self.several else results[0]
+        return results if self.returns_list else results[0]
 
 
-def _budget_info(budget: Budget, gradients: Gradients) -> dict[str, Any]:
-    """Say how the samples were split."""
-    counts = [one for one in budget.spp if one is not None]
+def _budget_info(budget: Budget, gradients: GradientEstimator) -> dict[str, Any]:
+    counts = [spp for spp in budget.spp if spp is not None]
     return {
-        "points": gradients.points,
-        "passes_per_point": [min(budget.passes), max(budget.passes)],
-        "spp_per_pass": [min(counts), max(counts)] if counts else None,
-        "spp_added_for_the_metric": gradients.extra,
+        "points": gradients.n_points,
+        "replicates_per_point": [min(budget.replicates), max(budget.replicates)],
+        "spp_per_replicate": [min(counts), max(counts)] if counts else None,
+        "spp_added_for_the_metric": gradients.extra_spp,
     }
 
 
 class GradientMethod:
-    """Base of the methods that take gradients.
+    """Base class of the gradient methods.
 
     Parameters
     ----------
@@ -252,7 +265,7 @@ class GradientMethod:
         A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image torch can
         differentiate.
     metric
-        A torch function from the image to a scalar, or to a vector of which ``target`` names an element.
+        A torch function from the image to a scalar, or to a vector indexed by ``target``.
     """
 
     def __init__(self, renderer: Any, metric: Metric) -> None:
@@ -267,14 +280,14 @@ class GradientMethod:
             renderer=with_checkpoint(self.renderer, settings.checkpoint),
             values=values,
             members=None if groups is None else resolve_groups(self.renderer, values, groups),
-            metrics=[TargetedMetric(self.metric, one) for one in listed(target)],
-            several=isinstance(target, list),
+            metrics=[TargetedMetric(self.metric, element) for element in target_list(target)],
+            returns_list=isinstance(target, list),
             settings=dataclasses.replace(settings, spp=spp),
         )
 
 
-def listed(target: Targets) -> list[Target]:
+def target_list(target: Targets) -> list[Target]:
     """Return the targets as a list."""
     if target == []:
-        raise SceneCaptumError("target is an empty list: name at least one element of the metric's output.")
+        raise SceneCaptumError("target is an empty list: give at least one element of the metric's output.")
     return target if isinstance(target, list) else [target]

@@ -1,4 +1,4 @@
-"""Evaluating a metric and its adjoint image, and saying clearly what is wrong with one that cannot be used."""
+"""Evaluating a metric and its adjoint image, with clear errors for metrics that cannot be used."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 
 import torch
 
-from .._finite import NotFiniteError, place
 from ..errors import SceneCaptumError
-from ._view import RAW, View
+from ..finite import NotFiniteError, describe_location
+from ._view import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | tuple[int, ...] | None"
@@ -20,26 +20,26 @@ Target: TypeAlias = "int | tuple[int, ...] | None"
 
 @dataclass(frozen=True)
 class TargetedMetric:
-    """A metric, the element of its output that is attributed, and how it sees a picture.
+    """A metric, the element of its output that is attributed, and the transform of its input image.
 
-    Where the picture ``I`` is denoised first, to ``S``, the value is ``M(S) + ⟨∇M(S), I − S⟩`` and the adjoint
-    ``∇M(S)``. To first order the value is then free of what the denoiser has changed, and linear in the noise of
-    the picture, which therefore puts no bias into it.
+    If the image ``I`` is first denoised to ``S``, the value is ``M(S) + ⟨∇M(S), I − S⟩`` and the adjoint
+    ``∇M(S)``. To first order, the value is then free of the denoiser's bias, and linear in the noise of the image,
+    which therefore causes no bias.
     """
 
     metric: Metric
     target: Target = None
-    view: View = RAW
+    transform: ImageTransform = IDENTITY
 
     @property
     def name(self) -> str:
-        """What the metric is called, in tables and figures."""
+        """Name for tables and figures."""
         name = getattr(self.metric, "__name__", type(self.metric).__name__)
         return name if self.target is None else f"{name}[{self.target}]"
 
-    def through(self, view: View) -> TargetedMetric:
-        """Return the same metric with another view."""
-        return dataclasses.replace(self, view=view)
+    def with_transform(self, transform: ImageTransform) -> TargetedMetric:
+        """Return the same metric with another transform."""
+        return dataclasses.replace(self, transform=transform)
 
     def value_and_adjoint(self, image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return the metric's value at an image and its derivative with respect to every pixel.
@@ -47,15 +47,15 @@ class TargetedMetric:
         Raises
         ------
         SceneCaptumError
-            Where the metric does not return a finite scalar that depends on the image.
+            If the metric does not return a finite scalar that depends on the image.
         """
-        seen = self.view(image.detach())
-        value, adjoint = self.value_and_adjoint_at(seen)
-        return value + _product(adjoint, image.detach() - seen), adjoint
+        metric_image = self.transform(image.detach())
+        value, adjoint = self.value_and_adjoint_at(metric_image)
+        return value + _inner_product(adjoint, image.detach() - metric_image), adjoint
 
-    def value_and_adjoint_at(self, seen: torch.Tensor) -> tuple[float, torch.Tensor]:
-        """Return the same at the very picture that is given, which is not denoised."""
-        leaf = seen.detach().requires_grad_()
+    def value_and_adjoint_at(self, metric_image: torch.Tensor) -> tuple[float, torch.Tensor]:
+        """Return value and adjoint at this image, without the transform."""
+        leaf = metric_image.detach().requires_grad_()
         with torch.enable_grad():
             value = self._scalar(self.output(leaf))
         if not value.requires_grad:
@@ -64,21 +64,22 @@ class TargetedMetric:
         if adjoint is None:
             raise SceneCaptumError(self._does_not_depend())
         bad = ~torch.isfinite(adjoint)
+        location = describe_location(bad, "camera") if bad.any() else ""
         if not torch.isfinite(value):
-            where = f", with a derivative that is not finite at {place(bad, 'camera')}" if bad.any() else ""
+            where = f", with a derivative that is not finite at {location}" if location else ""
             raise NotFiniteError(
                 f"The metric {self.name} is {value.item()} on the rendered image, which is finite{where}."
             )
-        if bad.any():
+        if location:
             raise NotFiniteError(
                 f"The metric {self.name} has a derivative that is not finite on {int(bad.any(-1).sum())} of "
-                f"{adjoint[..., 0].numel()} pixels: {place(bad, 'camera')}. A square root or logarithm of 0 is "
-                "the usual cause: add a small constant inside it."
+                f"{adjoint[..., 0].numel()} pixels: {location}. A square root or logarithm of 0 is the usual "
+                "cause: add a small constant inside it."
             )
         return value.item(), adjoint
 
     def output(self, image: torch.Tensor) -> Any:
-        """Call the metric on an image, which it must leave as it is: other passes see it too."""
+        """Call the metric on an image, which it must not modify in place."""
         version = image._version
         try:
             output = self.metric(image)
@@ -91,21 +92,21 @@ class TargetedMetric:
         return output
 
     def value(self, image: torch.Tensor) -> float:
-        """Return the metric's value at an image, finite or not: a logarithm of a black image is -inf.
+        """Return the metric's value at an image, which may be infinite, like the logarithm of a black image.
 
-        A metric without derivatives sees what the denoiser makes of the image, and is not corrected.
+        Without a derivative, the value at the denoised image is returned without correction.
         """
         image = image.detach()
-        seen = self.view(image)
-        value, adjoint = self.value_and_derivative(seen, wanted=seen is not image)
-        return value if adjoint is None else value + _product(adjoint, image - seen)
+        metric_image = self.transform(image)
+        value, adjoint = self.value_and_derivative(metric_image, differentiate=metric_image is not image)
+        return value if adjoint is None else value + _inner_product(adjoint, image - metric_image)
 
     def value_and_derivative(
-        self, seen: torch.Tensor, *, wanted: bool = True
+        self, metric_image: torch.Tensor, *, differentiate: bool = True
     ) -> tuple[float, torch.Tensor | None]:
-        """Return the value at the very picture that is given and its derivative, or None where it has none."""
-        leaf = seen.detach().requires_grad_(wanted)
-        with torch.set_grad_enabled(wanted):
+        """Return the value at this image, without the transform, and its derivative or None if there is none."""
+        leaf = metric_image.detach().requires_grad_(differentiate)
+        with torch.set_grad_enabled(differentiate):
             value = self._scalar(self.output(leaf))
         if not (value.requires_grad and torch.isfinite(value)):
             return value.item(), None
@@ -113,17 +114,17 @@ class TargetedMetric:
         return value.item(), adjoint if adjoint is not None and torch.isfinite(adjoint).all() else None
 
     def value_of(self, output: Any) -> float:
-        """Return the value that is attributed, from an output of the metric.
+        """Return the attributed value from an output of the metric.
 
         Raises
         ------
         SceneCaptumError
-            Where it is not a finite scalar.
+            If it is not a finite scalar.
         """
         return self.check_value(self._scalar(output).item())
 
     def check_value(self, value: float) -> float:
-        """Return a value of the metric, if it is finite; raise otherwise."""
+        """Return the value if it is finite; raise otherwise."""
         if not math.isfinite(value):
             raise SceneCaptumError(
                 f"The metric {self.name} is {value}. A logarithm of 0 or a division by 0 is the usual cause: "
@@ -140,30 +141,30 @@ class TargetedMetric:
         if self.target is not None:
             output = self._at_target(output)
         if output.is_meta or output.is_complex():
-            came = "on the meta device, which holds no numbers" if output.is_meta else "complex"
+            kind = "on the meta device, which has no data" if output.is_meta else "complex"
             raise SceneCaptumError(
-                f"The metric {self.name} must return a real number; it returned one {came}."
+                f"The metric {self.name} must return a real number; it returned one {kind}."
             )
         if output.numel() != 1:
             raise SceneCaptumError(
                 f"The metric {self.name} must return a scalar; it returned shape {tuple(output.shape)}. "
-                "Say which element is meant with target=, or reduce it, for example with .mean()."
+                "Select an element with target=, or reduce it, for example with .mean()."
             )
         scalar: torch.Tensor = output.reshape(())
         return scalar
 
     def _at_target(self, output: torch.Tensor) -> torch.Tensor:
         try:
-            chosen: torch.Tensor = output[self.target]
+            element: torch.Tensor = output[self.target]
         except (IndexError, TypeError) as error:
             raise SceneCaptumError(
                 f"target={self.target!r} does not index the metric's output of shape {tuple(output.shape)}."
             ) from error
-        return chosen
+        return element
 
     def _changes_the_image(self) -> str:
         return (
-            f"The metric {self.name} changes the image that it is given. Write image = image * 2 instead of "
+            f"The metric {self.name} modifies its input image in place. Write image = image * 2 instead of "
             "image *= 2 or image.mul_(2), or begin with image = image.clone()."
         )
 
@@ -174,6 +175,5 @@ class TargetedMetric:
         )
 
 
-def _product(adjoint: torch.Tensor, difference: torch.Tensor) -> float:
-    """Return the inner product of two pictures; of a picture that is not changed it is 0."""
+def _inner_product(adjoint: torch.Tensor, difference: torch.Tensor) -> float:
     return float((adjoint.double() * difference.double()).sum())

@@ -1,4 +1,4 @@
-"""What all perturbation methods share: measuring changed scenes with the same samples, and their error bars."""
+"""Shared implementation of the perturbation methods: the metric of changed scenes with common random numbers."""
 
 from __future__ import annotations
 
@@ -11,34 +11,35 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from .._finite import located
 from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..finite import error_context
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._completeness import convergence
 from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
-from ._jackknife import through_view
-from ._method import Result, Settings, Targets, listed
+from ._jackknife import with_image_transform
+from ._method import Result, Settings, Targets, target_list
 from ._metric import Metric, TargetedMetric
-from ._passes import covariance_of_mean, pictures
+from ._passes import covariance_of_mean, render_images
 from ._picture_info import describe_picture
-from ._values import summarise
-from ._view import Viewer
+from ._values import summarize
+from ._view import TransformSelector
 
 
 @dataclass(frozen=True)
 class ArmBudget:
-    """How samples are split over the arms, which are the unchanged scene and every changed one.
+    """Samples and seeds for the arms, which are the unchanged scene and all changed scenes.
 
     Attributes
     ----------
     arms
-        Number of scenes that are rendered.
+        Number of scenes.
     spp
-        Samples per pixel in each replicate of each arm, or None where the renderer decides.
+        Samples per pixel of each replicate of each arm, or None for the renderer's default.
     seeds
-        A seed for each replicate, the same for all arms: what two arms have in common cancels, noise included.
+        A seed for each replicate. All arms have the same (common random numbers), so that noise cancels in
+        differences.
     """
 
     arms: int
@@ -47,7 +48,7 @@ class ArmBudget:
 
     @classmethod
     def split(cls, spp: int | None, arms: int, replicates: int, seed: int) -> ArmBudget:
-        """Give each arm ``⌈spp / arms⌉`` samples, split over the replicates, and each replicate one at least."""
+        """Split samples over arms and replicates: ``⌈⌈spp / arms⌉ / replicates⌉`` each."""
         replicates = whole_number("replicates", replicates)
         states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(replicates)
         if spp is not None:
@@ -68,31 +69,31 @@ class ArmBudget:
 
 @dataclass(frozen=True)
 class Arm:
-    """One scene to be measured: what is special about it, in words, and its values."""
+    """A scene to measure: a description for messages, and its values."""
 
-    what: str
+    description: str
     values: Callable[[], Mapping[str, torch.Tensor]]
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What the arms gave; fewer than asked for after an interruption.
+class ArmMeasurements:
+    """The metric of each arm; after an interruption only of the finished arms.
 
     Attributes
     ----------
-    pseudo
-        ``(arms, replicates, targets)`` in float64: ``R·M(mean image) − (R − 1)·M(mean without image r)``. An
-        effect is a difference of two arms; its mean over the replicates is free of the bias of order ``1/R``
-        that noise puts into a non-linear metric, and its spread gives the standard error (the jackknife's).
+    pseudo_values
+        ``(arms, replicates, targets)`` jackknife pseudo-values in float64: ``R·M(mean image) − (R − 1)·M(mean
+        without image r)``. An effect is a difference of two arms. Its mean over the replicates is free of the bias
+        of order ``1/R`` that noise causes in a non-linear metric, and its variance gives the standard error.
     values
         ``(targets,)``: the metric at the mean image of the first arm, the unchanged scene.
     image
-        That image.
+        The mean image of the unchanged scene.
     inputs
-        That scene's values, in brief.
+        Summary of the values of the unchanged scene.
     """
 
-    pseudo: torch.Tensor
+    pseudo_values: torch.Tensor
     values: torch.Tensor
     image: torch.Tensor
     inputs: Mapping[str, torch.Tensor]
@@ -109,7 +110,7 @@ class Effect:
     Attributes
     ----------
     totals
-        ``(replicates, C)``: the channel totals in every replicate, where their spread is the whole error.
+        ``(replicates, C)``: the channel totals of every replicate, or None if there are other sources of error.
     """
 
     value: torch.Tensor
@@ -119,7 +120,7 @@ class Effect:
 
     @classmethod
     def of_totals(cls, totals: torch.Tensor, like: torch.Tensor) -> Effect:
-        """Shape the ``(replicates, C)`` totals as a parameter; a texture's are spread evenly over its texels."""
+        """Reshape ``(replicates, C)`` totals like a parameter; of a texture spread evenly over texels."""
         covariance = covariance_of_mean(totals) if len(totals) > 1 else None
         texels = 1 if like.ndim < 2 else like[..., 0].numel()
 
@@ -134,157 +135,163 @@ class Effect:
 Effects: TypeAlias = "dict[str, Effect]"
 
 
-class Missed(NamedTuple):
-    """By how much effects exceed the difference that they explain, and this: the noise of both is the same."""
+class Residual(NamedTuple):
+    """The sum of the effects minus the difference that they explain, and this difference."""
 
     delta: float
     explained: float
 
 
 class Perturbation:
-    """A method that compares renders of changed scenes, and never differentiates one."""
+    """Base class of methods that compare the metric of changed scenes, without derivatives."""
 
     def __init__(self, renderer: Any, metric: Metric) -> None:
         self.renderer = renderer
         self.metric = metric
 
-    def _measure(self, arms: Sequence[Arm], target: Targets, settings: Settings) -> Measured:
-        """Measure every arm with the same seeds; the first is the unchanged scene.
+    def _measure(self, arms: Sequence[Arm], target: Targets, settings: Settings) -> ArmMeasurements:
+        """Measure every arm with common random numbers; the first arm is the unchanged scene.
 
-        Only the images of one arm are in memory at any time.
+        Only the images of one arm are in memory at a time.
         """
         renderer = with_checkpoint(self.renderer, settings.checkpoint)
         watch = Stopwatch(renderer)
-        metrics = tuple(TargetedMetric(self.metric, one) for one in listed(target))
+        metrics = tuple(TargetedMetric(self.metric, element) for element in target_list(target))
         spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
         budget = ArmBudget.split(spp, len(arms), settings.replicates, settings.seed)
         require_memory(renderer, [budget.spp], len(budget.seeds))
         bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
-        pseudo, interrupted = [], False
+        pseudo_values, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            metrics = tuple(through_view(metrics, images, Viewer(settings.denoise, renderer)))
-            values, first = _pseudo_values(metrics, images, arms[0].what)
+            metrics = tuple(
+                with_image_transform(metrics, images, TransformSelector(settings.denoise, renderer))
+            )
+            values, first = _pseudo_values(metrics, images, arms[0].description)
             image = torch.stack(images).mean(0)
-            pseudo.append(first)
+            pseudo_values.append(first)
             bar.update()
             try:
                 for arm in arms[1:]:
-                    pseudo.append(_pseudo_values(metrics, _images(renderer, arm, budget), arm.what)[1])
+                    images = _images(renderer, arm, budget)
+                    pseudo_values.append(_pseudo_values(metrics, images, arm.description)[1])
                     bar.update()
             except KeyboardInterrupt:
                 interrupted = True
-        info = {"method": type(self).__name__, "seed": settings.seed, **watch.record}
-        inputs = summarise(arms[0].values())
-        return Measured(torch.stack(pseudo), values, image, inputs, metrics, budget, interrupted, info)
+        info = {"method": type(self).__name__, "seed": settings.seed, **watch.info}
+        inputs = summarize(arms[0].values())
+        return ArmMeasurements(
+            torch.stack(pseudo_values), values, image, inputs, metrics, budget, interrupted, info
+        )
 
     def _results(
         self,
-        measured: Measured,
+        measured: ArmMeasurements,
         target: Targets,
-        effects_of: Callable[[torch.Tensor], tuple[Effects, Missed | None]],
+        effects_of: Callable[[torch.Tensor], tuple[Effects, Residual | None]],
         **info: Any,
     ) -> Result:
-        """Return a result for each target: ``effects_of`` turns ``(arms, replicates)`` into its effects.
+        """Return a result for each target.
 
-        Where these explain a difference, it also tells what they miss of it, but for the noise that both share.
+        ``effects_of`` computes the effects from ``(arms, replicates)`` pseudo-values, and a residual if the
+        effects explain a difference.
 
         Raises
         ------
         AttributionInterrupted
-            With what is finished, if the measurement was interrupted; KeyboardInterrupt if nothing is.
+            If the measurement was interrupted, with the finished effects; KeyboardInterrupt if there are none.
         """
         results = []
         for index in range(len(measured.metrics)):
-            effects, missed = effects_of(measured.pseudo[..., index])
+            effects, residual = effects_of(measured.pseudo_values[..., index])
             if not effects:
                 raise KeyboardInterrupt
-            results.append(self._result(measured, index, effects, missed, info))
+            results.append(self._result(measured, index, effects, residual, info))
         if measured.interrupted:
             raise AttributionInterrupted(*results)
         return results if isinstance(target, list) else results[0]
 
     def _result(
         self,
-        measured: Measured,
+        measured: ArmMeasurements,
         index: int,
         effects: Effects,
-        missed: Missed | None,
+        residual: Residual | None,
         info: Mapping[str, Any],
     ) -> SceneAttribution:
-        value, unbiased = measured.values[index].item(), measured.pseudo[0, :, index]
+        value, unbiased = measured.values[index].item(), measured.pseudo_values[0, :, index]
         count = len(unbiased)
         bias = value - unbiased.mean().item() if count > 1 else None
         error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
         drift = None if bias is None or error is None else (bias, error)
         spp = None if measured.budget.spp is None else count * measured.budget.spp
-        about = {
+        result_info = {
             **getattr(self.renderer, "info", {}),
-            "cautions": {},  # they are about derivatives, and there are none here
+            "cautions": {},  # the renderer's cautions are about derivatives
             **measured.info,
             "metric": measured.metrics[index].name,
             "spp": measured.budget.total,
-            "passes": count,
+            "replicates": count,
             "budget": measured.budget.describe(),
             "metric_bias": bias,
-            "picture": describe_picture(measured.metrics[index].view, value, drift, spp),
+            "picture": describe_picture(measured.metrics[index].transform, value, drift, spp),
             "interrupted": measured.interrupted,
             "versions": _versions(),
             **info,
         }
-        if missed is not None:
+        if residual is not None:
             magnitude = sum(effect.value.abs().sum().item() for effect in effects.values())
-            about |= convergence(missed.delta, None, missed.explained, magnitude)
+            result_info |= convergence(residual.delta, None, residual.explained, magnitude)
         labels = getattr(self.renderer, "labels", {})
         return SceneAttribution(
             attributions={name: effect.value.float() for name, effect in effects.items()},
-            standard_error=_all(
+            standard_error=_all_or_none(
                 {n: None if e.error is None else e.error.float() for n, e in effects.items()}
             ),
             metric_value=value,
             metric_standard_error=None if drift is None else math.hypot(*drift),
-            convergence_delta=None if missed is None else missed.delta,
-            replicates=_all({name: effect.totals for name, effect in effects.items()}) or {},
-            covariance=_all({name: effect.covariance for name, effect in effects.items()}),
+            convergence_delta=None if residual is None else residual.delta,
+            replicates=_all_or_none({name: effect.totals for name, effect in effects.items()}) or {},
+            covariance=_all_or_none({name: effect.covariance for name, effect in effects.items()}),
             parameter_values=measured.inputs,
             labels={name: labels.get(name, name) for name in effects},
             image=measured.image,
             surfaces=surfaces_of(self.renderer, effects),
-            info=about,
+            info=result_info,
         )
 
 
 def _images(renderer: Any, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
-    with located(f"On {arm.what}"):
-        return pictures(renderer, dict(arm.values()), budget.seeds, budget.spp)
+    with error_context(f"On {arm.description}"):
+        return render_images(renderer, dict(arm.values()), budget.seeds, budget.spp)
 
 
-def _all(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:
-    """Return the tensors, or None where one is missing."""
+def _all_or_none(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:
+    """Return the tensors, or None if one is missing."""
     present = {name: tensor for name, tensor in tensors.items() if tensor is not None}
     return present if len(present) == len(tensors) else None
 
 
 def _pseudo_values(
-    metrics: Sequence[TargetedMetric], images: Sequence[torch.Tensor], what: str
+    metrics: Sequence[TargetedMetric], images: Sequence[torch.Tensor], scene: str
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the metrics at the mean image ``(targets,)``, and their pseudo-values ``(replicates, targets)``."""
     count = len(images)
     total = torch.stack(tuple(images)).sum(0)
-    whole = _at(metrics, total / count, what)
+    values = _evaluate(metrics, total / count, scene)
     if count == 1:
-        return whole, whole[None]
-    without = torch.stack([_at(metrics, (total - image) / (count - 1), what) for image in images])
-    return whole, count * whole - (count - 1) * without
+        return values, values[None]
+    without = torch.stack([_evaluate(metrics, (total - image) / (count - 1), scene) for image in images])
+    return values, count * values - (count - 1) * without
 
 
-def _at(metrics: Sequence[TargetedMetric], image: torch.Tensor, what: str) -> torch.Tensor:
-    """Evaluate the metric once, for all targets; through a denoiser for each, which has derivatives of its own."""
+def _evaluate(metrics: Sequence[TargetedMetric], image: torch.Tensor, scene: str) -> torch.Tensor:
+    """Evaluate the metric once for all targets, or for each target if it needs the correction for denoising."""
     try:
-        if any(metric.view.denoises for metric in metrics):
+        if any(metric.transform.denoises for metric in metrics):
             values = [metric.check_value(metric.value(image)) for metric in metrics]
             return torch.tensor(values, dtype=torch.float64)
         output = metrics[0].output(image)
         return torch.tensor([metric.value_of(output) for metric in metrics], dtype=torch.float64)
     except SceneCaptumError as error:
-        raise SceneCaptumError(f"On {what}: {error}") from error
+        raise SceneCaptumError(f"On {scene}: {error}") from error

@@ -1,65 +1,65 @@
-"""What a result records of the picture that its metric saw, and whether that picture was too noisy for it."""
+"""Description of the metric image for a result's ``info``, and a warning if it was too noisy."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from ._jackknife import CHANCE
-from ._view import View
+from ._jackknife import SIGNIFICANT_DRIFT
+from ._view import ImageTransform
 
 ROUNDING = 1e-6
 
 
 def describe_picture(
-    view: View,
+    transform: ImageTransform,
     value: float,
     drift: tuple[float, float] | None,
-    samples: int | None,
+    spp: int | None,
     denoised: float | None = None,
     interval: tuple[float, float] | None = None,
     half_class: float | None = None,
 ) -> dict[str, Any]:
-    """Return in plain values how a metric saw a picture of so many samples per pixel.
+    """Return a plain description of the metric image.
 
     Parameters
     ----------
-    view, value, drift, denoised
+    transform, value, drift, denoised
         As in ``Adjoints``.
-    samples
-        Per pixel of the picture, or None where that is not known.
+    spp
+        Samples per pixel, or None if unknown.
     interval, half_class
-        The 95 % interval of the value, and half the width of the metric's classes, where it has any.
+        The 95 % interval of the value, and half the class width of metrics that have classes.
     """
     return {
-        "spp": samples,
-        "denoised": view.denoises,
-        "relative_error": None if view.raw_error is None else view.raw_error**0.5,
-        "relative_error_denoised": None if view.denoised_error is None else view.denoised_error**0.5,
-        "caution": _caution(value, drift, samples, denoised) or _too_wide(interval, half_class),
+        "spp": spp,
+        "denoised": transform.denoises,
+        "relative_error": None if transform.raw_error is None else transform.raw_error**0.5,
+        "relative_error_denoised": None
+        if transform.denoised_error is None
+        else transform.denoised_error**0.5,
+        "caution": _caution(value, drift, spp, denoised) or _too_wide(interval, half_class),
     }
 
 
 def _caution(
-    value: float, drift: tuple[float, float] | None, samples: int | None, denoised: float | None
+    value: float, drift: tuple[float, float] | None, spp: int | None, denoised: float | None
 ) -> str | None:
-    """Say that the picture is too noisy, where the metric is another at half of the samples, or denoised."""
+    """Return a warning if the metric differs significantly at half of the samples, or after denoising."""
     if drift is None:
         return None
-    more, chance = drift
-    least = max(CHANCE * chance, ROUNDING * abs(value))
+    change, error = drift
+    limit = max(SIGNIFICANT_DRIFT * error, ROUNDING * abs(value))
     noisy = "the picture is too noisy for this metric"
-    if abs(more) > least:
-        counted = (
-            ("half of the samples", "all") if samples is None else (f"{samples / 2:g} spp", f"{samples} spp")
-        )
-        return f"{noisy}: {value + more:.4g} at {counted[0]}, {value:.4g} at {counted[1]}"
-    if denoised is not None and abs(denoised - value) > least:
-        return f"{noisy}: {value:.4g} as it is, {denoised:.4g} denoised"
+    if abs(change) > limit:
+        half, full = ("half of the samples", "all") if spp is None else (f"{spp / 2:g} spp", f"{spp} spp")
+        return f"{noisy}: {value + change:.4g} at {half}, {value:.4g} at {full}"
+    if denoised is not None and abs(denoised - value) > limit:
+        return f"{noisy}: {value:.4g} as rendered, {denoised:.4g} denoised"
     return None
 
 
 def _too_wide(interval: tuple[float, float] | None, half_class: float | None) -> str | None:
-    """Say that the picture is too noisy to tell the class of a rating."""
+    """Return a warning if the interval of the value is wider than a class of the rating."""
     if interval is None or half_class is None or not (width := (interval[1] - interval[0]) / 2) > half_class:
         return None
     return (

@@ -1,4 +1,4 @@
-"""Sampling until an error is small enough, an order is clear, or time is up."""
+"""Adaptive sampling until errors are small enough, a ranking is resolved, or a time limit is reached."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ from ..errors import SceneCaptumError, whole_number
 from ._against import differences
 from ._attribution import SceneAttribution, surfaces_of
 from ._gradients import GradientSum, Point, require_memory
-from ._method import Own, Result, Run
+from ._method import InputEvaluation, Result, Run
 from ._passes import Budget, channel_totals
-from ._rounds import PassTime, Rounds, RoundSum, TimeLimit
+from ._rounds import ReplicateTime, Rounds, RoundSum, TimeLimit
 from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
 
-SHARE = 0.05
-TIE = 0.05  # how near two saliencies are that count as tied, where no tolerance is given
+DEFAULT_SHARE = 0.05
+DEFAULT_TIE = 0.05  # relative difference below which two saliencies are tied
 
-_FREE = 2**14  # samples of a whole picture, for which a pass takes little longer than for none
-_FIRST = 8  # samples of each pass of the first round, where the size of the picture is not known
-_FAR = 8.0  # a prediction of more growth than this is made again on the way
-_LEAST, _MOST = 1.1, 8.0  # growth of all samples by one round
-_SECOND = 1.5  # least growth by the second round: the first does not miss what it has not seen
-_ROUNDS = 10
-_SAMPLES = 2**17  # per pixel, in all rounds
-_CLEAR = 6.0  # standard errors apart: no need to compare
-_MANY = 30.0  # effective samples: a pilot has not seen rare paths either
-_COMPARED = 4  # one sample for so many tells what another renderer would change: they share their seeds
-_SAFE = 0.95  # of the time that is left, to be filled by a round
-_SPENT = 0.05  # of a time limit, too little to begin another round
-_SHORT = 0.5  # of a time limit, which a pass may take that is only timed
-_LITTLE = 1.25  # times the shortest pass: samples that make it no longer are nearly free
+NEARLY_FREE_SAMPLES = 2**14  # of a whole image; they cost little compared to the overhead of a replicate
+DEFAULT_FIRST_SPP = 8  # of each replicate of the first round, if the resolution is unknown
+MAX_RELIABLE_GROWTH = 8.0  # a larger predicted growth is reached in several rounds
+MIN_GROWTH, MAX_GROWTH = 1.1, 8.0  # of the total number of samples, by one round
+# By the second round: light paths that the first round has missed are missing in its errors.
+MIN_SECOND_GROWTH = 1.5
+MAX_ROUNDS = 10
+MAX_SPP = 2**17  # in all rounds
+CLEARLY_SEPARATED = 6.0  # standard errors
+MANY_EFFECTIVE_SAMPLES = 30.0  # from a pilot: rare paths are unlikely
+COMPARISON_DIVISOR = 4  # common random numbers need fewer samples to compare with another renderer
+TIME_SAFETY_FACTOR = 0.95  # of the remaining time, for a round
+MIN_TIME_FRACTION = 0.05  # of the time limit, to start another round
+MAX_TIMING_FRACTION = 0.5  # of the time limit, for a replicate that is only timed
+NEARLY_FREE_FACTOR = 1.25  # times the shortest replicate: samples that fit into this time are nearly free
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What ``attribute`` was asked to reach: see there."""
+    """Stopping criterion; see ``VanillaSceneGradient.attribute``."""
 
     tolerance: float | None
     share: float
@@ -63,7 +64,7 @@ class Goal:
 
     @property
     def is_set(self) -> bool:
-        """Whether there is anything to reach."""
+        """Whether there is any stopping criterion."""
         return not (self.tolerance is None and self.top is None and self.time_limit is None)
 
 
@@ -72,129 +73,142 @@ def _is_number(value: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What is known of one metric's gradients after a round.
+class Assessment:
+    """What is known about the gradients of one metric after a round.
 
     Attributes
     ----------
-    widths
-        The parameters that may have the share, which the report is about.
-    wanted
-        What the goal asks for: that these are known well enough, or the differences between neighbours.
+    significant
+        The parameters that may have the share; they are reported.
+    criteria
+        The quantities that the goal requires to be accurate: parameters, or differences between neighbours.
     quantiles
-        Of ``widths`` and of ``wanted``.
+        Of ``significant`` and of ``criteria``.
     order
-        All parameters by falling saliency.
+        All parameters by descending saliency.
     degrees
         Degrees of freedom of the errors.
     """
 
-    widths: list[Quantity]
-    wanted: list[Quantity]
+    significant: list[Quantity]
+    criteria: list[Quantity]
     quantiles: tuple[float, float]
     order: list[str]
     degrees: int
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """The simultaneous half-width of each parameter that may have the share, in the ℓ2 norm."""
-        return {one.names[0]: self.quantiles[0] * one.error for one in self.widths if self.degrees}
+        """Simultaneous half-width (ℓ2 norm) of each significant parameter."""
+        return {q.names[0]: self.quantiles[0] * q.error for q in self.significant if self.degrees}
 
     @property
     def is_exact(self) -> bool:
-        """Whether there is no noise but rounding, of which no other round would tell more."""
-        return all(one.is_exact for one in self.widths)
+        """Whether all errors are only due to rounding, so that more rounds would not help."""
+        return all(quantity.is_exact for quantity in self.significant)
 
     @property
-    def is_calm(self) -> bool:
-        """Whether many samples make up all spread, as a pilot tells."""
-        return all(one.effective is not None and one.effective >= _MANY for one in self.wanted)
+    def has_many_samples(self) -> bool:
+        """Whether all criteria have many effective samples, according to a pilot."""
+        return all(
+            quantity.effective_samples is not None and quantity.effective_samples >= MANY_EFFECTIVE_SAMPLES
+            for quantity in self.criteria
+        )
 
     @property
     def is_reached(self) -> bool:
         """Whether the goal is reached."""
-        return all(one.is_reached(self.quantiles[1]) for one in self.wanted)
+        return all(quantity.meets_target(self.quantiles[1]) for quantity in self.criteria)
 
     @property
-    def relative_width(self) -> float:
-        """The largest half-width in units of its parameter's saliency."""
-        if not self.degrees or any(one.error and not one.size for one in self.widths):
+    def relative_half_width(self) -> float:
+        """The largest half-width relative to the saliency of its parameter."""
+        if not self.degrees or any(quantity.error and not quantity.size for quantity in self.significant):
             return math.inf
-        return max(
-            (self.quantiles[0] * one.error / one.size for one in self.widths if one.error), default=0.0
-        )
+        ratios = (quantity.error / quantity.size for quantity in self.significant if quantity.error)
+        return max((self.quantiles[0] * ratio for ratio in ratios), default=0.0)
 
     def tiers(self, top: int) -> list[list[str]]:
-        """Return the first parameters in their order, those together that are tied or not told apart."""
-        together = {one.names for one in self.wanted if self.quantiles[1] * one.error > one.total.item()}
+        """Return the first parameters in order; parameters that are tied or not separated share a tier."""
+        unresolved = {q.names for q in self.criteria if self.quantiles[1] * q.error > q.total.item()}
         tiers = [[self.order[0]]] if self.order else []
         for above, below in pairwise(self.order[:top]):
-            if (above, below) in together:
+            if (above, below) in unresolved:
                 tiers[-1].append(below)
             else:
                 tiers.append([below])
         last = self.order[min(top, len(self.order)) - 1]
-        return [*tiers[:-1], [*tiers[-1], *(b for a, b in together if a == last)]]
+        return [*tiers[:-1], [*tiers[-1], *(below for above, below in unresolved if above == last)]]
 
-    def growth(self, passes: int) -> float:
-        """Return by which factor the samples must grow, where they come in so many more passes."""
-        quantile = simultaneous_quantile(self.wanted, self.degrees + passes)
-        return max((one.growth(quantile) for one in self.wanted), default=1.0)
+    def required_growth(self, replicates: int) -> float:
+        """Return the factor by which the samples must grow, given this number of additional replicates."""
+        quantile = simultaneous_quantile(self.criteria, self.degrees + replicates)
+        return max((quantity.required_growth(quantile) for quantity in self.criteria), default=1.0)
 
 
-def judge(
-    found: GradientSum,
+def assess(
+    gradients: GradientSum,
     goal: Goal,
     members: Mapping[str, tuple[str, ...]] | None,
-    effective: Mapping[str, float] | None = None,
-) -> Verdict:
-    """Compare what is known with what is wanted.
+    effective_samples: Mapping[str, float] | None = None,
+) -> Assessment:
+    """Compare the errors with the goal.
 
-    ``effective`` are the samples that make up the spread of each parameter's gradient, in effect, where a renderer
-    tells.
+    ``effective_samples`` are the effective numbers of samples behind the variance of each parameter's gradient, if
+    the renderer provides them.
 
-    A parameter is known well enough where its half-width is within the tolerance, or where even the upper limit of
-    its saliency is below the share of the lower limit of all saliency: an estimate that happens to be small says
-    nothing as long as its error is large.
+    A parameter is accurate enough if its half-width is within the tolerance, or if the upper limit of its saliency
+    is below the share of the lower limit of the total saliency. A small estimate alone does not suffice as long as
+    its error is large.
     """
-    quantities = _totals(found, members, effective or {})
-    degrees = found.degrees_of_freedom
-    slack = goal.tolerance or 0.0
-    every = _sum_of_sizes(quantities)
-    near = [one for one in quantities if one.upper(_CLEAR) >= goal.share * every.lower(_CLEAR)]
-    quantile = simultaneous_quantile([*near, every], degrees)
-    floor = goal.share * every.lower(quantile)
-    widths = [one for one in near if one.upper(quantile) > floor] or quantities[:1]
-    order = [one.names[0] for one in quantities]
+    quantities = _totals(gradients, members, effective_samples or {})
+    degrees = gradients.degrees_of_freedom
+    tolerance = goal.tolerance or 0.0
+    total = _total_saliency(quantities)
+    candidates = [
+        quantity
+        for quantity in quantities
+        if quantity.upper(CLEARLY_SEPARATED) >= goal.share * total.lower(CLEARLY_SEPARATED)
+    ]
+    quantile = simultaneous_quantile([*candidates, total], degrees)
+    threshold = goal.share * total.lower(quantile)
+    significant = [quantity for quantity in candidates if quantity.upper(quantile) > threshold]
+    significant = significant or quantities[:1]
+    order = [quantity.names[0] for quantity in quantities]
     if goal.top is None:
-        wanted = [dataclasses.replace(one, target=max(slack * one.size, floor - one.size)) for one in near]
-        return Verdict(widths, wanted, (quantile, quantile), order, degrees)
-    wanted = _differences(quantities, goal.top, slack or TIE)
-    return Verdict(widths, wanted, (quantile, simultaneous_quantile(wanted, degrees)), order, degrees)
+        criteria = [
+            dataclasses.replace(q, target=max(tolerance * q.size, threshold - q.size)) for q in candidates
+        ]
+        return Assessment(significant, criteria, (quantile, quantile), order, degrees)
+    criteria = _saliency_differences(quantities, goal.top, tolerance or DEFAULT_TIE)
+    quantiles = quantile, simultaneous_quantile(criteria, degrees)
+    return Assessment(significant, criteria, quantiles, order, degrees)
 
 
 def _totals(
-    found: GradientSum,
+    gradients: GradientSum,
     members: Mapping[str, tuple[str, ...]] | None,
-    effective: Mapping[str, float],
+    effective_samples: Mapping[str, float],
 ) -> list[Quantity]:
-    """Return the channel totals of every parameter, or group, by falling size."""
-    whole = 1 / found.share
+    """Return the channel totals of every parameter or group, by descending size."""
+    scale = 1 / gradients.weight
     vectors = {
         name: (
-            whole * channel_totals(mean).double(),
-            whole * found.deviations(name)
-            if found.degrees_of_freedom
+            scale * channel_totals(mean).double(),
+            scale * gradients.deviations(name)
+            if gradients.degrees_of_freedom
             else torch.zeros_like(channel_totals(mean).double())[None],
-            whole
-            * channel_totals(torch.zeros_like(mean) if found.bias is None else found.bias[name]).double(),
+            scale
+            * channel_totals(
+                torch.zeros_like(mean) if gradients.bias is None else gradients.bias[name]
+            ).double(),
         )
-        for name, mean in found.mean.items()
+        for name, mean in gradients.mean.items()
     }
-    # None has been met by a pilot: nothing is known.
-    counts = {name: count for name, count in effective.items() if count > 0}
+    # 0 means that the pilot has found no path: nothing is known.
+    counts = {name: count for name, count in effective_samples.items() if count > 0}
     if members is not None:
-        counts = _of_groups(counts, {name: vector[1] for name, vector in vectors.items()}, members)
+        deviations = {name: vector[1] for name, vector in vectors.items()}
+        counts = _group_effective_samples(counts, deviations, members)
         vectors = {
             group: (
                 torch.stack([vectors[name][0].sum() for name in names]).sum(0, keepdim=True),
@@ -204,89 +218,95 @@ def _totals(
             for group, names in members.items()
         }
     quantities = [
-        Quantity((name,), *vector, target=0.0, effective=counts.get(name)) for name, vector in vectors.items()
+        Quantity((name,), *vector, target=0.0, effective_samples=counts.get(name))
+        for name, vector in vectors.items()
     ]
-    return sorted(quantities, key=lambda one: -one.size)
+    return sorted(quantities, key=lambda quantity: -quantity.size)
 
 
-def _of_groups(
-    counts: Mapping[str, float], noise: Mapping[str, torch.Tensor], members: Mapping[str, tuple[str, ...]]
+def _group_effective_samples(
+    counts: Mapping[str, float],
+    deviations: Mapping[str, torch.Tensor],
+    members: Mapping[str, tuple[str, ...]],
 ) -> dict[str, float]:
-    """Return the effective samples of sums, whose members are taken to be independent."""
-    found = {}
+    """Return the effective samples of the sums over groups, assuming independent members."""
+    by_group = {}
     for group, names in members.items():
-        variances = {name: noise[name].square().sum().item() for name in names}
+        variances = {name: deviations[name].square().sum().item() for name in names}
         fourth = sum(variances[name] ** 2 / counts[name] for name in names if name in counts)
         if fourth and all(name in counts for name in names if variances[name]):
-            found[group] = sum(variances.values()) ** 2 / fourth
-    return found
+            by_group[group] = sum(variances.values()) ** 2 / fourth
+    return by_group
 
 
-def _sum_of_sizes(quantities: list[Quantity]) -> Quantity:
-    """Return all saliency."""
-    changes = [_changes(one) for one in quantities]
+def _total_saliency(quantities: list[Quantity]) -> Quantity:
+    """Return the sum of all saliencies."""
+    errors = [_size_errors(quantity) for quantity in quantities]
     return Quantity(
         ("all saliency",),
-        quantities[0].total.new_tensor([sum(one.size for one in quantities)]),
-        torch.stack([noise for noise, _ in changes]).sum(0),
-        torch.stack([bias for _, bias in changes]).sum(0),
+        quantities[0].total.new_tensor([sum(quantity.size for quantity in quantities)]),
+        torch.stack([deviations for deviations, _ in errors]).sum(0),
+        torch.stack([bias for _, bias in errors]).sum(0),
         target=0.0,
     )
 
 
-def _differences(quantities: list[Quantity], top: int, tie: float) -> list[Quantity]:
-    """Return the differences that the order of the first ones rests on: of neighbours, and of the last to others.
+def _saliency_differences(quantities: list[Quantity], top: int, tie: float) -> list[Quantity]:
+    """Return the differences that determine the first ``top``: between neighbours, and of the last to all others.
 
-    One is known well enough where its interval leaves out 0, or where all of it is nearer to 0 than a tie.
+    A difference is accurate enough if its interval excludes 0, or if all of the interval is within a tie.
     """
     pairs = list(pairwise(quantities[: top + 1]))
     pairs += [(quantities[top - 1], other) for other in quantities[top + 1 :]]
-    found = []
+    differences = []
     for above, below in pairs:
         difference = above.size - below.size
-        (noise, bias), (less_noise, less_bias) = _changes(above), _changes(below)
-        one = Quantity(
+        (deviations, bias), (deviations_below, bias_below) = _size_errors(above), _size_errors(below)
+        counts = [q.effective_samples for q in (above, below) if q.effective_samples is not None]
+        quantity = Quantity(
             (above.names[0], below.names[0]),
             above.total.new_tensor([difference]),
-            noise - less_noise,
-            bias - less_bias,
+            deviations - deviations_below,
+            bias - bias_below,
             max(difference, tie * above.size - difference),
-            min((one.effective for one in (above, below) if one.effective is not None), default=None),
+            min(counts, default=None),
         )
-        if difference < _CLEAR * one.error:
-            found.append(one)
-    return found
+        if difference < CLEARLY_SEPARATED * quantity.error:
+            differences.append(quantity)
+    return differences
 
 
-def _changes(quantity: Quantity) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return by how much noise and bias change the size, ``(passes, 1)`` and ``(1,)``.
+def _size_errors(quantity: Quantity) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the deviations ``(replicates, 1)`` and the bias ``(1,)`` of the size.
 
-    These are their components along the vector. Where noise may have turned it, they count in full.
+    These are the components in the direction of the vector. If noise may have changed the direction, they are
+    scaled to the full error.
     """
     norm = quantity.total.norm()
-    along = (quantity.total / norm if norm > 0 else quantity.total)[:, None]
-    noise, bias = quantity.noise @ along, quantity.bias @ along
-    known = math.sqrt(noise.square().sum().item() + bias.square().sum().item())
-    if quantity.size < _CLEAR * quantity.error and known > 0:
-        noise, bias = (quantity.error / known * one for one in (noise, bias))
-    return noise, bias
+    direction = (quantity.total / norm if norm > 0 else quantity.total)[:, None]
+    deviations, bias = quantity.deviations @ direction, quantity.bias @ direction
+    error = math.sqrt(deviations.square().sum().item() + bias.square().sum().item())
+    if quantity.size < CLEARLY_SEPARATED * quantity.error and error > 0:
+        scale = quantity.error / error
+        return scale * deviations, scale * bias
+    return deviations, bias
 
 
-def reach(
-    run: Run, point: Point, goal: Goal, first: int | None, *, against: Any = None, **info: Any
+def attribute_to_goal(
+    run: Run, point: Point, goal: Goal, first_spp: int | None, *, against: Any = None, **info: Any
 ) -> Result:
-    """Take gradients in rounds until a goal is reached or time is up; return what ``attribute`` returns.
+    """Estimate gradients in rounds until a goal is reached; return the result of ``attribute``.
 
-    A first round, of ``first`` samples per pixel, tells how large the errors are and so how many samples the goal
-    takes; the next takes these, or a third of them where they are many, to predict once more. A round that falls
-    short is followed by another, up to a number of rounds and of samples.
+    The first round has ``first_spp`` samples per pixel and gives an estimate of the errors, which predicts the
+    samples that the goal requires. The next round takes these, or a third of them if the prediction is far. More
+    rounds follow until the goal is reached, up to a maximum number of rounds and of samples.
 
-    To look at errors and stop where they are small favours errors that are underestimated. Few looks keep that
-    small, each with the degrees of freedom of all replicates so far, or fewer where one of these has most of the
-    spread, or few paths of a pilot have it. And the first round does not end it, because rare paths that it has
-    missed are missing in its errors as well: the second has half its samples at least.
+    Stopping when the estimated errors are small favours errors that are underestimated. To keep this effect small,
+    there are few rounds. Each test uses the degrees of freedom of all replicates so far, or fewer if one replicate
+    dominates the variance or a pilot found few paths. The search does not end after the first round, because rare
+    paths that it has missed are missing in its errors as well; the second round has at least half as many samples.
 
-    Without a goal all samples are taken at once. With one, the effect of rendering ``against`` another renderer is
+    Without a goal all samples are taken at once. With a goal, the effect of rendering with ``against`` instead is
     measured afterwards.
 
     References
@@ -296,209 +316,225 @@ def reach(
     """
     if not goal.is_set:
         if against is not None:
-            raise SceneCaptumError(
-                "against= belongs to a goal: give tolerance=, top= or time_limit= as well."
-            )
-        return run.finish([point], **info)
-    if run.settings.replicates < 2:
+            raise SceneCaptumError("against= requires a goal: give tolerance=, top= or time_limit= as well.")
+        return run.attribute([point], **info)
+    replicates = run.settings.replicates
+    if replicates < 2:
         raise SceneCaptumError(
-            "tolerance=, top= and time_limit= need errors, which take two passes or more: leave out replicates=1."
+            "tolerance=, top= and time_limit= require errors, and these at least two replicates: leave out "
+            "replicates=1."
         )
-    first = _first(run.renderer) * run.settings.replicates if first is None else whole_number("spp", first)
+    if first_spp is None:
+        first_spp = _first_spp_per_replicate(run.renderer) * replicates
+    else:
+        first_spp = whole_number("spp", first_spp)
     if against is not None:
         against = with_checkpoint(against, getattr(run.renderer, "checkpoint", None))
-    search = _Search(run, point, goal, first, against)
+    search = _Search(run, point, goal, first_spp, against)
     interrupted = search.run_rounds()
-    return run.hand_over(search.results(interrupted, **info), interrupted=interrupted)
+    return run.return_results(search.results(interrupted, **info), interrupted=interrupted)
 
 
-def _first(renderer: Any) -> int:
-    """Return the samples of each pass of the first round: what is nearly free, and enough to tell the noise by."""
+def _first_spp_per_replicate(renderer: Any) -> int:
+    """Return the samples per replicate of the first round: nearly free, but enough to estimate the noise."""
     width, height = getattr(renderer, "resolution", (0, 0))
-    return min(max(_FREE // (width * height), 4), 64) if width * height else _FIRST
+    return min(max(NEARLY_FREE_SAMPLES // (width * height), 4), 64) if width * height else DEFAULT_FIRST_SPP
 
 
 class _Search:
-    """One search for a goal."""
+    """Adaptive sampling towards a goal."""
 
-    def __init__(self, run: Run, point: Point, goal: Goal, first: int, against: Any) -> None:
+    def __init__(self, run: Run, point: Point, goal: Goal, first_spp: int, against: Any) -> None:
         self.run = run
         self.point = point
         self.goal = goal
         self.against = against
         self.changes: list[dict[str, Any] | None] = [None] * len(run.metrics)
         self.sums = [RoundSum(run.values) for _ in run.metrics]
-        self.verdicts: list[Verdict] = []
-        self.passes = run.settings.replicates
-        self.first = math.ceil(first / self.passes)  # samples of a pass
-        self.seconds: list[float] = []  # of each round
-        self.setup = 0.0  # seconds before the clock begins
-        self.pass_time = PassTime()
-        asked = dataclasses.asdict(goal), run.settings.seed, self.passes, self.first, run.values
-        about = getattr(run.renderer, "info", {})
-        self.time = TimeLimit(goal.time_limit, run.renderer, (asked, about))
+        self.assessments: list[Assessment] = []
+        self.replicates = run.settings.replicates
+        self.first_spp = math.ceil(first_spp / self.replicates)  # per replicate
+        self.round_seconds: list[float] = []
+        self.setup_seconds = 0.0  # before the time limit starts
+        self.replicate_time = ReplicateTime()
+        settings = dataclasses.asdict(goal), run.settings.seed, self.replicates, self.first_spp, run.values
+        renderer_info = getattr(run.renderer, "info", {})
+        self.time = TimeLimit(goal.time_limit, run.renderer, (settings, renderer_info))
         self.bar = tqdm(
-            total=0, disable=not run.settings.show_progress, desc=run.metrics[0].name, unit="pass"
+            total=0, disable=not run.settings.show_progress, desc=run.metrics[0].name, unit="replicate"
         )
+        budget = Budget((), (), ()).with_picture_spp(run.settings.picture_spp, first_spp)
         self.rounds = Rounds(
             run.renderer,
             run.metrics,
-            run.viewer,
+            run.transform_selector,
             self.bar,
             seed=run.settings.seed,
             time=self.time,
-            picture_ratio=Budget((), (), ()).with_pictures(run.settings.picture_spp, first).picture_ratio,
+            picture_ratio=budget.picture_ratio,
         )
 
     def run_rounds(self) -> bool:
-        """Take rounds until one reaches the goal; say whether Ctrl-C ended it early."""
+        """Add rounds until the search ends; return whether Ctrl-C interrupted it."""
         with self.bar:
             size: tuple[int, int] | None = self._first_size()
             try:
                 while size is not None:
-                    if self._round(*size):
+                    if self._add_round(*size):
                         return True
                     size = self._decide("next", self._next_size)
                 if self.against is not None:
                     self._compare()
             except KeyboardInterrupt:
-                if not self.verdicts:
+                if not self.assessments:
                     raise
                 return True
         return False
 
-    def _round(self, passes: int, spp: int) -> bool:
-        require_memory(self.run.renderer, [spp], passes)
-        began = self.time.now()
-        self.bar.total += 2 * passes
-        found, interrupted = self.rounds.take(self.point, passes, spp)
-        if interrupted and not all(one.passes for one in found):
+    def _add_round(self, replicates: int, spp: int) -> bool:
+        require_memory(self.run.renderer, [spp], replicates)
+        start = self.time.now()
+        self.bar.total += 2 * replicates
+        estimates, interrupted = self.rounds.add_round(self.point, replicates, spp)
+        if interrupted and not all(estimate.replicates for estimate in estimates):
             raise KeyboardInterrupt
-        for one, into in zip(found, self.sums, strict=True):
-            into.add(one)
-        self.verdicts = [
-            judge(one, self.goal, self.run.members, self._effective(number))
-            for number, one in enumerate(self.sums)
+        for estimate, total in zip(estimates, self.sums, strict=True):
+            total.add(estimate)
+        self.assessments = [
+            assess(total, self.goal, self.run.members, self._effective_samples(number))
+            for number, total in enumerate(self.sums)
         ]
-        self.seconds.append(self.time.now() - began)
-        self.pass_time.note(spp, self.seconds[-1] / max(1, min(one.passes for one in found)))
+        seconds = self.time.now() - start
+        self.round_seconds.append(seconds)
+        finished = min(estimate.replicates for estimate in estimates)
+        self.replicate_time.record(spp, seconds / max(1, finished))
         return interrupted
 
-    def _effective(self, number: int) -> Mapping[str, float]:
-        """Return how many samples make up the spread of each gradient of a metric, where the renderer tells."""
-        ask = getattr(self.run.renderer, "effective_samples", None)
-        if ask is None:
+    def _effective_samples(self, number: int) -> Mapping[str, float]:
+        """Return the effective samples behind the gradients of a metric, if the renderer provides them."""
+        estimate = getattr(self.run.renderer, "effective_samples", None)
+        if estimate is None:
             return {}
         replicates = self.sums[number].replicates
-        spp = max(1, int(self.sums[number].share) // replicates)
-        found: Mapping[str, float] = ask(
-            self.run.values, self.rounds.propagated[number], spp=spp, replicates=replicates
-        )
-        return found
+        spp = max(1, int(self.sums[number].weight) // replicates)
+        adjoint = self.rounds.mean_adjoints[number]
+        counts: Mapping[str, float] = estimate(self.run.values, adjoint, spp=spp, replicates=replicates)
+        return counts
 
     def _first_size(self) -> tuple[int, int] | None:
-        """Return the passes of the first round and their samples; a time limit may leave only few.
+        """Return the replicates of the first round and their spp, which a time limit may reduce.
 
-        What happens only once, compiling above all, is done before the clock begins; then a pass of one sample is
-        timed and, where it is short, one of the first round's size.
+        One-time costs, mainly compilation, are paid before the time limit starts. Then a replicate with one sample
+        is timed and, if that is fast, one of the size of the first round.
         """
         limit = self.goal.time_limit
         if limit is None:
-            return self.passes, self.first
+            return self.replicates, self.first_spp
         surfaces_of(self.run.renderer, self.run.values)
-        self.rounds.rehearse(self.point, 1)
-        self._time_pass(1)
-        if self.first * self.pass_time.shortest < _SHORT * limit:
-            self._time_pass(self.first)
-        self.setup = self.time.restart()
-        shortest = self.pass_time.shortest
-        passes = min(self.passes, max(2, int(limit / (2 * shortest))))
-        spp = self.pass_time.samples_within(max(limit / (4 * passes), _LITTLE * shortest))
-        return self._decide("first", lambda: (passes, min(self.first, spp)))
+        self.rounds.warm_up(self.point, 1)
+        self._time_replicate(1)
+        if self.first_spp * self.replicate_time.shortest < MAX_TIMING_FRACTION * limit:
+            self._time_replicate(self.first_spp)
+        self.setup_seconds = self.time.restart()
+        shortest = self.replicate_time.shortest
+        replicates = min(self.replicates, max(2, int(limit / (2 * shortest))))
+        spp = self.replicate_time.max_spp(max(limit / (4 * replicates), NEARLY_FREE_FACTOR * shortest))
+        return self._decide("first", lambda: (replicates, min(self.first_spp, spp)))
 
-    def _time_pass(self, spp: int) -> None:
-        began = self.time.now()
-        self.rounds.rehearse(self.point, spp)
-        self.pass_time.note(spp, self.time.now() - began)
+    def _time_replicate(self, spp: int) -> None:
+        start = self.time.now()
+        self.rounds.warm_up(self.point, spp)
+        self.replicate_time.record(spp, self.time.now() - start)
 
-    def _decide(self, what: str, choose: Callable[[], tuple[int, int] | None]) -> tuple[int, int] | None:
-        """Choose the size of a round; where the clock has a say, once and for all."""
-        known = [(one.order, one.half_widths) for one in self.verdicts]
-        size = self.time.decide((what, known), choose)
+    def _decide(self, what: str, decide: Callable[[], tuple[int, int] | None]) -> tuple[int, int] | None:
+        """Decide on the size of a round; decisions that depend on the clock are stored in the checkpoint."""
+        state = [(assessment.order, assessment.half_widths) for assessment in self.assessments]
+        size = self.time.decide((what, state), decide)
         return None if size is None else (size[0], size[1])
 
     def _next_size(self) -> tuple[int, int] | None:
-        """Return the passes of the next round and their samples, or None where there is to be none."""
-        sampled = self.sums[0].share
-        if self._is_over() or not self._samples_left():
+        """Return the replicates of the next round and their spp, or None to stop."""
+        sampled = self.sums[0].weight
+        if self._is_over() or not self._remaining_spp():
             return None
-        # What is predicted is as uncertain as the errors that it is predicted from.
-        margin = 1 + 1 / math.sqrt(max(1, min(one.degrees for one in self.verdicts)))
-        growth = margin * max(one.growth(self.passes) for one in self.verdicts)
-        least_growth = _SECOND if len(self.seconds) == 1 else _LEAST
-        growth = min(max(growth / 3 if growth > _FAR else growth, least_growth), _MOST)
-        samples = min(math.ceil((growth - 1) * sampled), self._samples_left())
-        most = 3 * self.passes
+        # The prediction is as uncertain as the errors that it is based on.
+        degrees = min(assessment.degrees for assessment in self.assessments)
+        margin = 1 + 1 / math.sqrt(max(1, degrees))
+        required = max(assessment.required_growth(self.replicates) for assessment in self.assessments)
+        growth = margin * required
+        min_growth = MIN_SECOND_GROWTH if len(self.round_seconds) == 1 else MIN_GROWTH
+        growth = min(max(growth / 3 if growth > MAX_RELIABLE_GROWTH else growth, min_growth), MAX_GROWTH)
+        samples = min(math.ceil((growth - 1) * sampled), self._remaining_spp())
+        max_replicates = 3 * self.replicates
         if self.goal.time_limit is not None:
-            left = self.time.left()
-            if left < max(_SPENT * self.goal.time_limit, 2 * self.pass_time.shortest):
+            remaining = self.time.remaining()
+            shortest = self.replicate_time.shortest
+            if remaining < max(MIN_TIME_FRACTION * self.goal.time_limit, 2 * shortest):
                 return None
-            # Few passes of many samples would tell little of the error.
-            most = min(self.passes, max(2, int(left / (_LITTLE * self.pass_time.shortest))))
-            samples = min(samples, most * self.pass_time.samples_within(_SAFE * left / most))
-        # A round that counts little tells little of the error: half as many passes do.
-        least = self.passes if samples > sampled else math.ceil(self.passes / 2)
-        passes = max(2, min(max(samples // (4 * self.first), least), most))
-        fewest = self.first if self.goal.time_limit is None else 1
-        return passes, max(fewest, samples // passes)
+            # As many replicates as overhead permits: with few, the error would be uncertain.
+            max_replicates = min(self.replicates, max(2, int(remaining / (NEARLY_FREE_FACTOR * shortest))))
+            seconds = TIME_SAFETY_FACTOR * remaining / max_replicates
+            samples = min(samples, max_replicates * self.replicate_time.max_spp(seconds))
+        # A round with a small weight contributes little to the error estimate: half as many replicates suffice.
+        min_replicates = self.replicates if samples > sampled else math.ceil(self.replicates / 2)
+        replicates = max(2, min(max(samples // (4 * self.first_spp), min_replicates), max_replicates))
+        min_spp = self.first_spp if self.goal.time_limit is None else 1
+        return replicates, max(min_spp, samples // replicates)
 
-    def _samples_left(self) -> int:
-        """Return how many samples per pixel there may be, or 0 where these are less than a first round."""
-        left = _SAMPLES - int(self.sums[0].share)
-        return left if left >= self.passes * self.first else 0
+    def _remaining_spp(self) -> int:
+        """Return the remaining samples per pixel, or 0 if they are fewer than those of the first round."""
+        remaining = MAX_SPP - int(self.sums[0].weight)
+        return remaining if remaining >= self.replicates * self.first_spp else 0
 
     def _is_over(self) -> bool:
-        return len(self.seconds) == _ROUNDS or all(map(self.is_reached, self.verdicts))
+        return len(self.round_seconds) == MAX_ROUNDS or all(map(self.is_reached, self.assessments))
 
-    def is_reached(self, verdict: Verdict) -> bool:
-        """Whether a goal is reached, and not by what a single round tells of its own noise.
+    def is_reached(self, assessment: Assessment) -> bool:
+        """Whether the goal is reached, based on more than the first round's estimate of its own noise.
 
-        Where the metric is linear and a pilot has seen no rare paths either, that is enough.
+        One round suffices for a linear metric if a pilot has found no rare paths.
         """
-        linear = all(one.seen is not None and one.seen.is_linear for one in self.sums)
-        enough = len(self.seconds) > 1 or verdict.is_exact or (linear and verdict.is_calm)
-        return verdict.is_reached and enough
+        linear = all(total.adjoints is not None and total.adjoints.is_linear for total in self.sums)
+        is_reliable = (
+            len(self.round_seconds) > 1 or assessment.is_exact or (linear and assessment.has_many_samples)
+        )
+        return assessment.is_reached and is_reliable
 
     def _compare(self) -> None:
-        """Measure what the other renderer would change, in a quarter of the samples."""
+        """Measure the change of the gradients with the other renderer, with a quarter of the samples."""
         run = self.run
-        samples = max(self.first * self.passes, int(self.sums[0].share) // _COMPARED)
+        samples = max(self.first_spp * self.replicates, int(self.sums[0].weight) // COMPARISON_DIVISOR)
         seed = int(np.random.SeedSequence([run.settings.seed, 3]).generate_state(1)[0])
-        budget = Budget.split(samples, self.passes, seed)
-        self.bar.total += 2 * budget.passes[0]
-        found = differences(run.renderer, self.against, run.metrics, self.point, budget, self.bar)
+        budget = Budget.split(samples, self.replicates, seed)
+        self.bar.total += 2 * budget.replicates[0]
+        changes = differences(run.renderer, self.against, run.metrics, self.point, budget, self.bar)
         self.changes = [
-            _change(one, verdict, run.members, getattr(self.against, "info", {}))
-            for one, verdict in zip(found, self.verdicts, strict=True)
+            _describe_change(change, assessment, run.members, getattr(self.against, "info", {}))
+            for change, assessment in zip(changes, self.assessments, strict=True)
         ]
 
     def results(self, interrupted: bool, **info: Any) -> list[SceneAttribution]:
-        """Return the results so far, each with a report."""
-        found = []
-        for number, (metric, one) in enumerate(zip(self.run.metrics, self.sums, strict=True)):
-            verdict = self.verdicts[number]
-            assert one.seen is not None
-            own = Own(one.seen, self.rounds.image, self.rounds.samples, metric.through(one.seen.view))
+        """Return the current results with the planner's report in ``info``."""
+        results = []
+        for number, (metric, total) in enumerate(zip(self.run.metrics, self.sums, strict=True)):
+            adjoints = total.adjoints
+            assert adjoints is not None
+            evaluation = InputEvaluation(
+                adjoints,
+                self.rounds.image,
+                self.rounds.total_image_spp,
+                metric.with_transform(adjoints.transform),
+            )
             report = {
-                **self._report(verdict),
+                **self._report(self.assessments[number]),
                 "stopped": self.stopped(interrupted=interrupted),
                 "against": self.changes[number],
             }
-            found.append(
+            results.append(
                 self.run.result(
                     metric,
-                    one,
-                    own,
+                    total,
+                    evaluation,
                     self.rounds.budget,
                     self.rounds,
                     interrupted=interrupted,
@@ -506,52 +542,55 @@ class _Search:
                     **info,
                 )
             )
-        return found
+        return results
 
     def stopped(self, *, interrupted: bool = False) -> str:
+        """Return why the search ended."""
         if interrupted:
             return "interrupted"
-        if all(map(self.is_reached, self.verdicts)):
+        if all(map(self.is_reached, self.assessments)):
             return "goal"
-        if len(self.seconds) == _ROUNDS:
+        if len(self.round_seconds) == MAX_ROUNDS:
             return "the number of rounds"
-        return "the time limit" if self._samples_left() else "the number of samples"
+        return "the time limit" if self._remaining_spp() else "the number of samples"
 
-    def _report(self, verdict: Verdict) -> dict[str, Any]:
+    def _report(self, assessment: Assessment) -> dict[str, Any]:
         budget = self.rounds.budget
-        relative = verdict.relative_width
+        relative = assessment.relative_half_width
+        has_goal = not (self.goal.tolerance is self.goal.top is None)
+        rounds = zip(budget.replicates, budget.spp, self.round_seconds, strict=False)
         return {
             **dataclasses.asdict(self.goal),
             "level": LEVEL,
-            "reached": None if self.goal.tolerance is self.goal.top is None else self.is_reached(verdict),
+            "reached": self.is_reached(assessment) if has_goal else None,
             "relative_half_width": relative if math.isfinite(relative) else None,
-            "half_widths": verdict.half_widths,
-            "order": verdict.tiers(self.goal.top) if self.goal.top and verdict.degrees else None,
+            "half_widths": assessment.half_widths,
+            "order": assessment.tiers(self.goal.top) if self.goal.top and assessment.degrees else None,
             "rounds": [
-                {"passes": passes, "spp_per_pass": spp, "seconds": seconds}
-                for passes, spp, seconds in zip(budget.passes, budget.spp, self.seconds, strict=False)
+                {"replicates": replicates, "spp_per_replicate": spp, "seconds": seconds}
+                for replicates, spp, seconds in rounds
             ],
-            "setup_seconds": self.setup,
+            "setup_seconds": self.setup_seconds,
         }
 
 
-def _change(
-    found: GradientSum,
-    verdict: Verdict,
+def _describe_change(
+    change: GradientSum,
+    assessment: Assessment,
     members: Mapping[str, tuple[str, ...]] | None,
     info: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Say by how much the gradients that have the share would change, and how well that is known."""
-    size = {one.names[0]: one.size for one in verdict.widths}
-    changes = [one for one in _totals(found, members, {}) if one.names[0] in size]
-    quantile = simultaneous_quantile(changes, found.degrees_of_freedom)
-    norms = {one.names[0]: one.total.norm().item() for one in changes}
-    widths = {one.names[0]: quantile * one.error for one in changes}
-    worst = max((n for n in norms if size[n]), key=lambda n: norms[n] / size[n], default=None)
+    """Return the changes of the significant gradients and their half-widths."""
+    sizes = {quantity.names[0]: quantity.size for quantity in assessment.significant}
+    changes = [quantity for quantity in _totals(change, members, {}) if quantity.names[0] in sizes]
+    quantile = simultaneous_quantile(changes, change.degrees_of_freedom)
+    norms = {quantity.names[0]: quantity.total.norm().item() for quantity in changes}
+    half_widths = {quantity.names[0]: quantile * quantity.error for quantity in changes}
+    worst = max((n for n in norms if sizes[n]), key=lambda n: norms[n] / sizes[n], default=None)
     return {
         **{key: info[key] for key in ("scene", "max_depth", "resolution") if key in info},
         "changes": norms,
-        "half_widths": widths,
-        "relative_change": None if worst is None else norms[worst] / size[worst],
-        "relative_half_width": None if worst is None else widths[worst] / size[worst],
+        "half_widths": half_widths,
+        "relative_change": None if worst is None else norms[worst] / sizes[worst],
+        "relative_half_width": None if worst is None else half_widths[worst] / sizes[worst],
     }

@@ -1,4 +1,4 @@
-"""What the error of a quadrature adds to the errors of an attribution."""
+"""Adding the quadrature error to the standard errors of an attribution."""
 
 from __future__ import annotations
 
@@ -16,57 +16,58 @@ from ._quadrature import Quadrature
 def with_quadrature_error(
     attribution: SceneAttribution,
     rule: Quadrature,
-    found: GradientSum,
+    total: GradientSum,
     members: Mapping[str, tuple[str, ...]] | None = None,
 ) -> SceneAttribution:
-    """Return integrals whose errors hold that of their quadrature, as far as the rule's own points tell it.
+    """Return the attribution with standard errors that include the estimated quadrature error.
 
-    Each has its own, since parameters need not bend alike on the way that they share. ``members`` are the
-    parameters of each group, where the attribution is one of groups.
+    Each parameter has its own quadrature error. ``members`` are the parameters of each group, or None without
+    groups.
     """
     if attribution.standard_error is None or attribution.covariance is None:
         return attribution
     if members is None:
-        errors = {name: rule.error([torch.stack(one[name]) for one in found.totals]) for name in attribution}
+        errors = {n: rule.error([torch.stack(by_name[n]) for by_name in total.totals]) for n in attribution}
     else:
-        errors = {group: rule.error(_sums(found, members[group])) for group in attribution}
+        errors = {group: rule.error(_sums(total, members[group])) for group in attribution}
     return dataclasses.replace(
         attribution,
         quadrature_error=errors,
         standard_error={
-            name: one.hypot(_elementwise(errors[name], attribution[name]))
-            for name, one in attribution.standard_error.items()
+            name: error.hypot(_elementwise(errors[name], attribution[name]))
+            for name, error in attribution.standard_error.items()
         },
         covariance={
-            name: one + covariance_of_quadrature(errors[name], attribution[name])
-            for name, one in attribution.covariance.items()
+            name: covariance + covariance_of_quadrature(errors[name], attribution[name])
+            for name, covariance in attribution.covariance.items()
         },
     )
 
 
-def error_of_sum(rule: Quadrature, found: GradientSum) -> float:
-    """Estimate the error of the quadrature of all attributions together."""
-    return rule.error(_sums(found, found.totals[0])).item()
+def error_of_sum(rule: Quadrature, total: GradientSum) -> float:
+    """Estimate the quadrature error of the sum of all attributions."""
+    return rule.error(_sums(total, total.totals[0])).item()
 
 
 def covariance_of_quadrature(errors: torch.Tensor, attribution: torch.Tensor) -> torch.Tensor:
-    """Return the ``(C, C)`` covariance of channel totals with such errors: channels are wrong together."""
+    """Return the ``(C, C)`` covariance of the quadrature errors, assuming fully correlated channels."""
     signed = torch.where(channel_totals(attribution) < 0, -errors, errors)
     return signed[:, None] * signed
 
 
-def _sums(found: GradientSum, names: Iterable[str]) -> list[torch.Tensor]:
-    """Return for each point ``(passes, 1)`` sums over parameters and their channels."""
+def _sums(total: GradientSum, names: Iterable[str]) -> list[torch.Tensor]:
+    """Return for each point ``(replicates, 1)`` sums over parameters and their channels."""
     names = list(names)
     return [
-        torch.cat([torch.stack(one[name]) for name in names], 1).sum(1, keepdim=True) for one in found.totals
+        torch.cat([torch.stack(by_name[name]) for name in names], 1).sum(1, keepdim=True)
+        for by_name in total.totals
     ]
 
 
 def _elementwise(errors: torch.Tensor, attribution: torch.Tensor) -> torch.Tensor:
-    """Return errors by element: the texels of a texture's channel have parts as large as their attributions'."""
+    """Return elementwise errors; those of a texture's channels are distributed by the magnitude of the texels."""
     if attribution.ndim < 2:
         return errors.reshape(attribution.shape).to(attribution)
     size = attribution.abs()
-    whole = channel_totals(size).clamp_min(torch.finfo(size.dtype).tiny)
-    return size * (errors / whole).to(size)
+    sums = channel_totals(size).clamp_min(torch.finfo(size.dtype).tiny)
+    return size * (errors / sums).to(size)

@@ -1,4 +1,4 @@
-"""How far a parameter can go: the common scale of parameters of different kinds, and noise that keeps to it."""
+"""Physical ranges of parameters, which make different kinds comparable, and noise relative to these ranges."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from .._reflection import reflect
 from ..errors import SceneCaptumError, near_misses
+from ..scene import reflect
 from ._baselines import table_of
 
 Tensors = Mapping[str, torch.Tensor]
@@ -21,45 +21,45 @@ Tensors = Mapping[str, torch.Tensor]
 def ranges(renderer: Any, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the length of each parameter's physical range, a 0-d tensor.
 
-    Where it is infinite (the radiance of a lamp, the index of a metal) the largest magnitude of its value stands
-    in, or 1 where that is 0.
+    For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the largest
+    magnitude of its value, or 1 if that is 0.
 
     Raises
     ------
     SceneCaptumError
-        Where the renderer has no ``bounds``.
+        If the renderer has no ``bounds``.
     """
     bounds = _bounds(renderer)
     return {name: _length(value, *bounds.get(name, (-math.inf, math.inf))) for name, value in values.items()}
 
 
 class Noise:
-    """Gaussian noise on parameters, as wide as a fraction of their ranges and reflected at their bounds.
+    """Gaussian noise on parameters, relative to their ranges and reflected at their bounds.
 
     Parameters
     ----------
     renderer
-        Tells bounds, and kinds where it has a ``parameters_table()``.
+        Provides ``bounds``, and kinds if it has a ``parameters_table()``.
     values
-        What is made noisy.
+        The values without noise.
     stdevs
         Standard deviation as a fraction of each parameter's range: a number, or a mapping from names, globs or
-        kinds to numbers, 0 for what it does not name.
+        kinds to numbers, 0 for all others.
     """
 
     def __init__(self, renderer: Any, values: Tensors, stdevs: float | Mapping[str, float]) -> None:
         self.values = values
         self._scales = dict.fromkeys(values, 0.0)
-        given = _stdevs(renderer, values, stdevs)
-        if any(given.values()):
+        fractions = _stdevs(renderer, values, stdevs)
+        if any(fractions.values()):
             lengths = ranges(renderer, values)
-            self._scales = {name: given[name] * lengths[name].item() for name in values}
+            self._scales = {name: fractions[name] * lengths[name].item() for name in values}
             self._bounds = _bounds(renderer)
         table = table_of(renderer)
         self._open = {name: table is not None and table[name].bounds.open_low for name in values}
 
-    def draw(self, seed: int) -> dict[str, torch.Tensor]:
-        """Return noisy values. What one parameter gets does not depend on the others."""
+    def sample(self, seed: int) -> dict[str, torch.Tensor]:
+        """Return noisy values. Each parameter has its own random stream."""
         seeds = np.random.SeedSequence(seed).generate_state(len(self.values))
         noisy = {}
         for (name, value), state in zip(self.values.items(), seeds.tolist(), strict=True):
@@ -76,8 +76,8 @@ def _bounds(renderer: Any) -> Mapping[str, tuple[float, float]]:
     bounds: Mapping[str, tuple[float, float]] | None = getattr(renderer, "bounds", None)
     if bounds is None:
         raise SceneCaptumError(
-            "A range takes physical bounds, which this renderer does not tell: give it an attribute `bounds`, "
-            "a dict from parameter name to (low, high)."
+            "Ranges require physical bounds: give the renderer an attribute `bounds`, a dict from parameter name "
+            "to (low, high)."
         )
     return bounds
 
@@ -93,17 +93,17 @@ def _stdevs(renderer: Any, values: Tensors, stdevs: float | Mapping[str, float])
         return {name: _stdev("stdevs", stdevs) for name in values}
     table = table_of(renderer)
     kinds = {name: table[name].kind if table is not None else None for name in values}
-    found = dict.fromkeys(values, 0.0)
-    # The more exact key counts: kinds first, so that globs and then names overwrite them.
+    by_name = dict.fromkeys(values, 0.0)
+    # Kinds first, so that globs and then names override them.
     for matches in (lambda name, key: kinds[name] == key, fnmatchcase, lambda name, key: name == key):
         for key, stdev in stdevs.items():
             for name in values:
                 if matches(name, key):
-                    found[name] = _stdev(f"stdevs[{key!r}]", stdev)
+                    by_name[name] = _stdev(f"stdevs[{key!r}]", stdev)
     for key in stdevs:
         if not any(key in (name, kinds[name]) or fnmatchcase(name, key) for name in values):
             raise SceneCaptumError(f"stdevs names {key!r}, which no input matches.{near_misses(key, values)}")
-    return found
+    return by_name
 
 
 def _stdev(name: str, value: Any) -> float:

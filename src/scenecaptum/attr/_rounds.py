@@ -1,4 +1,4 @@
-"""Gradients at one point in several rounds of passes, which one estimate is made of."""
+"""Gradients at one point, estimated in several rounds of replicates that are combined into one estimate."""
 
 from __future__ import annotations
 
@@ -11,253 +11,264 @@ import torch
 from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, without_checkpoint
-from ._gradients import Gradients, GradientSum, Point, PointGradient
-from ._jackknife import Adjoints, is_linear, jackknife, through_view
+from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
+from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
-from ._passes import NOISY_PICTURE_RATIO, Budget, pictures
-from ._view import Viewer
+from ._passes import NOISY_PICTURE_RATIO, Budget, render_images
+from ._view import TransformSelector
 
-_LEAST_SHARE = 0.5  # of a pass's time, for its samples
-_FARTHEST = 4  # times the samples that were timed: farther away times are not foretold
-_BACKWARD = 3  # times what a picture takes, for a backward pass with as many samples
-_GROUPS = 4  # into which earlier pictures are merged: neither memory nor the jackknife grows with the rounds
+MIN_SAMPLE_TIME_FRACTION = 0.5  # of a replicate's time that is spent on its samples
+MAX_EXTRAPOLATION = 4  # do not extrapolate beyond 4× the largest timed spp
+BACKWARD_COST_RATIO = 3  # cost of a backward pass relative to a render with the same number of samples
+IMAGE_GROUPS = 4  # into which earlier images are merged, to bound memory and the cost of the jackknife
 
 
 class TimeLimit:
-    """Tells how much time a limit leaves, and keeps what was chosen by it.
+    """A time limit, and the decisions that depend on it.
 
-    It goes on as if the passes that a checkpoint gives back had been rendered; and since nobody would choose the
-    same twice by the clock, a job that is resumed keeps to what was chosen.
+    The elapsed time includes the original render time of results from a checkpoint. Decisions that depend on the
+    clock are stored in the checkpoint, so that a resumed job repeats them.
 
     Parameters
     ----------
     limit
         In seconds, or None.
     renderer
-        Whose checkpoint is meant.
-    asked
-        What tells this job from others.
+        Its checkpoint is used, if it has one.
+    job
+        Identifies the job in the checkpoint.
     """
 
-    def __init__(self, limit: float | None = None, renderer: Any = None, asked: Any = ()) -> None:
+    def __init__(self, limit: float | None = None, renderer: Any = None, job: Any = ()) -> None:
         self.limit = limit
-        self._asked = asked
+        self._job = job
         self._checkpoint = getattr(renderer, "checkpoint", None)
         self._watch = Stopwatch(renderer)
-        self._began = self.now()
+        self._start = self.now()
 
     def now(self) -> float:
-        """Return the time in seconds."""
+        """Return the current time in seconds."""
         return self._watch.now()
 
     def restart(self) -> float:
-        """Begin to count; return what was counted so far."""
-        began, self._began = self._began, self.now()
-        return self._began - began
+        """Restart the clock; return the seconds elapsed so far."""
+        start, self._start = self._start, self.now()
+        return self._start - start
 
-    def left(self) -> float:
-        """Return how many seconds are left."""
-        return math.inf if self.limit is None else self.limit - (self.now() - self._began)
+    def remaining(self) -> float:
+        """Return the remaining seconds."""
+        return math.inf if self.limit is None else self.limit - (self.now() - self._start)
 
-    def decide(self, what: Any, choose: Callable[[], Sequence[int] | None]) -> tuple[int, ...] | None:
-        """Choose numbers by the clock, or return those that were chosen before."""
+    def decide(self, what: Any, decide: Callable[[], Sequence[int] | None]) -> tuple[int, ...] | None:
+        """Return a decision that depends on the clock, or the stored decision of an earlier run."""
         if self._checkpoint is None or self.limit is None:
-            chosen = choose()
-            return None if chosen is None else tuple(chosen)
-        found: tuple[int, ...] | None = self._checkpoint.decide((self.limit, self._asked, what), choose)
-        return found
+            decision = decide()
+            return None if decision is None else tuple(decision)
+        stored: tuple[int, ...] | None = self._checkpoint.get_or_decide((self.limit, self._job, what), decide)
+        return stored
 
 
-class PassTime:
-    """What a pass takes: something for itself, and something for each of its samples, as passes have told."""
+class ReplicateTime:
+    """Linear cost model of a replicate: fixed overhead plus cost per sample, from measured times."""
 
     def __init__(self) -> None:
-        self._seconds: dict[int, float] = {}  # of the latest pass with so many samples per pixel
+        self._seconds: dict[int, float] = {}  # by spp; the latest measurement
 
-    def note(self, spp: int, seconds: float) -> None:
-        """Remember how long a pass took."""
+    def record(self, spp: int, seconds: float) -> None:
+        """Record a measured time."""
         self._seconds[spp] = seconds
 
     @property
     def shortest(self) -> float:
-        """The seconds of a pass with as few samples as any."""
+        """Seconds of a replicate with the smallest spp measured."""
         return self._seconds[min(self._seconds)]
 
-    def samples_within(self, seconds: float) -> int:
-        """Return how many samples per pixel a pass can have in a time; 1 at least.
+    def max_spp(self, seconds: float) -> int:
+        """Return the samples per pixel that a replicate can have in a time, at least 1.
 
-        A single pass that was timed takes its time for its samples alone, for all that is known. Of two, each
-        sample takes what they differ by, and half at least of what it would if passes took nothing else.
+        With a single measurement the overhead is assumed to be 0. With several, the cost per sample is the slope,
+        but at least half of the cost without overhead.
         """
         low, high = min(self._seconds), max(self._seconds)
         longest = self._seconds[high]
-        each = longest / high
+        per_sample = longest / high
         if high > low:
-            each = max(_LEAST_SHARE * each, (longest - self._seconds[low]) / (high - low))
-        spp = int(high + (seconds - longest) / each) if each > 0 else high
-        return min(max(1, spp), _FARTHEST * high)
+            slope = (longest - self._seconds[low]) / (high - low)
+            per_sample = max(MIN_SAMPLE_TIME_FRACTION * per_sample, slope)
+        spp = int(high + (seconds - longest) / per_sample) if per_sample > 0 else high
+        return min(max(1, spp), MAX_EXTRAPOLATION * high)
 
 
 class RoundSum(GradientSum):
-    """Running sum of the gradients of rounds, each weighted by its samples.
+    """Running sum of the gradients of rounds, weighted by their samples.
 
-    Weights that follow from the rounds' own spread would favour rounds that miss the rare bright paths.
+    Inverse-variance weights would favour rounds that miss rare bright paths.
     """
 
     def add(self, point: PointGradient) -> None:
-        """Take in a round; its bias is that of all rounds so far, because its metric saw all pictures."""
+        """Add a round; its bias replaces the previous one, because it is based on the images of all rounds."""
         super().add(point)
         if self.bias is not None and point.bias is not None:
             self.bias = {
-                name: self.share * point.bias[name] if name in point.bias else torch.zeros_like(value)
+                name: self.weight * point.bias[name] if name in point.bias else torch.zeros_like(value)
                 for name, value in self.bias.items()
             }
 
 
-class Rounds(Gradients):
-    """Takes the gradients at a point in rounds; a metric sees the pictures of all rounds so far.
+class Rounds(GradientEstimator):
+    """Estimates the gradients at a point in rounds; metrics are evaluated on the images of all rounds so far.
 
-    Let ``a_r`` be the adjoint image, corrected by the jackknife, that a metric has after round ``r``, when it has
-    seen ``N_r`` samples per pixel. Round ``r`` propagates ``(N_r a_r − N_{r−1} a_{r−1}) / (N_r − N_{r−1})``:
-    then the rounds together, weighted by their samples, have propagated ``a_r``, the best there is, however noisy
-    the pictures of the first rounds were. To first order this is the adjoint of the round's own pictures, so that
-    rounds are independent and their variances add up.
+    Let ``a_r`` be the bias-corrected adjoint image of a metric after round ``r``, from ``N_r`` samples per pixel.
+    Round ``r`` propagates ``(N_r a_r − N_{r−1} a_{r−1}) / (N_r − N_{r−1})``, so that all rounds together, weighted
+    by their samples, have propagated ``a_r``, however noisy the images of the first rounds were. To first order
+    this is the adjoint of the round's own images, so that rounds are independent and their variances add up.
 
     Parameters
     ----------
-    renderer, metrics, viewer, bar
-        As for ``Gradients``.
+    renderer, metrics, transform_selector, bar
+        As for ``GradientEstimator``.
     seed
-        From which the seeds of all rounds are drawn.
+        The seeds of all rounds are derived from it.
     time
-        A round ends before its last pass where it leaves no time for that.
+        A round stops early if there is no time for another backward pass.
     picture_ratio
         As in ``Budget``.
+
+    Attributes
+    ----------
+    mean_adjoints
+        For each metric, the mean adjoint image that all rounds so far have propagated.
     """
 
     def __init__(
         self,
         renderer: Any,
         metrics: Sequence[TargetedMetric],
-        viewer: Viewer,
+        transform_selector: TransformSelector,
         bar: tqdm[Any],
         *,
         seed: int,
         time: TimeLimit,
         picture_ratio: float | None = None,
     ) -> None:
-        super().__init__(renderer, metrics, Budget((), (), (), picture_ratio), viewer, bar)
+        super().__init__(renderer, metrics, Budget((), (), (), picture_ratio), transform_selector, bar)
         self._seed = seed
         self._time = time
-        self._began = 0.0  # the pictures of this round, and then its backward passes
-        self._more = 0  # backward passes that a bias takes
-        self._pictures: list[tuple[torch.Tensor, int]] = []  # means, and the samples of each
-        self.propagated: list[torch.Tensor] = []  # by metric, in all rounds so far
+        self._phase_start = 0.0  # of the images of this round, then of its backward passes
+        self._bias_passes = 0  # additional backward passes for the bias
+        self._image_groups: list[tuple[torch.Tensor, int]] = []  # mean images and their samples per pixel
+        self.mean_adjoints: list[torch.Tensor] = []
 
     @property
-    def points(self) -> int:
-        """Rounds are all at one point."""
+    def n_points(self) -> int:
+        """All rounds are at the same point."""
         return 1
 
-    def rehearse(self, point: Point, spp: int) -> None:
-        """Render and differentiate a pass, and keep nothing."""
+    def warm_up(self, point: Point, spp: int) -> None:
+        """Render and differentiate once to compile all kernels; discard the results."""
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
-        seeds = {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._replays else {"seed": self._seed}
-        # What a checkpoint has compiles nothing.
+        seeds = (
+            {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._has_seed_grad else {"seed": self._seed}
+        )
+        # Results from a checkpoint would not compile anything.
         renderer = without_checkpoint(self.renderer)
         graph = renderer(leaves, spp=spp, **seeds)
-        if not all(is_linear(one, [graph.detach()]) for one in self.metrics):
+        if not all(is_linear(metric, [graph.detach()]) for metric in self.metrics):
             more = math.ceil((self._ratio - 1) * spp)
-            added = pictures(renderer, point.values, [self._seed ^ 2], more) if more else []
-            self.viewer.choose([graph.detach(), *added])  # for which guides may have to be rendered
+            added = render_images(renderer, point.values, [self._seed ^ 2], more) if more else []
+            self.transform_selector.select([graph.detach(), *added])  # may render guides
         for metric in self.metrics:
             _, adjoint = metric.value_and_adjoint(graph)
             torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
 
-    def take(self, point: Point, passes: int, spp: int) -> tuple[list[PointGradient], bool]:
-        """Take one more round; return as ``at``, each share being the samples of the passes that were finished."""
-        before, self.budget = self.budget, self.budget.with_round(passes, spp, self._seed)
-        self._began = self._time.now()
+    def add_round(self, point: Point, replicates: int, spp: int) -> tuple[list[PointGradient], bool]:
+        """Estimate the gradients of another round, weighted by the samples of the finished replicates.
+
+        Returns the same as ``estimate``.
+        """
+        before, self.budget = self.budget, self.budget.with_round(replicates, spp, self._seed)
+        self._phase_start = self._time.now()
         try:
-            found, interrupted = self.at(len(before.spp), point)
+            estimates, interrupted = self.estimate(len(before.spp), point)
         except KeyboardInterrupt:
             self.budget = before
             raise
-        for one in found:
-            one.share = float(one.passes * spp)
-        done = min(one.passes for one in found)
-        # What was not propagated was not spent.
+        for estimate in estimates:
+            estimate.weight = float(estimate.replicates * spp)
+        finished = min(estimate.replicates for estimate in estimates)
+        # Only count samples that were propagated.
         self.budget = dataclasses.replace(
             self.budget,
-            gradient_seeds=(*self.budget.gradient_seeds[:-1], self.budget.gradient_seeds[-1][:done]),
+            gradient_seeds=(*self.budget.gradient_seeds[:-1], self.budget.gradient_seeds[-1][:finished]),
         )
-        return found, interrupted
+        return estimates, interrupted
 
-    def _with_picture_samples(
+    def _add_image_samples(
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
     ) -> list[torch.Tensor]:
-        """Leave them out where what the pictures took so far leaves no time for them and the backward passes."""
+        """Add primal samples, unless the remaining time only suffices for the backward passes."""
 
-        def choose() -> tuple[int]:
-            rest = (self._ratio - 1 + _BACKWARD) * (self._time.now() - self._began)
-            return (int(self._time.left() < rest),)
+        def skip() -> tuple[int]:
+            cost = (self._ratio - 1 + BACKWARD_COST_RATIO) * (self._time.now() - self._phase_start)
+            return (int(self._time.remaining() < cost),)
 
-        if self._time.decide(("pictures", self._seed, self.budget.spp, self.budget.passes), choose) == (1,):
-            self.picture_spp = self.budget.spp[index]
+        if self._time.decide(("pictures", self._seed, self.budget.spp, self.budget.replicates), skip) == (1,):
+            self.image_spp = self.budget.spp[index]
             return images
-        return super()._with_picture_samples(index, values, images)
+        return super()._add_image_samples(index, values, images)
 
     @property
     def _ratio(self) -> float:
-        """How many samples of the pictures there are at most for each of a backward pass."""
+        """Maximum number of primal samples per sample of a backward pass."""
         return self.budget.picture_ratio or NOISY_PICTURE_RATIO
 
-    def _seen(
+    def _evaluate_metrics(
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
     ) -> list[Adjoints]:
-        spp, old = self.picture_spp or 1, len(self._pictures)
-        every = [*(image for image, _ in self._pictures), *images]
+        spp, n_earlier = self.image_spp or 1, len(self._image_groups)
+        all_images = [*(image for image, _ in self._image_groups), *images]
         samples = torch.tensor(
-            [*(count for _, count in self._pictures), *[spp] * len(images)], dtype=torch.float32
+            [*(count for _, count in self._image_groups), *[spp] * len(images)], dtype=torch.float32
         )
-        shares = (samples / samples.sum()).to(images[0])
-        self.image = torch.tensordot(shares, torch.stack(every), 1)
+        fractions = (samples / samples.sum()).to(images[0])
+        self.image = torch.tensordot(fractions, torch.stack(all_images), 1)
         counts = samples.tolist()
-        metrics = through_view(self.metrics, every, self.viewer, counts)
-        seen = [jackknife(one, every, counts) for one in metrics]
-        # The pseudo-values' mean is the adjoint without its bias.
-        propagated = [torch.tensordot(shares, torch.stack(one.passes), 1) for one in seen]
-        *earlier, latest = (p * (s or 1) for p, s in zip(self.budget.passes, self.budget.spp, strict=True))
+        metrics = with_image_transform(self.metrics, all_images, self.transform_selector, counts)
+        evaluated = [jackknife(metric, all_images, counts) for metric in metrics]
+        # The mean over the images is the bias-corrected adjoint.
+        means = [torch.tensordot(fractions, torch.stack(result.per_replicate), 1) for result in evaluated]
+        *earlier, latest = (
+            n * (s or 1) for n, s in zip(self.budget.replicates, self.budget.spp, strict=True)
+        )
         before = sum(earlier) / (sum(earlier) + latest)
-        found = []
-        for number, one in enumerate(seen):
-            new, mean = torch.stack(one.passes[old:]), propagated[number]
-            if old:
-                mean = (mean - before * self.propagated[number]) / (1 - before)
-            found.append(dataclasses.replace(one, passes=tuple(new - new.mean(0) + mean)))
-        self.propagated = propagated
-        self._more = 0 if all(one.is_linear for one in seen) else 1
-        self._keep(images, spp)
-        self._began = self._time.now()
-        return found
+        adjoints = []
+        for number, (result, mean) in enumerate(zip(evaluated, means, strict=True)):
+            new = torch.stack(result.per_replicate[n_earlier:])
+            own = (mean - before * self.mean_adjoints[number]) / (1 - before) if n_earlier else mean
+            adjoints.append(dataclasses.replace(result, per_replicate=tuple(new - new.mean(0) + own)))
+        self.mean_adjoints = means
+        self._bias_passes = 0 if all(result.is_linear for result in evaluated) else 1
+        self._merge_images(images, spp)
+        self._phase_start = self._time.now()
+        return adjoints
 
-    def _keep(self, images: Sequence[torch.Tensor], spp: int) -> None:
-        """Merge new pictures into the groups, the smallest of which takes in each."""
+    def _merge_images(self, images: Sequence[torch.Tensor], spp: int) -> None:
+        """Merge each new image into the group with the fewest samples."""
         for image in images:
-            if len(self._pictures) < _GROUPS:
-                self._pictures.append((image, spp))
+            if len(self._image_groups) < IMAGE_GROUPS:
+                self._image_groups.append((image, spp))
                 continue
-            index = min(range(_GROUPS), key=lambda one: self._pictures[one][1])
-            mean, count = self._pictures[index]
-            self._pictures[index] = (torch.lerp(mean, image, spp / (count + spp)), count + spp)
+            index = min(range(IMAGE_GROUPS), key=lambda i: self._image_groups[i][1])
+            mean, count = self._image_groups[index]
+            self._image_groups[index] = (torch.lerp(mean, image, spp / (count + spp)), count + spp)
 
-    def _is_late(self, done: int) -> bool:
-        if done < 2:  # which an error takes
+    def _is_out_of_time(self, finished: int) -> bool:
+        if finished < 2:  # required for a standard error
             return False
-        each = (self._time.now() - self._began) / done
+        seconds_per_pass = (self._time.now() - self._phase_start) / finished
 
-        def choose() -> tuple[int]:
-            return (int(self._time.left() < (1 + self._more) * each),)
+        def stop() -> tuple[int]:
+            return (int(self._time.remaining() < (1 + self._bias_passes) * seconds_per_pass),)
 
-        asked = "late", self._seed, self.budget.spp, self.budget.passes, done
-        return self._time.decide(asked, choose) == (1,)
+        what = "late", self._seed, self.budget.spp, self.budget.replicates, finished
+        return self._time.decide(what, stop) == (1,)

@@ -1,4 +1,4 @@
-"""Shapley values: a fair share of the metric for each part of the scene, interactions of light included."""
+"""Shapley values of the parts of a scene, including their interactions."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
-from ._passes import DEFAULT_PASSES
-from ._perturbation import Arm, Effect, Effects, Missed, Perturbation
+from ._passes import DEFAULT_REPLICATES
+from ._perturbation import Arm, Effect, Effects, Perturbation, Residual
 from ._view import Denoise
 
 Coalition: TypeAlias = "frozenset[str]"
 Order: TypeAlias = "tuple[str, ...]"
 
-MOST_EXACT_PLAYERS = 10
+MAX_EXACT_PLAYERS = 10
 
 
 class ShapleyValueScene(Perturbation):
-    """The Shapley value of each player: its average marginal effect over the orders in which players can join.
+    """The Shapley value of each player: its average marginal effect over all orders in which players can join.
 
     Example
     -------
@@ -42,17 +42,18 @@ class ShapleyValueScene(Perturbation):
     >>> abs(sum(attribution.values()).item() - attribution.metric_value) < 1e-5
     True
 
-    The players are groups of parameters. They start at their baselines and join, one after the other, at their
-    values. The values sum to the metric of the scene minus that of the scene at its baselines, up to rounding, for
-    any number of permutations, since each permutation's marginal effects do and all share their samples.
+    The players are groups of parameters. They start at their baselines and switch to their values one after the
+    other. Up to rounding, the Shapley values sum to the metric of the scene minus the metric at the baselines for
+    any number of permutations, because the marginal effects of each permutation do and all subsets use common
+    random numbers.
 
     Parameters
     ----------
     renderer
         A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image.
     metric
-        A torch function from the image to a scalar, or to a vector of which ``target`` names elements; it need not
-        be differentiable.
+        A torch function from the image to a scalar, or to a vector indexed by ``target``; it need not be
+        differentiable.
 
     References
     ----------
@@ -71,7 +72,7 @@ class ShapleyValueScene(Perturbation):
         n_samples: int | Literal["all"] = 25,
         seed: int = 0,
         spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
@@ -83,35 +84,32 @@ class ShapleyValueScene(Perturbation):
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list of
-            results from the same renders.
+            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
+            the same renders.
         baselines
-            What a player is before it joins: None (lights and reflectances 0, everything else as it is),
+            Values of players that have not joined: None (emitters and reflectances 0, everything else unchanged),
             ``"dark"``, ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
         groups
             The players: ``"kind"``, ``"material"``, ``"object"``, or a mapping from a player's name to the
-            names or globs of its parameters. By default, and for what the mapping leaves out, each parameter is
-            a player.
+            names or globs of its parameters. Parameters in no group are players of their own.
         n_samples
-            Number of permutations, which come in pairs, each with its reverse (an odd number is rounded up), or
-            ``"all"`` for the exact value from every subset of at most ten players. Ones that are at their
-            baselines already do not count.
+            Number of permutations, in antithetic pairs of a permutation and its reverse (an odd number is rounded
+            up), or ``"all"`` for exact values from all subsets of at most ten players. Players that are already at
+            their baselines do not count.
         seed
-            Seed from which the permutations and those of all replicates are drawn; the same for all subsets.
+            Random seed, for the permutations and the renders. All subsets use common random numbers.
         spp
-            Total samples per pixel over all subsets of players that are rendered, the renderer's by default: each
-            subset gets its share, rounded up, split over the replicates, and each replicate at least one sample.
+            Total samples per pixel over all subsets of players that are rendered; the renderer's by default. They
+            are split evenly over subsets and replicates, rounded up to at least one each.
         replicates
-            Number of independent seeds. Their spread is the part of the standard errors that is due to rendering;
-            with 1 there are no errors, and no correction of the bias that a noisy image puts into a non-linear
-            metric.
+            Number of independent replicates, whose variance gives the rendering part of the standard errors. With
+            1 there are no errors, and no correction of the bias that image noise causes in a non-linear metric.
         denoise
-            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
-            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
-            was done.
+            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
+            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
         checkpoint
-            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
-            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
+            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
+            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
         show_progress
             Whether to show a progress bar.
 
@@ -119,13 +117,13 @@ class ShapleyValueScene(Perturbation):
         -------
         SceneAttribution
             A 0-d value for each player, in units of the metric, with its parameters in ``info["groups"]``. The
-            errors hold the noise of the renders and the choice of the permutations together.
+            errors include both the noise of the renders and the sampling of permutations.
 
         Raises
         ------
         SceneCaptumError
-            Where baselines or groups do not fit the parameters, all players are at their baselines already or too
-            many for ``"all"``, or the metric is not a finite scalar.
+            If baselines or groups do not fit the parameters, all players are already at their baselines, there are
+            too many for ``"all"``, or the metric is not a finite scalar.
         AttributionInterrupted
             On Ctrl-C after at least one pair of permutations, with the result so far.
         """
@@ -136,8 +134,8 @@ class ShapleyValueScene(Perturbation):
         orders = _orders(players, n_samples, seed)
         game = _Game(players, orders, _coalitions(players, orders))
         arms = [
-            Arm(_described(joined, players), partial(_scene, joined, members, values, absent))
-            for joined in game.coalitions
+            Arm(_description(coalition, players), partial(_scene, coalition, members, values, absent))
+            for coalition in game.coalitions
         ]
         measured = self._measure(
             arms,
@@ -145,37 +143,42 @@ class ShapleyValueScene(Perturbation):
             Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
         )
 
-        def effects_of(pseudo: torch.Tensor) -> tuple[Effects, Missed | None]:
-            return _effects(game, pseudo, members)
+        def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, Residual | None]:
+            return _effects(game, pseudo_values, members)
 
-        count, drawn = len(measured.budget.seeds), len(game.finished(len(measured.pseudo)))
+        count, pairs = len(measured.budget.seeds), len(game.finished(len(measured.pseudo_values)))
         return self._results(
             measured,
             target,
             effects_of,
             quantity="Shapley value",
             groups={group: list(names) for group, names in members.items()},
-            permutations="all" if orders is None else 2 * drawn,
-            passes=count if orders is None else min(count, drawn),  # sets the errors' degrees of freedom
+            permutations="all" if orders is None else 2 * pairs,
+            replicates=count
+            if orders is None
+            else min(count, pairs),  # sets the degrees of freedom of the errors
         )
 
 
 @dataclass(frozen=True)
 class _Game:
-    """Who joins in which orders (one of each pair with its reverse, None for all), by way of which coalitions."""
+    """The players, the orders in which they join, and the coalitions to render.
+
+    ``orders`` has one of each antithetic pair; None stands for all orders.
+    """
 
     players: Order
     orders: list[Order] | None
     coalitions: list[Coalition]
 
     def finished(self, measured: int) -> list[Order]:
-        """Return the orders whose coalitions, and those of their reverse, are among the first so many."""
-        done = set(self.coalitions[:measured])
-        return [order for order in self.orders or () if done.issuperset(_both_ways(order))]
+        """Return the orders for which all coalitions, including the reverse order, have been measured."""
+        finished = set(self.coalitions[:measured])
+        return [order for order in self.orders or () if finished.issuperset(_antithetic_coalitions(order))]
 
 
 def _players(values: Values, absent: Values, members: Mapping[str, tuple[str, ...]]) -> Order:
-    """Return the groups that change anything by joining."""
+    """Return the groups whose values differ from their baselines."""
     players = tuple(
         group
         for group, names in members.items()
@@ -183,136 +186,137 @@ def _players(values: Values, absent: Values, members: Mapping[str, tuple[str, ..
     )
     if not players:
         raise SceneCaptumError(
-            f"There is nothing to share out: all {len(values)} inputs are at their baselines already. Give "
-            "others with baselines=, a number or a mapping by name, say."
+            f"There is nothing to attribute to: all {len(values)} inputs are already at their baselines. Give "
+            "other baselines=, such as a number or a mapping by name."
         )
     return players
 
 
 def _orders(players: Order, n_samples: int | Literal["all"], seed: int) -> list[Order] | None:
-    """Draw the orders in which players join, one of each pair with its reverse; None stands for all orders."""
+    """Sample orders in which players join, one of each antithetic pair; None stands for all orders."""
     if isinstance(n_samples, str):
         if n_samples != "all":
             raise SceneCaptumError(f'n_samples must be a number of permutations or "all", not {n_samples!r}.')
-        if len(players) > MOST_EXACT_PLAYERS:
+        if len(players) > MAX_EXACT_PLAYERS:
             raise SceneCaptumError(
-                f'n_samples="all" renders every subset of at most {MOST_EXACT_PLAYERS} players, and there are '
-                f"{len(players)}. Join some with groups=, or give a number of permutations."
+                f'n_samples="all" renders every subset of at most {MAX_EXACT_PLAYERS} players, and there are '
+                f"{len(players)}. Combine some with groups=, or give a number of permutations."
             )
         return None
     pairs = math.ceil(whole_number("n_samples", n_samples) / 2)
     if len(players) <= 2:
-        return None  # an order and its reverse are all there are
-    # A stream of its own, independent of the seeds of the renders.
+        return None  # there are no other orders than one and its reverse
+    # Independent of the seeds of the renders.
     (stream,) = np.random.SeedSequence(check_seed("seed", seed)).spawn(1)
     generator = np.random.default_rng(stream)
     return [tuple(players[i] for i in generator.permutation(len(players))) for _ in range(pairs)]
 
 
-def _walk(order: Order) -> list[Coalition]:
-    """Return what has joined before each player and in the end."""
+def _growing_coalitions(order: Order) -> list[Coalition]:
     return [frozenset(order[:count]) for count in range(len(order) + 1)]
 
 
-def _both_ways(order: Order) -> list[Coalition]:
-    return _walk(order) + _walk(order[::-1])
+def _antithetic_coalitions(order: Order) -> list[Coalition]:
+    return _growing_coalitions(order) + _growing_coalitions(order[::-1])
 
 
 def _coalitions(players: Order, orders: list[Order] | None) -> list[Coalition]:
-    """Return every coalition that is needed, once each, the full one first."""
+    """Return the coalitions to render, without duplicates, the full one first."""
     if orders is None:
         needed = [frozenset(c) for size in range(len(players) + 1) for c in combinations(players, size)]
     else:
-        needed = [joined for order in orders for joined in _both_ways(order)]
+        needed = [coalition for order in orders for coalition in _antithetic_coalitions(order)]
     return list(dict.fromkeys([frozenset(players), frozenset(), *needed]))
 
 
 def _scene(
-    joined: Coalition, members: Mapping[str, tuple[str, ...]], values: Values, absent: Values
+    coalition: Coalition, members: Mapping[str, tuple[str, ...]], values: Values, absent: Values
 ) -> dict[str, torch.Tensor]:
-    here = {name for player in joined for name in members[player]}
-    return {name: value if name in here else absent[name] for name, value in values.items()}
+    present = {name for player in coalition for name in members[player]}
+    return {name: value if name in present else absent[name] for name, value in values.items()}
 
 
-def _described(joined: Coalition, players: Order) -> str:
-    away = [player for player in players if player not in joined]
-    if not away:
+def _description(coalition: Coalition, players: Order) -> str:
+    missing = [player for player in players if player not in coalition]
+    if not missing:
         return "the unchanged scene"
-    named = "all" if len(away) == len(players) else ", ".join(map(repr, away[:3]))
-    return f"the scene with {named}{' …' if 3 < len(away) < len(players) else ''} at the baselines"
+    names = "all" if len(missing) == len(players) else ", ".join(map(repr, missing[:3]))
+    return f"the scene with {names}{' …' if 3 < len(missing) < len(players) else ''} at the baselines"
 
 
-def _exact(metric_of: Mapping[Coalition, torch.Tensor], players: Order) -> torch.Tensor:
-    """Return Shapley's formula in every replicate, ``(1, replicates, players)``."""
+def _exact_values(metric_of: Mapping[Coalition, torch.Tensor], players: Order) -> torch.Tensor:
+    """Evaluate Shapley's formula in every replicate, ``(1, replicates, players)``."""
     count = len(players)
-    shares = []
+    values = []
     for player in players:
-        share = torch.zeros_like(metric_of[frozenset()])
-        for joined, metric in metric_of.items():
-            if player not in joined:
-                weight = 1 / (count * math.comb(count - 1, len(joined)))
-                share += weight * (metric_of[joined | {player}] - metric)
-        shares.append(share)
-    return torch.stack(shares, -1)[None]
+        value = torch.zeros_like(metric_of[frozenset()])
+        for coalition, metric in metric_of.items():
+            if player not in coalition:
+                weight = 1 / (count * math.comb(count - 1, len(coalition)))
+                value += weight * (metric_of[coalition | {player}] - metric)
+        values.append(value)
+    return torch.stack(values, -1)[None]
 
 
-def _sampled(
+def _sampled_values(
     metric_of: Mapping[Coalition, torch.Tensor], players: Order, orders: list[Order]
 ) -> torch.Tensor:
-    """Return what each player adds, averaged over an order and its reverse: ``(pairs, replicates, players)``."""
+    """Return marginal effects, averaged over an order and its reverse: ``(pairs, replicates, players)``."""
     pairs = []
     for order in orders:
-        added = dict.fromkeys(players, torch.zeros_like(metric_of[frozenset()]))
-        for way in (order, order[::-1]):
-            for player, (before, after) in zip(way, pairwise(_walk(way)), strict=True):
-                added[player] = added[player] + (metric_of[after] - metric_of[before]) / 2
-        pairs.append(torch.stack([added[player] for player in players], -1))
+        effects = dict.fromkeys(players, torch.zeros_like(metric_of[frozenset()]))
+        for joining in (order, order[::-1]):
+            steps = pairwise(_growing_coalitions(joining))
+            for player, (before, after) in zip(joining, steps, strict=True):
+                effects[player] = effects[player] + (metric_of[after] - metric_of[before]) / 2
+        pairs.append(torch.stack([effects[player] for player in players], -1))
     return torch.stack(pairs)
 
 
 def _effects(
-    game: _Game, pseudo: torch.Tensor, members: Mapping[str, tuple[str, ...]]
-) -> tuple[Effects, Missed | None]:
-    """Return every group's value, 0 where it changes nothing, and what they miss of the whole by rounding."""
-    metric_of = dict(zip(game.coalitions, pseudo, strict=False))
-    finished = game.finished(len(pseudo))
+    game: _Game, pseudo_values: torch.Tensor, members: Mapping[str, tuple[str, ...]]
+) -> tuple[Effects, Residual | None]:
+    """Return the value of every group, 0 if it is at its baseline, and the residual due to rounding."""
+    metric_of = dict(zip(game.coalitions, pseudo_values, strict=False))
+    finished = game.finished(len(pseudo_values))
     if game.orders is None and len(metric_of) == len(game.coalitions):
-        shares = _exact(metric_of, game.players)
+        values = _exact_values(metric_of, game.players)
     elif finished:
-        shares = _sampled(metric_of, game.players, finished)
+        values = _sampled_values(metric_of, game.players, finished)
     else:
         return {}, None
-    of = {player: shares[..., index] for index, player in enumerate(game.players)}
-    nothing = torch.zeros_like(shares[..., 0])
-    gained = (metric_of[frozenset(game.players)] - metric_of[frozenset()]).mean()
+    by_player = {player: values[..., index] for index, player in enumerate(game.players)}
+    zero = torch.zeros_like(values[..., 0])
+    explained = (metric_of[frozenset(game.players)] - metric_of[frozenset()]).mean()
     return (
-        {group: _effect(of.get(group, nothing), exact=game.orders is None) for group in members},
-        Missed((shares.mean((0, 1)).sum() - gained).item(), gained.item()),
+        {group: _effect(by_player.get(group, zero), exact=game.orders is None) for group in members},
+        Residual((values.mean((0, 1)).sum() - explained).item(), explained.item()),
     )
 
 
-def _effect(shares: torch.Tensor, *, exact: bool) -> Effect:
-    pairs, replicates = shares.shape
+def _effect(values: torch.Tensor, *, exact: bool) -> Effect:
+    pairs, replicates = values.shape
     if exact:
-        return Effect.of_totals(shares.reshape(replicates, 1), torch.zeros(()))
-    value = shares.mean().float()
+        return Effect.of_totals(values.reshape(replicates, 1), torch.zeros(()))
+    value = values.mean().float()
     if min(pairs, replicates) < 2:
         return Effect(value, None, None, None)
-    variance = _crossed_variance(shares)
-    # No replicates: their spread alone would pass for the whole error where two results are subtracted.
+    variance = _crossed_variance(values)
+    # Without totals: a difference of two results would mistake their variance for the whole error.
     return Effect(value, variance.sqrt().float(), None, variance.reshape(1, 1))
 
 
-def _crossed_variance(shares: torch.Tensor) -> torch.Tensor:
-    """Return the variance of the mean of ``(pairs, replicates)`` numbers, where both rows and columns are drawn.
+def _crossed_variance(values: torch.Tensor) -> torch.Tensor:
+    """Return the variance of the mean of ``(pairs, replicates)`` values with random rows and columns.
 
-    With ``x = μ + pair + replicate + rest`` the spread of the row means and that of the column means both hold the
-    rest once, so it is taken off once (Searle, Casella and McCulloch, "Variance Components", 1992, chapter 4).
+    With ``x = μ + pair + replicate + residual`` the variances of the row means and of the column means both
+    include the residual, so it is subtracted once (Searle, Casella and McCulloch, "Variance Components", 1992,
+    chapter 4).
     """
-    pairs, replicates = shares.shape
-    rows, columns = shares.mean(1), shares.mean(0)
-    rest = shares - rows[:, None] - columns + shares.mean()
-    rest_mean_square = rest.square().sum() / ((pairs - 1) * (replicates - 1))
-    by_pairs, by_replicates = rows.var() / pairs, columns.var() / replicates
-    both = by_pairs + by_replicates - rest_mean_square / (pairs * replicates)
-    return torch.stack([both, by_pairs, by_replicates]).max()
+    pairs, replicates = values.shape
+    rows, columns = values.mean(1), values.mean(0)
+    residual = values - rows[:, None] - columns + values.mean()
+    residual_variance = residual.square().sum() / ((pairs - 1) * (replicates - 1))
+    between_pairs, between_replicates = rows.var() / pairs, columns.var() / replicates
+    total = between_pairs + between_replicates - residual_variance / (pairs * replicates)
+    return torch.stack([total, between_pairs, between_replicates]).max()

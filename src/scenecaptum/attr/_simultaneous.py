@@ -1,4 +1,4 @@
-"""Half-widths that hold for many parameters at once, and the samples that narrower ones would take."""
+"""Simultaneous confidence intervals for many parameters, and the samples needed to reach a given half-width."""
 
 from __future__ import annotations
 
@@ -10,118 +10,120 @@ import torch
 
 LEVEL = 0.95
 
-_DRAWS = 2000  # the quantile is then good to 1 %
-_DEGREES = 40  # more change a quantile by less than 3 %
-_LEAST_EFFECTIVE = 3.0  # samples, below which a spread is no reason to stop
-_ROUNDING = 1e-5  # single precision says no more of a sum over many samples
+_DRAWS = 2000  # gives quantiles to 1 %
+_MAX_DEGREES = 40  # more change a quantile by less than 3 %
+_MIN_EFFECTIVE_SAMPLES = 3.0  # with fewer, an estimated error is not a reason to stop
+_ROUNDING = 1e-5  # relative rounding error of a single-precision sum over many samples
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A vector that is estimated, and how wide its interval may be.
+    """An estimated vector with its error, and the target half-width of its interval.
 
     Attributes
     ----------
     names
-        The parameter, or the two whose saliencies are compared.
+        The parameter, or the two parameters whose saliencies are compared.
     total
         ``(C,)``: the estimate.
-    noise
-        ``(passes, C)``: what each pass adds to the error; the sum of the squares is the variance. It falls as
+    deviations
+        ``(replicates, C)``: deviations whose squares sum to the variance of the estimate; proportional to
         1/√samples.
     bias
-        ``(C,)``: the bias that was taken out, an error of its own size. It falls as 1/samples.
+        ``(C,)``: the estimated bias, which counts as an error of its own size; proportional to 1/samples.
     target
-        The half-width that is wanted.
-    effective
-        How many samples make up its spread, in effect, where that is known: with few, most of what it may be has
-        not been seen.
+        The target half-width.
+    effective_samples
+        Effective number of samples behind the variance, or None if unknown. With few, the variance is unreliable.
     """
 
     names: tuple[str, ...]
     total: torch.Tensor
-    noise: torch.Tensor
+    deviations: torch.Tensor
     bias: torch.Tensor
     target: float
-    effective: float | None = None
+    effective_samples: float | None = None
 
     @property
     def size(self) -> float:
-        """The ℓ2 norm, without what noise adds to it on average."""
-        square = self.total.square().sum() - self.noise.square().sum()
+        """The ℓ2 norm, corrected for the expected contribution of noise."""
+        square = self.total.square().sum() - self.deviations.square().sum()
         return math.sqrt(max(square.item(), 0.0))
 
     @property
     def error(self) -> float:
-        """The root of the expected square of the ℓ2 norm of its error."""
-        return math.sqrt(self.noise.square().sum().item() + self.bias.square().sum().item())
+        """Root of the expected squared ℓ2 norm of the error."""
+        return math.sqrt(self.deviations.square().sum().item() + self.bias.square().sum().item())
 
     @property
     def is_exact(self) -> bool:
-        """Whether its error is nothing but rounding."""
+        """Whether the error is only due to rounding."""
         return self.error <= _ROUNDING * self.size
 
     def upper(self, quantile: float) -> float:
-        """Return the upper limit of its size."""
+        """Return the upper confidence limit of the size."""
         return self.size + quantile * self.error if self.error else self.size
 
     def lower(self, quantile: float) -> float:
-        """Return the lower limit of its size."""
+        """Return the lower confidence limit of the size."""
         return max(0.0, self.size - quantile * self.error) if self.error else self.size
 
-    def degrees(self, most: int) -> int:
-        """Return the degrees of freedom of the variance: ``most``, or fewer where the rows have heavy tails.
+    def degrees_of_freedom(self, maximum: int) -> int:
+        """Return the effective degrees of freedom of the variance: ``maximum``, or fewer for heavy-tailed rows.
 
-        As many as a variance of normal rows that is as uncertain: ``2/u``, where ``u`` is the relative variance
-        of this variance, ``κ/n + 2/(n − 1)`` with the excess kurtosis ``κ`` of the rows: an unbiased estimate, or
-        what so few effective samples make of it where that is more. Of eight rows of which one has nearly all, it
-        leaves two.
+        These are ``2/u``, as for normally distributed rows, where ``u`` is the relative variance of the variance,
+        ``κ/n + 2/(n − 1)`` with the excess kurtosis ``κ`` of the rows. ``κ/n`` is estimated without bias from the
+        rows, or is ``1/effective_samples`` if that is larger. If one of eight rows has nearly all of the variance,
+        two degrees of freedom remain.
 
         References
         ----------
         Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics Bulletin 2(6),
         1946. Joanes and Gill, "Comparing measures of sample skewness and kurtosis", The Statistician 47(1), 1998.
         """
-        squares = self.noise.double().square().sum(1)
+        squares = self.deviations.double().square().sum(1)
         count, variance = len(squares), squares.sum().item()
         if count < 2 or not variance:
-            return most
-        tails = [1 / self.effective] if self.effective else []
+            return maximum
+        tails = [1 / self.effective_samples] if self.effective_samples else []
         if count >= 4:
             fourth = count * squares.square().sum().item() / variance**2
             excess = (count - 1) * ((count + 1) * fourth - 3 * (count - 1)) / ((count - 2) * (count - 3))
             tails.append(excess / count)
         uncertainty = max(tails, default=0.0) + 2 / (count - 1)
-        return max(1, min(most, round(2 / uncertainty))) if uncertainty > 0 else most
+        return max(1, min(maximum, round(2 / uncertainty))) if uncertainty > 0 else maximum
 
     @property
-    def is_rare(self) -> bool:
-        """Whether so few samples make up its spread that this tells no error."""
-        return self.effective is not None and self.effective < _LEAST_EFFECTIVE
+    def has_too_few_samples(self) -> bool:
+        """Whether the effective number of samples is too small for an error estimate."""
+        return self.effective_samples is not None and self.effective_samples < _MIN_EFFECTIVE_SAMPLES
 
-    def is_reached(self, quantile: float) -> bool:
-        """Whether its half-width is as small as wanted and can be trusted, or is nothing but rounding."""
-        return self.is_exact or (quantile * self.error <= self.target and not self.is_rare)
+    def meets_target(self, quantile: float) -> bool:
+        """Whether the half-width is within the target and reliable, or only due to rounding."""
+        return self.is_exact or (quantile * self.error <= self.target and not self.has_too_few_samples)
 
-    def growth(self, quantile: float) -> float:
-        """Return by which factor the samples have to grow for the half-width that is wanted.
+    def required_growth(self, quantile: float) -> float:
+        """Return the factor by which the number of samples must grow to reach the target half-width.
 
         It solves ``ρ v + ρ² b² = (target/quantile)²`` with variance ``v``, bias ``b`` and ``ρ = 1/growth``.
         """
-        noise, bias = self.noise.square().sum().item(), self.bias.square().sum().item()
+        variance, bias = self.deviations.square().sum().item(), self.bias.square().sum().item()
         allowed = (self.target / quantile) ** 2 if quantile > 0 else math.inf
-        if noise + bias <= allowed:
-            return _LEAST_EFFECTIVE / self.effective if self.effective and self.is_rare else 1.0
-        return (noise + math.sqrt(noise**2 + 4 * bias * allowed)) / (2 * allowed) if allowed else math.inf
+        if variance + bias <= allowed:
+            if self.effective_samples and self.has_too_few_samples:
+                return _MIN_EFFECTIVE_SAMPLES / self.effective_samples
+            return 1.0
+        if not allowed:
+            return math.inf
+        return (variance + math.sqrt(variance**2 + 4 * bias * allowed)) / (2 * allowed)
 
 
 def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: float = LEVEL) -> float:
-    """Return ``q`` such that with probability ``level`` no quantity's error is larger than ``q`` of its ``error``.
+    """Return ``q`` such that, with probability ``level``, every quantity's error is at most ``q`` times ``error``.
 
-    The errors of all are drawn together from the covariance that the passes tell, and each is divided by a
-    standard error as uncertain as one with these degrees of freedom, or fewer where its rows have heavy tails.
-    Student's quantile is what this comes to for a single number; Bonferroni's inequality would make more of
-    parameters that move together.
+    The errors of all quantities are sampled jointly from their covariance over the replicates. Each is divided by
+    a standard error with the uncertainty of these degrees of freedom, or fewer for heavy-tailed rows. For a single
+    number this is Student's quantile; the Bonferroni correction would be too wide for correlated parameters.
 
     References
     ----------
@@ -131,18 +133,19 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
     """
     if degrees < 1:
         return math.inf
-    live = [one for one in quantities if one.error > 0]
-    if not live:
+    noisy = [quantity for quantity in quantities if quantity.error > 0]
+    if not noisy:
         return 0.0
-    degrees = min(degrees, _DEGREES)
-    factor = torch.cat([torch.cat([one.noise, one.bias[None]]) / one.error for one in live], 1)
-    # The same covariance from as few random numbers as will do.
+    degrees = min(degrees, _MAX_DEGREES)
+    factor = torch.cat([torch.cat([q.deviations, q.bias[None]]) / q.error for q in noisy], 1)
+    # An equivalent factor of the covariance with fewer rows needs fewer random numbers.
     factor = torch.linalg.qr(factor.cpu().float(), mode="r").R
     generator = torch.Generator().manual_seed(0)
     largest = torch.zeros(_DRAWS)
     drawn = torch.randn(_DRAWS * (degrees + 1), len(factor), generator=generator) @ factor
-    for one, errors in zip(live, drawn.split([one.noise.shape[1] for one in live], 1), strict=True):
+    columns = drawn.split([quantity.deviations.shape[1] for quantity in noisy], 1)
+    for quantity, errors in zip(noisy, columns, strict=True):
         squares = errors.square().sum(1).reshape(_DRAWS, degrees + 1)
-        told = squares[:, 1 : one.degrees(degrees) + 1]
-        largest = torch.maximum(largest, squares[:, 0] / told.mean(1))
+        variance = squares[:, 1 : quantity.degrees_of_freedom(degrees) + 1].mean(1)
+        largest = torch.maximum(largest, squares[:, 0] / variance)
     return largest.quantile(level).sqrt().item()

@@ -1,4 +1,4 @@
-"""Gradients averaged over noisy scenes."""
+"""SmoothGrad: gradients averaged over noisy scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ._gradients import GradientSum, Point, PointGradient
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_PASSES, Spread
+from ._passes import DEFAULT_REPLICATES, ReplicateStatistics
 from ._ranges import Noise
 from ._view import Denoise
 
@@ -27,7 +27,7 @@ _QUANTITIES = {
 
 
 class SmoothGradScene(GradientMethod):
-    """The mean, mean square or variance of the gradient over scenes whose parameters are noisy.
+    """The mean, mean square or variance of the gradient over scenes with noisy parameters.
 
     Example
     -------
@@ -40,7 +40,7 @@ class SmoothGradScene(GradientMethod):
     Parameters
     ----------
     renderer, metric
-        As for ``VanillaSceneGradient``. The renderer must tell its ``bounds``, unless ``nt_samples`` is 1.
+        As for ``VanillaSceneGradient``. The renderer must have ``bounds``, unless ``nt_samples`` is 1.
 
     References
     ----------
@@ -62,7 +62,7 @@ class SmoothGradScene(GradientMethod):
         seed: int = 0,
         spp: int | None = None,
         picture_spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
         show_progress: bool = False,
@@ -74,53 +74,51 @@ class SmoothGradScene(GradientMethod):
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
-            of results from the same renders.
+            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
+            the same renders.
         nt_type
             ``"smoothgrad"``: the mean of the gradients; ``"smoothgrad_sq"``: of their squares; ``"vargrad"``:
-            their variance. The noise of rendering is taken out of the last two: where ``stdevs`` is 0 the variance
-            is 0 within its error, and may come out negative.
+            their variance. The last two are corrected for the rendering noise, so that estimates of small values
+            may be negative.
         nt_samples
-            How many scenes.
+            Number of scenes.
         stdevs
-            Standard deviation of the noise as a fraction of each parameter's physical range (where that is
-            infinite, of its largest value): a number, or a mapping from names, globs or kinds. What the noise
-            carries beyond a bound is reflected there.
+            Standard deviation of the noise as a fraction of each parameter's physical range (or, if that is
+            infinite, of its largest value): a number, or a mapping from names, globs or kinds. Noisy values are
+            reflected at the bounds.
         noise_free_last
-            Whether the last scene has no noise, so that ``nt_samples=1`` gives the plain gradient.
+            Whether the last scene is without noise, so that ``nt_samples=1`` gives the plain gradient.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
-            members: the result has the sum of each group, and every other parameter alone.
+            members: the result has the sum of each group. Parameters in no group stay separate.
         seed
-            Seed from which those of all passes and the noise are drawn.
+            Random seed, for the noise and all replicates.
         spp
-            Total samples per pixel, split over the scenes. A metric that is not linear sees at least 16 at each;
-            an eighth more shows it the inputs themselves (``info["budget"]``).
+            Total samples per pixel, split over the scenes. Non-linear metrics use at least 16 for each scene.
+            Another eighth is used to evaluate the metric at the inputs (``info["budget"]``).
         picture_spp
-            Samples per pixel, over all scenes, of the pictures that a metric sees which is not linear; by default
-            no more than it must see.
+            Samples per pixel of the metric images over all scenes, for non-linear metrics; by default the minimum.
         replicates
-            Least number of independent passes in all.
+            Minimum number of independent replicates in total.
         denoise
-            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
-            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
-            was done.
+            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
+            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
         checkpoint
-            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
-            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
+            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
+            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
         show_progress
             Whether to show a progress bar.
 
         Returns
         -------
         SceneAttribution
-            With standard errors from the spread of the scenes, which holds both the noise that was added and that
-            of rendering; a list of them for a list of targets.
+            With standard errors from the variance between scenes, which includes the rendering noise; a list of
+            them for a list of targets.
 
         Raises
         ------
         SceneCaptumError
-            Where a setting does not fit, or as ``VanillaSceneGradient``.
+            If a setting is invalid, or as for ``VanillaSceneGradient``.
         AttributionInterrupted
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
@@ -129,54 +127,54 @@ class SmoothGradScene(GradientMethod):
         count = whole_number("nt_samples", nt_samples)
         if nt_type != "smoothgrad" and whole_number("replicates", replicates) == 1:
             raise SceneCaptumError(
-                f"nt_type={nt_type!r} takes replicates of 2 or more, to tell the noise of rendering."
+                f"nt_type={nt_type!r} requires replicates of 2 or more, to estimate the rendering noise."
             )
         run = self._start(
             inputs,
             target,
             Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
         )
-        noisy = count - 1 if noise_free_last else count
-        noise = Noise(self.renderer, run.values, stdevs if noisy else 0.0)
-        return run.finish(
-            (Point(values, 1 / count) for values in _scenes(noise, noisy, count, seed)),
+        noisy_count = count - 1 if noise_free_last else count
+        noise = Noise(self.renderer, run.values, stdevs if noisy_count else 0.0)
+        return run.attribute(
+            (Point(values, 1 / count) for values in _scenes(noise, noisy_count, count, seed)),
             count,
-            at_random=True,
+            random_points=True,
             moment=_MOMENTS[nt_type],
             nt_type=nt_type,
             quantity=f"{_QUANTITIES[nt_type]} per unit",
         )
 
 
-def _scenes(noise: Noise, noisy: int, count: int, seed: int) -> Iterator[dict[str, torch.Tensor]]:
+def _scenes(noise: Noise, noisy_count: int, count: int, seed: int) -> Iterator[dict[str, torch.Tensor]]:
     seeds = np.random.SeedSequence([check_seed("seed", seed), 2]).generate_state(count).tolist()
     for number in range(count):
-        yield noise.draw(seeds[number]) if number < noisy else dict(noise.values)
+        yield noise.sample(seeds[number]) if number < noisy_count else dict(noise.values)
 
 
-def _mean_square(found: GradientSum) -> GradientSum:
-    return _second_moment(found, {name: torch.zeros_like(mean) for name, mean in found.mean.items()}, 1.0)
+def _mean_square(total: GradientSum) -> GradientSum:
+    return _second_moment(total, {name: torch.zeros_like(mean) for name, mean in total.mean.items()}, 1.0)
 
 
-def _variance(found: GradientSum) -> GradientSum:
-    """Return the variance of the points: it divides by their number, as Captum's vargrad does."""
-    count = len(found.kept or ())
-    # Every point is part of the mean from which it deviates.
-    return _second_moment(found, {n: mean / found.share for n, mean in found.mean.items()}, 1 - 1 / count)
+def _variance(total: GradientSum) -> GradientSum:
+    """Return the variance over the points, divided by their number as in Captum's vargrad."""
+    count = len(total.points or ())
+    # The factor 1 − 1/n: every point is part of the mean.
+    return _second_moment(total, {n: mean / total.weight for n, mean in total.mean.items()}, 1 - 1 / count)
 
 
-def _second_moment(found: GradientSum, centre: dict[str, torch.Tensor], noise: float) -> GradientSum:
-    """Return the mean over points of the squared distance from a centre, less what the noise of rendering adds."""
-    squares = GradientSum(found.mean, at_random=True)
-    for point in found.kept or ():
-        spreads = {}
-        for name, spread in point.spreads.items():
-            square = (spread.mean - centre[name]).square_()
-            spreads[name] = Spread()
-            spreads[name].add(
-                square.sub_(spread.error().square_(), alpha=noise) if point.passes > 1 else square
-            )
-        squares.add(PointGradient(spreads, point.adjoints, point.share))
+def _second_moment(total: GradientSum, centre: dict[str, torch.Tensor], noise_factor: float) -> GradientSum:
+    """Return the mean squared distance of the points from a centre, corrected for the rendering noise."""
+    squares = GradientSum(total.mean, random_points=True)
+    for point in total.points or ():
+        statistics = {}
+        for name, gradient in point.statistics.items():
+            square = (gradient.mean - centre[name]).square_()
+            if point.replicates > 1:
+                square.sub_(gradient.error().square_(), alpha=noise_factor)
+            statistics[name] = ReplicateStatistics()
+            statistics[name].add(square)
+        squares.add(PointGradient(statistics, point.adjoints, point.weight))
     return squares
 
 

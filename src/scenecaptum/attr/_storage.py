@@ -1,4 +1,4 @@
-"""Saving and loading attributions: numpy's ``.npz`` with a JSON header and a checksum, never pickle."""
+"""Saving and loading attributions as NumPy ``.npz`` with a JSON header and a checksum, without pickle."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from .._writing import whole_file
 from ..errors import SceneCaptumError
-from ..scene import SurfaceMap, TexelMap
+from ..files import atomic_write
+from ..projection import SurfaceMap, TexelMap
 from ._attribution import SceneAttribution
 
-FORMAT = "scenecaptum attribution 2"
-WITHOUT_CHECKSUM = "scenecaptum attribution 1"  # what earlier versions wrote; zip's own checks are all it has
+FORMAT = "scenecaptum attribution 3"
 
 _TENSOR_FIELDS = ("attributions", "standard_error", "bias", "quadrature_error", "replicates", "covariance")
 _SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta", "convergence_delta_error")
@@ -26,7 +25,7 @@ _TEXEL_FIELDS = ("entry", "texel", "weight")
 
 
 def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
-    """Write an attribution to a file, which appears whole or not at all."""
+    """Write an attribution to a file atomically."""
     names = list(attribution)
     header: dict[str, Any] = {
         "format": FORMAT,
@@ -58,7 +57,7 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
         for index, shown in enumerate(surfaces.texels.values()):
             for field in _TEXEL_FIELDS:
                 arrays[f"texels/{index}/{field}"] = getattr(shown, field)
-    with whole_file(path) as partial, partial.open("wb") as file:
+    with atomic_write(path) as partial, partial.open("wb") as file:
         members = {"header": json.dumps(header), **arrays}
         np.savez_compressed(file, checksum=_checksum(members), **members)
 
@@ -69,19 +68,21 @@ def load(path: str | os.PathLike[str]) -> SceneAttribution:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(str(arrays["header"]))
-        if header["format"] not in (FORMAT, WITHOUT_CHECKSUM):
-            raise SceneCaptumError(f"{path} is a {header['format']!r}, not a {FORMAT!r}.")
-        if header["format"] == FORMAT and str(arrays.pop("checksum")) != _checksum(arrays):
+        if header["format"] != FORMAT:
             raise SceneCaptumError(
-                f"{path} is damaged, or was changed after it was saved: its contents do not match their checksum. "
-                "Take a copy that is whole, or attribute again."
+                f"{path} has the format {header['format']!r}, but this version reads {FORMAT!r}: attribute again."
+            )
+        if str(arrays.pop("checksum")) != _checksum(arrays):
+            raise SceneCaptumError(
+                f"{path} is damaged or was changed after it was saved: its contents do not match their checksum. "
+                "Use an intact copy, or attribute again."
             )
         return _restore(header, arrays)
     except FileNotFoundError:
         raise SceneCaptumError(f"There is no saved attribution at {path}.") from None
     except SceneCaptumError:
         raise
-    except Exception as error:  # whatever zip, numpy or JSON make of it, it is the file that is wrong
+    except Exception as error:  # any error of zip, NumPy or JSON is due to the file
         raise SceneCaptumError(
             f"{path} is not a saved attribution, or it is damaged ({type(error).__name__}: {_brief(error)}). "
             "Save it again with SceneAttribution.save."
@@ -89,7 +90,7 @@ def load(path: str | os.PathLike[str]) -> SceneAttribution:
 
 
 def _checksum(arrays: Mapping[str, Any]) -> str:
-    """Return SHA-256 over all members: it tells damage and careless edits, not a forger, who can make it anew."""
+    """Return the SHA-256 hash of all members, to detect damage and accidental edits, not tampering."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.asarray(arrays[name])
@@ -98,7 +99,7 @@ def _checksum(arrays: Mapping[str, Any]) -> str:
 
 
 def _brief(error: Exception) -> str:
-    """Return the message of an error on one line of reasonable length."""
+    """Return an error message on one line of limited length."""
     text = " ".join(str(error).split())
     return text if len(text) <= 200 else f"{text[:200]} …"
 
@@ -109,7 +110,7 @@ def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
 
     names = header["names"]
     fields: dict[str, Any] = {"standard_error": None, **{f: tensors(f, names) for f in header["fields"]}}
-    fields["parameter_values"] = tensors("parameter_values", header.get("parameter_values", []))
+    fields["parameter_values"] = tensors("parameter_values", header["parameter_values"])
     if "image" in file:
         fields["image"] = torch.from_numpy(file["image"])
     if described := header.get("surfaces"):
@@ -118,10 +119,9 @@ def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
             objects=tuple(described["objects"]),
             parameters=tuple(map(tuple, described["parameters"])),
             **{field: file[f"surfaces/{field}"] for field in _SURFACE_FIELDS},
-            # Files of earlier versions have none.
             texels={
                 name: TexelMap(**{field: file[f"texels/{index}/{field}"] for field in _TEXEL_FIELDS})
-                for index, name in enumerate(described.get("texels", ()))
+                for index, name in enumerate(described["texels"])
             },
         )
     scalars = {field: header[field] for field in _SCALAR_FIELDS}

@@ -8,7 +8,7 @@ import math
 def student_t(level: float, degrees: int) -> float:
     """Return ``t`` such that a Student-t variable lies in ``[-t, t]`` with probability ``level``.
 
-    Neither numpy nor torch has it; for whole degrees of freedom the probability is a finite sum.
+    Not available in NumPy or torch; for integer degrees of freedom the probability is a finite sum.
 
     Example
     -------

@@ -12,12 +12,12 @@ from ..errors import SceneCaptumError
 from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_PASSES
-from ._planner import SHARE, Goal, reach
+from ._passes import DEFAULT_REPLICATES
+from ._planner import DEFAULT_SHARE, Goal, attribute_to_goal
 from ._ranges import ranges
 from ._view import Denoise
 
-Scale = Literal["unit", "range", "value"]
+AttributionScale = Literal["unit", "range", "value"]
 
 _QUANTITIES = {"unit": "gradient per unit", "range": "gradient × range", "value": "gradient × value"}
 
@@ -39,7 +39,7 @@ class VanillaSceneGradient(GradientMethod):
         A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image torch can
         differentiate.
     metric
-        A torch function from the image to a scalar, or to a vector of which ``target`` names an element.
+        A torch function from the image to a scalar, or to a vector indexed by ``target``.
 
     References
     ----------
@@ -52,88 +52,87 @@ class VanillaSceneGradient(GradientMethod):
         inputs: Mapping[str, torch.Tensor] | None = None,
         target: Targets = None,
         *,
-        scale: Scale = "unit",
+        scale: AttributionScale = "unit",
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
         picture_spp: int | None = None,
-        replicates: int = DEFAULT_PASSES,
+        replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         tolerance: float | None = None,
-        share: float = SHARE,
+        share: float = DEFAULT_SHARE,
         top: int | None = None,
         time_limit: float | None = None,
         against: Any = None,
         checkpoint: Folder = None,
         show_progress: bool = False,
     ) -> Result:
-        """Attribute the metric to each input, from so many samples or from as many as a goal takes.
+        """Attribute the metric to each input, with a fixed number of samples or as many as a goal requires.
 
         Parameters
         ----------
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Which element of the metric's output is meant, where it is not a scalar; a list of them gives a list
-            of results from the same renders.
+            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
+            the same renders.
         scale
-            ``"unit"``: per unit of each parameter. ``"range"``: times its physical range, so that an albedo and an
-            index of refraction compare; where that is infinite its largest value stands in. ``"value"``: times
-            its value, the change per relative change (elasticity).
+            ``"unit"``: gradient per unit of each parameter. ``"range"``: times its physical range, which makes
+            albedos and indices of refraction comparable (for an infinite range, times its largest value).
+            ``"value"``: times its value, the change per relative change.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
-            members: the result has the sum of each group, and every other parameter alone.
+            members: the result has the sum of each group. Parameters in no group stay separate.
         seed
-            Seed from which those of all passes are drawn.
+            Random seed, from which the seeds of all replicates are derived.
         spp
-            Total samples per pixel, split over the passes; the renderer's by default. The backward passes take
-            as many again, with seeds of their own. Where there is a goal, those of the first round.
+            Total samples per pixel, split over the replicates; the renderer's by default. The backward passes use
+            as many again, with their own seeds. With a goal, the samples of the first round.
         picture_spp
-            Samples per pixel of the picture that a metric sees which is not linear: twice ``spp`` by default,
-            since they are cheaper than those of a backward pass. Where there is a goal, those of the first round;
-            later ones have as many for each of their samples.
+            Samples per pixel of the metric image, for non-linear metrics. By default twice ``spp``, or four times
+            if the image is denoised, because they are cheaper than those of a backward pass. With a goal, those of
+            the first round; later rounds use the same ratio.
         replicates
-            Least number of independent passes. Their spread gives the standard errors; with 1 there are none,
-            and no correction of the bias that a noisy image puts into a non-linear metric.
+            Minimum number of independent replicates, whose variance gives the standard errors. With 1 there are no
+            errors, and no correction of the bias that image noise causes in a non-linear metric.
         tolerance
-            Goal: add replicates until the 95 % half-width of every parameter that has at least ``share`` of all
-            saliency is within ``tolerance`` times its saliency; they hold for all of these at once. A parameter
-            leaves the goal only when the upper limit of its saliency is below the share. After ten rounds or
-            131 072 samples per pixel it ends, reached or not.
+            Goal: sample until the 95 % half-width of every parameter with at least ``share`` of the total saliency
+            is below ``tolerance`` times its saliency, simultaneously for all these parameters. A parameter is
+            excluded only if the upper limit of its saliency is below the share. Stops after ten rounds or 131 072
+            samples per pixel even if the goal is not reached.
         share
-            See ``tolerance``. Of the lower limit of all saliency.
+            See ``tolerance``; relative to the lower limit of the total saliency.
         top
-            Goal: add replicates until the order of the first ``top`` parameters is clear: each is above the next,
-            and the last above all others, by more than the half-width of the difference. Two that differ by less
-            than ``tolerance`` (0.05 by default) are tied.
+            Goal: sample until the order of the first ``top`` parameters is resolved: each is above the next, and
+            the last above all others, by more than the half-width of the difference. Parameters that differ by
+            less than ``tolerance`` (default 0.05) are tied.
         time_limit
-            In seconds, without what compiling takes: the best that can be had in that time, or a goal if it is
-            reached before.
+            Stop after this many seconds, excluding kernel compilation, and return the best estimate; earlier if
+            another goal is reached.
         against
             Another renderer of the same parameters, such as ``renderer.replace(max_depth=-1)``: after the goal,
-            what it would change is measured on shared seeds, instead of assumed to be nothing.
+            the change of the gradients with this renderer is measured with common random numbers.
         denoise
-            Whether a metric that is not linear sees denoised pictures (Open Image Denoise). ``"auto"`` measures on
-            two halves of the samples whether that brings them nearer to the truth; ``info["picture"]`` says what
-            was done.
+            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
+            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
         checkpoint
-            A folder that keeps every finished pass: a job that was killed goes on from there when it is started
-            again with the same arguments. ``info["checkpoint"]`` counts the passes that came from it.
+            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
+            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
         show_progress
             Whether to show a progress bar.
 
         Returns
         -------
         SceneAttribution
-            Signed gradients with standard errors; a list of them for a list of targets. Where there was a goal,
-            ``info["planner"]`` says whether it is ``reached`` and what ``stopped`` it: the half-widths of all
-            parameters that may have the share, the order with its ties, each round, and what ``against`` would
-            change.
+            Signed gradients with standard errors; a list of them for a list of targets. With a goal,
+            ``info["planner"]`` has whether it was ``reached`` and what ``stopped`` it, the half-widths of all
+            parameters that may have the share, the order with its ties, each round, and the changes with
+            ``against``.
 
         Raises
         ------
         SceneCaptumError
-            Where the inputs are unphysical or the metric is not a scalar that depends on the image.
+            If the inputs are unphysical or the metric is not a scalar that depends on the image.
         AttributionInterrupted
             On Ctrl-C after at least one backward pass, with the result so far.
         """
@@ -145,10 +144,13 @@ class VanillaSceneGradient(GradientMethod):
         factors = _factors(scale, self.renderer, run.values)
         point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)
-        return reach(run, point, goal, spp, against=against, scale=scale, quantity=_QUANTITIES[scale])
+        info = {"scale": scale, "quantity": _QUANTITIES[scale]}
+        return attribute_to_goal(run, point, goal, spp, against=against, **info)
 
 
-def _factors(scale: Scale, renderer: Any, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _factors(
+    scale: AttributionScale, renderer: Any, values: Mapping[str, torch.Tensor]
+) -> dict[str, torch.Tensor]:
     if scale == "unit":
         return {}
     if scale == "value":

@@ -1,4 +1,4 @@
-"""The picture that a metric sees: denoised where a measurement says that this brings it nearer to the truth."""
+"""The metric image: the render, or a denoised version of it if that is estimated to be more accurate."""
 
 from __future__ import annotations
 
@@ -13,98 +13,98 @@ from ..errors import SceneCaptumError
 
 Denoise: TypeAlias = "Literal['auto'] | bool"
 
-_DARKEST = 0.1  # of the mean: errors of darker pixels are relative to this
+_RELATIVE_ERROR_FLOOR = 0.1  # of the mean: errors of darker pixels are relative to this
 
 
 @dataclass(frozen=True)
-class View:
-    """How a metric sees a picture.
+class ImageTransform:
+    """Transform from a render to the metric image, the image that the metric is evaluated on.
 
     Attributes
     ----------
     denoises
-        Whether the picture is denoised first.
+        Whether the image is denoised.
     guides
-        For the denoiser, where they are known.
+        Albedo and normals for the denoiser, if known.
     raw_error, denoised_error
-        Mean squared relative errors of half of the samples, as they are and denoised, where they were measured.
-    nearer
-        Another view that is nearer to the truth, where it was not wanted.
+        Mean squared relative errors of the mean of half of the samples, without and with denoising, if measured.
+    more_accurate
+        A transform that is estimated to be more accurate but was not requested.
     """
 
     denoises: bool = False
     guides: Guides | None = None
     raw_error: float | None = None
     denoised_error: float | None = None
-    nearer: View | None = None
+    more_accurate: ImageTransform | None = None
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the picture as the metric sees it."""
+        """Return the metric image."""
         return denoise(image, self.guides) if self.denoises else image
 
 
-RAW = View()
+IDENTITY = ImageTransform()
 
 
 def check_denoise(mode: Any) -> None:
-    """Refuse what ``denoise=`` does not know."""
+    """Raise if ``denoise=`` is invalid."""
     if mode not in ("auto", True, False):
         raise SceneCaptumError(f'denoise must be "auto", True or False, not {mode!r}.')
 
 
-def choose_view(
+def choose_transform(
     mode: Denoise, images: Sequence[torch.Tensor], samples: Sequence[float] | None, guides: Guides | None
-) -> View:
-    """Choose whether pictures are denoised; ``"auto"`` by what brings them nearer to the truth.
+) -> ImageTransform:
+    """Decide whether images are denoised; ``"auto"`` compares the estimated errors with and without denoising.
 
-    Let A and B be the means of two halves of the pictures, independent and unbiased, and D the denoiser. Then
-    ``E‖D(A) − B‖² = E‖D(A) − truth‖² + E‖B − truth‖²``: of the denoised half the squared error is
-    ``‖D(A) − B‖² − ‖A − B‖² / 2``, of the half itself ``‖A − B‖² / 2``. Squares are relative to the denoised
-    picture, where a lamp would outweigh the room.
+    Let A and B be the means of two halves of the images, independent and unbiased, and D the denoiser. Then
+    ``E‖D(A) − B‖² = E‖D(A) − truth‖² + E‖B − truth‖²``, so the squared error of the denoised half is estimated by
+    ``‖D(A) − B‖² − ‖A − B‖² / 2``, and that of the half itself by ``‖A − B‖² / 2``. Errors are relative to the
+    denoised image, because lamps would dominate absolute errors.
 
     References
     ----------
     Lehtinen and others, "Noise2Noise: Learning Image Restoration without Clean Data", 2018, for errors measured
-    against an independent noisy picture.
+    against an independent noisy image.
     """
     if not is_picture(images[0]):
         if mode is True:
             raise SceneCaptumError(
-                f"denoise=True takes a picture (H, W, 3), and this sensor gives {tuple(images[0].shape)}. Leave "
-                "denoise out."
+                f"denoise=True requires an image (H, W, 3), but this sensor returns {tuple(images[0].shape)}. "
+                "Leave denoise out."
             )
-        return RAW
+        return IDENTITY
     if len(images) == 1:
-        # One picture tells nothing of its own noise.
-        return View(True, guides) if mode is True else RAW
+        # The noise cannot be estimated from a single image.
+        return ImageTransform(True, guides) if mode is True else IDENTITY
     halves = _halves(images, samples)
     denoised = [denoise(half, guides) for half in halves]
-    size = (denoised[0] + denoised[1]).double().mean(-1, keepdim=True) / 2
-    weight = 1 / (size.square() + (_DARKEST * size.mean()).square()).clamp_min(
-        torch.finfo(torch.float64).tiny
-    )
+    brightness = (denoised[0] + denoised[1]).double().mean(-1, keepdim=True) / 2
+    floor = _RELATIVE_ERROR_FLOOR * brightness.mean()
+    weight = 1 / (brightness.square() + floor.square()).clamp_min(torch.finfo(torch.float64).tiny)
 
-    def distance(one: torch.Tensor, other: torch.Tensor) -> float:
-        return (weight * (one.double() - other.double()).square()).mean().item()
+    def squared_distance(a: torch.Tensor, b: torch.Tensor) -> float:
+        return (weight * (a.double() - b.double()).square()).mean().item()
 
-    raw_error = distance(*halves) / 2
-    crossed = (distance(denoised[0], halves[1]) + distance(denoised[1], halves[0])) / 2
+    raw_error = squared_distance(*halves) / 2
+    crossed = (squared_distance(denoised[0], halves[1]) + squared_distance(denoised[1], halves[0])) / 2
     denoised_error = max(0.0, crossed - raw_error)
-    denoises = denoised_error < raw_error
-    found = View(denoises or mode is True, guides, raw_error, denoised_error)
+    denoising_helps = denoised_error < raw_error
+    best = ImageTransform(denoising_helps or mode is True, guides, raw_error, denoised_error)
     if mode is False:
-        return View(False, None, raw_error, denoised_error, nearer=found if denoises else None)
-    return found
+        more_accurate = best if denoising_helps else None
+        return ImageTransform(False, None, raw_error, denoised_error, more_accurate)
+    return best
 
 
 def _halves(
     images: Sequence[torch.Tensor], samples: Sequence[float] | None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the means of two parts with about as many samples each: the largest pictures are dealt out first."""
+    """Return the means of two subsets with similar numbers of samples (greedy partition, largest images first)."""
     weights = [1.0] * len(images) if samples is None else list(samples)
     parts: tuple[list[int], list[int]] = ([], [])
     totals = [0.0, 0.0]
-    for index in sorted(range(len(images)), key=lambda one: -weights[one]):
+    for index in sorted(range(len(images)), key=lambda i: -weights[i]):
         smaller = int(totals[1] < totals[0])
         parts[smaller].append(index)
         totals[smaller] += weights[index]
@@ -115,26 +115,28 @@ def _halves(
     return first, second
 
 
-class Viewer:
-    """Chooses how metrics see the pictures of one call of ``attribute``.
+class TransformSelector:
+    """Selects the image transform for one call of ``attribute``.
 
     Parameters
     ----------
     mode
-        ``denoise=`` of the call.
+        The argument ``denoise=``.
     renderer
-        Its ``guides`` help the denoiser, where it has any.
+        May have ``guides`` for the denoiser.
     """
 
     def __init__(self, mode: Denoise, renderer: Any) -> None:
         check_denoise(mode)
         self.mode = mode
         self._renderer = renderer
-        self._last = RAW
+        self._last = IDENTITY
 
-    def choose(self, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None) -> View:
-        """Choose by independent pictures of a scene; a single one is seen like those before."""
-        if len(images) > 1 or self._last is RAW:
+    def select(
+        self, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
+    ) -> ImageTransform:
+        """Select by independent images of a scene; for a single image repeat the last selection."""
+        if len(images) > 1 or self._last is IDENTITY:
             guides = getattr(self._renderer, "guides", None) if is_picture(images[0]) else None
-            self._last = choose_view(self.mode, images, samples, guides)
+            self._last = choose_transform(self.mode, images, samples, guides)
         return self._last

@@ -1,3 +1,3 @@
-"""The command line, ``scenecaptum COMMAND``: one file for each command."""
+"""The command line, ``scenecaptum COMMAND``: one file per command."""
 
 from ._main import main as main

@@ -1,4 +1,4 @@
-"""``scenecaptum attribute``: the ranking, the map and the numbers."""
+"""``scenecaptum attribute``: compute attributions and write the ranking, the heatmap and the numbers."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def add(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
         "attribute",
-        help="rank the parameters of a scene by how much they move a metric",
-        description="Render a scene, differentiate a metric through all bounces of light, and write the ranking, "
-        "the map and the numbers.",
+        help="rank the parameters of a scene by their effect on a metric",
+        description="Render a scene, differentiate a metric through all light bounces, and write the ranking, the "
+        "heatmap and the numbers.",
         epilog="example: scenecaptum attribute office --metric luminance --out out",
     )
     _arguments.add_scene(parser)
@@ -36,34 +36,34 @@ def add(commands: Any) -> None:
         type=int,
         default=8,
         metavar="N",
-        help="least number of passes that the error bars come from; 1 turns them off (default: 8)",
+        help="minimum number of independent replicates for the error bars; 1 for no error bars (default: 8)",
     )
     parser.add_argument(
         "--tolerance",
         type=float,
         metavar="X",
-        help="add samples until the 95 %% half-width of every parameter that may have 5 %% of all saliency is "
-        "within X times its own, such as 0.05; the table says where that is out of reach",
+        help="sample until the 95 %% confidence half-width is at most X times the saliency, such as 0.05, for "
+        "each parameter that may have 5 %% of the total saliency; the table shows the half-width achieved",
     )
     parser.add_argument(
         "--time-limit",
         type=float,
         metavar="SECONDS",
-        help="the best for each metric in that time, without what compiling takes",
+        help="stop after SECONDS per metric, not counting kernel compilation, and report the best estimate",
     )
     parser.add_argument(
         "--denoise",
         choices=DENOISE,
         default="auto",
-        help="whether a metric that is not linear in the picture, such as a glare rating, sees it denoised; auto "
-        "measures whether that brings it nearer to the truth (default: auto)",
+        help="denoise the image for a non-linear metric, such as a glare rating; auto: if that reduces the "
+        "measured error (default: auto)",
     )
     parser.add_argument(
         "--picture-spp",
         type=int,
         metavar="N",
-        help="samples per pixel of the picture that such a metric sees (default: 2 times --spp, or 4 times where "
-        "the picture is denoised)",
+        help="samples per pixel of the image for a non-linear metric (default: 2 times --spp, or 4 times if the "
+        "image is denoised)",
     )
     _arguments.add_output(parser)
     add_report(parser)
@@ -71,22 +71,22 @@ def add(commands: Any) -> None:
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
-    """Add whether a report is written."""
+    """Add the option for a report."""
     parser.add_argument(
         "--report",
         action="store_true",
-        help="also write report.html: all metrics in one page to explore in a browser",
+        help="also write report.html, an interactive page with all metrics",
     )
 
 
 def attribute(options: argparse.Namespace) -> int:
     """Run the command."""
-    chosen = _arguments.find_metrics(options.metrics or ["luminance"], options.threshold_factor)
+    metrics = _arguments.find_metrics(options.metrics or ["luminance"], options.threshold_factor)
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         finished: list[SceneAttribution] = []
-        for name, create in chosen.items():
-            folder = options.out if len(chosen) == 1 else options.out / _folder_name(name)
+        for name, create in metrics.items():
+            folder = options.out if len(metrics) == 1 else options.out / _folder_name(name)
             try:
                 attribution = VanillaSceneGradient(renderer, create(renderer)).attribute(
                     target=options.target,
@@ -99,24 +99,24 @@ def attribute(options: argparse.Namespace) -> int:
                     show_progress=_arguments.shows_progress(options),
                 )
             except AttributionInterrupted as interruption:
-                _report(interruption.partial, folder, as_json=options.json)
-                _write_page([*finished, interruption.partial], options)
+                _write_result(interruption.partial, folder, as_json=options.json)
+                _write_report([*finished, interruption.partial], options)
                 raise
-            _report(attribution, folder, as_json=options.json)
+            _write_result(attribution, folder, as_json=options.json)
             finished.append(attribution)
-            # After every metric, so that Ctrl-C during the next leaves what is finished.
-            _write_page(finished, options)
+            # After every metric, so that an interruption of the next one leaves a report.
+            _write_report(finished, options)
         if not options.json:
-            _arguments.say_resumed(renderer)
+            _arguments.print_resumed(renderer)
     return 0
 
 
 def _folder_name(metric: str) -> str:
-    return "".join(letter if letter.isalnum() else "-" for letter in metric).strip("-")
+    return "".join(c if c.isalnum() else "-" for c in metric).strip("-")
 
 
-def _report(attribution: SceneAttribution, folder: Path, *, as_json: bool) -> None:
-    """Write a result and print it."""
+def _write_result(attribution: SceneAttribution, folder: Path, *, as_json: bool) -> None:
+    """Write the files of a result and print it."""
     write_each(folder, CONTENTS, partial(_write_file, attribution))
     if as_json:
         print(_json(attribution))
@@ -127,8 +127,8 @@ def _report(attribution: SceneAttribution, folder: Path, *, as_json: bool) -> No
         print(f"{folder / name}  {content}")
 
 
-def _write_page(attributions: Sequence[SceneAttribution], options: argparse.Namespace) -> None:
-    """Write the report of the results so far, where it was asked for."""
+def _write_report(attributions: Sequence[SceneAttribution], options: argparse.Namespace) -> None:
+    """Write the report of the results so far, if requested."""
     if not options.report:
         return
     from ..visualization import write_report
@@ -136,17 +136,17 @@ def _write_page(attributions: Sequence[SceneAttribution], options: argparse.Name
     path = options.out / REPORT
     write_report(attributions, path)
     if not options.json:
-        print(f"{path}  all results, to explore in a browser")
+        print(f"{path}  interactive page with all results")
 
 
-# In the order in which they are written: the numbers first, so that Ctrl-C while drawing leaves them.
+# Written in this order: numbers first, so that an interruption while plotting leaves them.
 CONTENTS = {
-    "attribution.json": "the numbers and how they were computed",
-    "attribution.csv": "the numbers as a table",
-    "attribution.npz": "everything, for SceneAttribution.load",
-    "render.png": "the picture",
-    "heatmap.png": "each pixel painted with the saliency of what it shows, beside the picture",
-    "bars.png": "the ranking with error bars",
+    "attribution.json": "numbers and settings",
+    "attribution.csv": "table of the numbers",
+    "attribution.npz": "complete result, for SceneAttribution.load",
+    "render.png": "render",
+    "heatmap.png": "render and saliency map",
+    "bars.png": "ranking with error bars",
 }
 
 

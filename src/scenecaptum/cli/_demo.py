@@ -11,7 +11,7 @@ from ._attribute import add_report, attribute
 def add(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
-        "demo", help="attribute the brightness of a bundled office in about a minute"
+        "demo", help="attribute the mean luminance of a bundled office scene in about a minute"
     )
     _arguments.add_output(parser)
     add_report(parser)

@@ -1,4 +1,4 @@
-"""``scenecaptum doctor``."""
+"""``scenecaptum doctor``: check the rendering backends."""
 
 from __future__ import annotations
 
@@ -9,5 +9,7 @@ from .. import backend
 
 def add(commands: Any) -> None:
     """Add the command to the parser's."""
-    parser = commands.add_parser("doctor", help="say whether this machine can render, and what to do if not")
+    parser = commands.add_parser(
+        "doctor", help="check whether this machine can render, and how to fix problems"
+    )
     parser.set_defaults(run=lambda _: backend.main())

@@ -1,4 +1,4 @@
-"""The folder that a command writes to."""
+"""The output folder of a command."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from .._writing import cannot_write, whole_file
 from ..errors import SceneCaptumError
+from ..files import atomic_write, write_error
 
 
 @contextlib.contextmanager
 def writable(folder: Path) -> Iterator[None]:
-    """Make the output folder before hours of rendering, and leave none behind where nothing was written."""
+    """Create the output folder before a long job, and remove it if nothing was written."""
     try:
         existed = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        # Permissions do not tell the whole story (a read-only file system): only writing does.
+        # Permissions are not enough (read-only file systems): try to write.
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, ValueError) as error:  # ValueError: a null character
@@ -33,11 +33,11 @@ def writable(folder: Path) -> Iterator[None]:
 
 
 def write_each(folder: Path, names: Iterable[str], write: Callable[[str, Path], None]) -> None:
-    """Let each file be written by its name to a path beside it, so that none is ever half-written."""
+    """Write each file atomically: call ``write`` with its name and a temporary path."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise cannot_write(folder, error) from error
+        raise write_error(folder, error) from error
     for name in names:
-        with whole_file(folder / name) as partial:
+        with atomic_write(folder / name) as partial:
             write(name, partial)

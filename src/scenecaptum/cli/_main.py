@@ -1,4 +1,4 @@
-"""Which command was called, and what it exits with."""
+"""Entry point of the command line, and its exit status."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BAD_INPUT, INTERRUPTED = 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 not confirmed, 2 bad input, 130 stopped by Ctrl-C."""
+    """Run a command and return its exit status: 0 success, 1 not confirmed, 2 bad input, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
         status: int = options.run(options)
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"scenecaptum: error: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("scenecaptum: interrupted; what was finished is on disk.", file=sys.stderr)
+        print("scenecaptum: interrupted; finished results are saved.", file=sys.stderr)
         return INTERRUPTED
     return status
 

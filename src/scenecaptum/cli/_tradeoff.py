@@ -1,4 +1,4 @@
-"""``scenecaptum tradeoff``: what accuracy costs on a scene and a metric, and which settings to use."""
+"""``scenecaptum tradeoff``: measure cost and accuracy of settings, and recommend one."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from . import _arguments
 from ._files import writable, write_each
 
 CONTENTS = {
-    "tradeoff.csv": "the settings as a table",
-    "tradeoff.png": "relative error against seconds",
+    "tradeoff.csv": "table of the settings",
+    "tradeoff.png": "relative error over time",
 }
 
 
@@ -26,9 +26,9 @@ def add(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
         "tradeoff",
-        help="measure how samples, depth and resolution trade time for accuracy, and recommend settings",
-        description="Attribute a metric at several settings, several times each, and compare time, error, bias "
-        "and ranking with a reference of many more samples.",
+        help="measure how samples, depth and resolution trade time for accuracy, and recommend a setting",
+        description="Attribute a metric several times at several settings, and compare time, error, bias and "
+        "ranking with a reference of many more samples.",
         epilog="example: scenecaptum tradeoff office --metric luminance --resolution 160x90 --spp 64 "
         "--vary spp=16,256 --vary max_depth=2,4,12",
     )
@@ -38,9 +38,9 @@ def add(commands: Any) -> None:
         "--vary",
         action="append",
         type=_varied,
-        metavar="WHAT=VALUES",
-        help=f"what is varied and to which values, separated by commas: {', '.join(KEYS)} (to prb); may be "
-        "repeated (default: all of them)",
+        metavar="OPTION=VALUES",
+        help=f"option to vary and its values, separated by commas: {', '.join(KEYS)} (only prb); may be repeated "
+        "(default: all options)",
     )
     parser.add_argument(
         "--reference-spp",
@@ -54,7 +54,7 @@ def add(commands: Any) -> None:
         type=float,
         default=TOLERANCE,
         metavar="X",
-        help=f"relative error that the recommendation is for (default: {TOLERANCE})",
+        help=f"target relative error of the recommendation (default: {TOLERANCE})",
     )
     _arguments.add_output(parser)
     parser.set_defaults(run=tradeoff)
@@ -67,41 +67,41 @@ def tradeoff(options: argparse.Namespace) -> int:
     create = _arguments.find_metrics([options.metric], options.threshold_factor)[options.metric]
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
-        found = measure(
+        result = measure(
             renderer,
             create(renderer),
             options.target,
-            vary=None if options.vary is None else _together(options.vary),
+            vary=None if options.vary is None else _merge(options.vary),
             metric_for=create,
             reference_spp=options.reference_spp,
             runs=options.runs,
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
-        write_each(options.out, CONTENTS, partial(_write_file, found))
+        write_each(options.out, CONTENTS, partial(_write_file, result))
         if options.json:
-            print(_json(found, options.tolerance))
+            print(_json(result, options.tolerance))
             return 0
-        print(found.text(options.tolerance))
+        print(result.text(options.tolerance))
         print()
         for name, content in CONTENTS.items():
             print(f"{options.out / name}  {content}")
-        _arguments.say_resumed(renderer)
+        _arguments.print_resumed(renderer)
     return 0
 
 
 def _varied(text: str) -> tuple[str, list[Any]]:
     key, separator, values = text.partition("=")
     if not (separator and values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not WHAT=VALUES, such as spp=16,256")
-    return key, [_value(key, one) for one in values.split(",")]
+        raise argparse.ArgumentTypeError(f"{text!r} is not OPTION=VALUES, such as spp=16,256")
+    return key, [_value(key, value) for value in values.split(",")]
 
 
-def _together(pairs: list[tuple[str, list[Any]]]) -> dict[str, list[Any]]:
-    found: dict[str, list[Any]] = {}
+def _merge(pairs: list[tuple[str, list[Any]]]) -> dict[str, list[Any]]:
+    merged: dict[str, list[Any]] = {}
     for key, values in pairs:
-        found.setdefault(key, []).extend(values)
-    return found
+        merged.setdefault(key, []).extend(values)
+    return merged
 
 
 def _value(key: str, text: str) -> Any:
@@ -113,22 +113,22 @@ def _value(key: str, text: str) -> Any:
         return text
 
 
-def _write_file(found: Tradeoff, _: str, path: Path) -> None:
+def _write_file(result: Tradeoff, _: str, path: Path) -> None:
     if path.suffix == ".csv":
-        found.to_csv(path)
+        result.to_csv(path)
     else:
-        found.plot().savefig(path, dpi=150)
+        result.plot().savefig(path, dpi=150)
 
 
-def _json(found: Tradeoff, tolerance: float) -> str:
+def _json(result: Tradeoff, tolerance: float) -> str:
     settings = [
         {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in record.items()}
-        for record in found.records()
+        for record in result.records()
     ]
     numbers = {
-        "scene": found.scene,
-        "metric": found.metric,
+        "scene": result.scene,
+        "metric": result.metric,
         "settings": settings,
-        "recommendation": found.recommendation(tolerance),
+        "recommendation": result.recommendation(tolerance),
     }
     return json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)

@@ -1,4 +1,4 @@
-"""``scenecaptum validate``: the ablation test, its figure and its verdict."""
+"""``scenecaptum validate``: the ablation test."""
 
 from __future__ import annotations
 
@@ -21,15 +21,19 @@ def add(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
         "validate",
-        help="move the leading parameters and see whether the metric changes as their gradients predict",
-        description="Attribute a metric, move each of the leading parameters along its own gradient, alone, "
-        "render again, and compare the change of the metric with the prediction. Exits with 1 where they differ.",
+        help="check whether the metric changes as the gradients predict when parameters are moved",
+        description="Attribute a metric, move each of the most salient parameters separately along its gradient, "
+        "render again, and compare the change of the metric with the prediction. Exits with 1 if they differ.",
         epilog="example: scenecaptum validate office --metric luminance --spp 256 --out out",
     )
     _arguments.add_scene(parser)
     _arguments.add_metric(parser)
     parser.add_argument(
-        "--top", type=int, default=10, metavar="N", help="how many of the leading parameters (default: 10)"
+        "--top",
+        type=int,
+        default=10,
+        metavar="N",
+        help="number of most salient parameters to test (default: 10)",
     )
     _arguments.add_output(parser)
     parser.set_defaults(run=validate)
@@ -56,14 +60,14 @@ def validate(options: argparse.Namespace) -> int:
         print()
         for name, content in CONTENTS.items():
             print(f"{options.out / name}  {content}")
-        _arguments.say_resumed(renderer)
+        _arguments.print_resumed(renderer)
     return 0 if test.is_confirmed else NOT_CONFIRMED
 
 
 CONTENTS = {
-    "validation.json": "the numbers and the verdict",
-    "validation.csv": "the numbers as a table",
-    "validation.png": "prediction and measurement of each parameter, and the noise",
+    "validation.json": "numbers and verdict",
+    "validation.csv": "table of the numbers",
+    "validation.png": "prediction, measurement and noise of each parameter",
 }
 
 
@@ -73,7 +77,9 @@ def _write_file(test: AblationTest, _: str, path: Path) -> None:
             path.write_text(_json(test) + "\n", encoding="utf-8")
         case ".csv":
             with path.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, ["rank", *(one.name for one in dataclasses.fields(Ablated))])
+                writer = csv.DictWriter(
+                    file, ["rank", *(field.name for field in dataclasses.fields(Ablated))]
+                )
                 writer.writeheader()
                 writer.writerows(
                     {"rank": rank, **dataclasses.asdict(row)} for rank, row in enumerate(test.rows, start=1)

@@ -1,4 +1,4 @@
-"""Image → number, as torch modules from an ``(H, W, 3)`` linear-radiance image to a scalar or a vector."""
+"""Image metrics: torch modules that map an ``(H, W, 3)`` linear-radiance image to a scalar or a vector."""
 
 from ._class_logit import ClassLogit as ClassLogit
 from ._comparison import MeanSquaredError as MeanSquaredError

@@ -1,4 +1,4 @@
-"""What a classifier says of a render, before its softmax."""
+"""Logits of image classifiers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
 
 class ClassLogit(torch.nn.Module):
-    """A classifier's output for one class, before the softmax: ``model(transform(sRGB(exposure · L)))[target]``.
+    """Logit of a classifier for one class: ``model(transform(sRGB(exposure · L)))[target]``.
 
     Example
     -------
@@ -25,31 +25,30 @@ class ClassLogit(torch.nn.Module):
     Parameters
     ----------
     model
-        Any classifier, of torchvision, timm or your own, that maps ``(1, 3, h, w)`` to ``(1, classes)`` logits.
-        It is run in evaluation mode and left as it is: its mode, its parameters and their ``grad`` do not change.
+        Any classifier, from torchvision, timm or your own, that maps ``(1, 3, h, w)`` to ``(1, classes)`` logits.
+        It runs in evaluation mode; its mode, its parameters and their ``grad`` do not change.
     target
-        Index of the class, or its name in ``classes``. Without it the metric is the vector of all logits, of
-        which ``attribute(target=)`` chooses one.
+        Index of the class, or its name in ``classes``. Without it the metric is the vector of all logits, which
+        ``attribute(target=)`` indexes.
     transform
-        From an sRGB picture ``(1, 3, H, W)`` in [0, 1] to what the model takes, in differentiable operations:
-        for a torchvision model ``weights.transforms()``. By default the model's own ``preprocess`` where it has
-        one, otherwise ``ResizeCropNormalize()``, ImageNet's.
+        Differentiable preprocessing from an sRGB picture ``(1, 3, H, W)`` in [0, 1] to the model's input; for a
+        torchvision model ``weights.transforms()``. By default the model's own ``preprocess`` if it has one,
+        otherwise ImageNet's ``ResizeCropNormalize()``.
     exposure
-        What radiance is multiplied by before it is clipped at white and encoded as sRGB. Above white the
-        derivative is 0, as in a photograph.
+        Factor on radiance before it is clipped at white and encoded as sRGB. Above white the derivative is 0.
     classes
-        The classes' names, in the order of the logits; by default ``model.classes`` where it exists.
+        The names of the classes, in the order of the logits; by default ``model.classes`` if it exists.
 
     Raises
     ------
     SceneCaptumError
-        Where the target is not one of the classes, or the model returns something other than ``(1, classes)``.
-        From ``forward``, where radiance is negative or not finite.
+        If the target is not one of the classes, or the model does not return ``(1, classes)``. From
+        ``forward``, if radiance is negative or not finite.
 
     Notes
     -----
-    A logit is the evidence for a class; the softmax would mix in the evidence against all others, and where it
-    saturates its derivative vanishes.
+    Unlike a softmax output, a logit does not depend on the scores of other classes, and its derivative does not
+    vanish by saturation.
     """
 
     def __init__(
@@ -73,24 +72,23 @@ class ClassLogit(torch.nn.Module):
     def pretrained(
         cls, name: str, weights: Any = "DEFAULT", target: int | str | None = None, *, exposure: float = 1.0
     ) -> ClassLogit:
-        """Return the logit of a classifier that torchvision has weights for, with the preprocessing they ask for.
+        """Return the logit of a pretrained torchvision classifier, with the preprocessing of its weights.
 
         Parameters
         ----------
         name
-            The model's name in torchvision, such as ``"resnet50"``.
+            Name of the model in torchvision, such as ``"resnet50"``.
         weights
-            A member of its weights enumeration, such as ``ResNet50_Weights.IMAGENET1K_V2``, or that member's
-            name.
+            A member of its weights enumeration, such as ``ResNet50_Weights.IMAGENET1K_V2``, or its name.
         target
-            As in ``ClassLogit``; the names are those of the weights' ``meta["categories"]``.
+            As in ``ClassLogit``; the class names are the weights' ``meta["categories"]``.
         exposure
             As in ``ClassLogit``.
 
         Raises
         ------
         SceneCaptumError
-            Where torchvision is missing, does not know the model or the weights, or cannot download them.
+            If torchvision is missing, does not have the model or the weights, or cannot download them.
         """
         from ._torchvision import load_pretrained
 
@@ -99,7 +97,7 @@ class ClassLogit(torch.nn.Module):
         return cls(model, target, chosen.transforms(), exposure=exposure, classes=classes)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the logit of an ``(H, W, 3)`` image, a 0-d tensor, or without a target all, ``(classes,)``."""
+        """Return the logit of an ``(H, W, 3)`` image, a 0-d tensor; without a target all, ``(classes,)``."""
         logits = run_frozen(self.model, self.transform(srgb_picture(image, self.exposure)))
         if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != 1:
             raise SceneCaptumError(_not_logits(self.model, logits))
@@ -107,8 +105,8 @@ class ClassLogit(torch.nn.Module):
             return logits[0]
         if self.target >= logits.shape[1]:
             raise SceneCaptumError(
-                f"target={self.target} is not a class of {type(self.model).__name__}: it tells {logits.shape[1]} "
-                f"classes apart, 0 to {logits.shape[1] - 1}."
+                f"target={self.target} is not a class of {type(self.model).__name__}: it has {logits.shape[1]} "
+                f"classes, 0 to {logits.shape[1] - 1}."
             )
         return logits[0, self.target]
 

@@ -1,4 +1,4 @@
-"""Distances between a render and a reference image, pixel by pixel."""
+"""Comparison of a render with a reference image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ._picture import check_exposure, check_reference, check_same_shape, srgb_pi
 
 
 class MeanSquaredError(torch.nn.Module):
-    """Mean squared difference from a reference in linear radiance, ``mean((L − L_ref)²)``.
+    """Mean squared error to a reference in linear radiance, ``mean((L − L_ref)²)``.
 
     Example
     -------
@@ -24,12 +24,12 @@ class MeanSquaredError(torch.nn.Module):
     Raises
     ------
     SceneCaptumError
-        Where the reference is no finite image or, from ``forward``, the image has another size.
+        If the reference is not a finite image or, from ``forward``, the image has another size.
 
     Notes
     -----
-    The unit is that of radiance, squared, and bright pixels weigh most. The noise of a render adds its own
-    variance to the mean: render with more samples where that matters.
+    In squared units of radiance, and dominated by bright pixels. Render noise adds its variance to the mean; use
+    more samples where that matters.
     """
 
     reference: torch.Tensor
@@ -39,7 +39,7 @@ class MeanSquaredError(torch.nn.Module):
         self.register_buffer("reference", check_reference(reference))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the error of an ``(H, W, 3)`` image, a 0-d tensor; 0 where the images are the same."""
+        """Return the error of an ``(H, W, 3)`` image, a 0-d tensor; 0 for identical images."""
         check_same_shape(image, self.reference)
         return (image - self.reference.to(image)).square().mean()
 
@@ -49,15 +49,15 @@ class MeanSquaredError(torch.nn.Module):
 
 
 class StructuralSimilarity(torch.nn.Module):
-    """Mean structural similarity (SSIM) of the sRGB picture with that of a reference: 1 where they are the same.
+    """Mean structural similarity (SSIM) to a reference, of the sRGB pictures; 1 for identical images.
 
     ``(2 μ_x μ_y + c₁)(2 σ_xy + c₂) / ((μ_x² + μ_y² + c₁)(σ_x² + σ_y² + c₂))`` with ``c₁ = 0.01²`` and
     ``c₂ = 0.03²``, in a Gaussian window of σ = 1.5 pixels around every pixel, averaged over pixels and channels.
 
     Example
     -------
-    >>> picture = torch.rand(16, 16, 3)
-    >>> StructuralSimilarity(picture)(picture)
+    >>> image = torch.rand(16, 16, 3)
+    >>> StructuralSimilarity(image)(image)
     tensor(1.)
 
     Parameters
@@ -65,15 +65,15 @@ class StructuralSimilarity(torch.nn.Module):
     reference
         ``(H, W, 3)`` linear radiance.
     exposure
-        What radiance is multiplied by before it is clipped at white and encoded as sRGB.
+        Factor on radiance before it is clipped at white and encoded as sRGB.
     window
         Width of the window in pixels, odd.
 
     Raises
     ------
     SceneCaptumError
-        Where a setting does not fit the reference or, from ``forward``, the image has another size or values that
-        are negative or not finite.
+        If a setting does not fit the reference or, from ``forward``, the image has another size or values that are
+        negative or not finite.
 
     References
     ----------
@@ -89,7 +89,7 @@ class StructuralSimilarity(torch.nn.Module):
             raise SceneCaptumError(f"window must be an odd number of pixels, 3 or more, not {window!r}.")
         if min(reference.shape[:2]) <= window // 2:
             raise SceneCaptumError(
-                f"A window of {window} pixels needs pictures of more than {window // 2} pixels on each side; the "
+                f"A window of {window} pixels needs images of more than {window // 2} pixels on each side; the "
                 f"reference is {tuple(reference.shape)}. Choose a smaller window= or a higher resolution."
             )
         self.exposure = check_exposure(exposure)
@@ -103,7 +103,7 @@ class StructuralSimilarity(torch.nn.Module):
         check_same_shape(image, self.reference)
         picture = srgb_picture(image, self.exposure)
         reference = srgb_picture(self.reference.to(image), self.exposure)
-        # c₁c₂ > 0 keeps the quotient finite; kornia's extra eps would make black pictures differ from themselves.
+        # c₁c₂ > 0 keeps the quotient finite; with kornia's extra eps the SSIM of identical black images is not 1.
         similarity: torch.Tensor = ssim(picture, reference, self.window, eps=0.0).mean()
         return similarity
 

@@ -1,4 +1,4 @@
-"""The daylight glare index of Hopkinson."""
+"""Daylight glare index (Hopkinson)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import torch
 from ._glare import GlareRating
 from ._sources import Sources
 
-_LEAST = 1e-300  # a sum of sources that underflows still has a logarithm
+_MIN_SUM = 1e-300  # keeps the logarithm finite where the sum over sources underflows
 
 
 class DaylightGlareIndex(GlareRating):
-    """Daylight glare index, ``DGI = 10 log10 Σ 0.478 L^1.6 Ω^0.8 / (Lb + 0.07 √ω L)``, without a unit.
+    """Daylight glare index, ``DGI = 10 log10 Σ 0.478 L^1.6 Ω^0.8 / (Lb + 0.07 √ω L)``, dimensionless.
 
-    L is the luminance of a source, ω its solid angle, ``Ω = ω / P²`` that solid angle lessened by the Guth
-    position index and Lb the luminance of the background. Without a source the index and its gradient are 0;
-    inside the transition around the threshold it is multiplied by the weight of the brightest pixel, as is
+    L is the luminance of a source, ω its solid angle, ``Ω = ω / P²`` its solid angle weighted by the Guth
+    position index, and Lb the background luminance. Without a source the index and its gradient are 0; inside
+    the transition around the threshold it is multiplied by the weight of the brightest pixel, as for
     `UnifiedGlareRating`. 16 is just perceptible, 24 just uncomfortable.
 
     Notes
@@ -25,10 +25,10 @@ class DaylightGlareIndex(GlareRating):
 
     half_class = 2.0  # 16, 20, 24, 28
 
-    def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:
-        if found is None:
+    def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
+        if sources is None:
             return 0.0 * luminance.sum()
-        weighted = (found.solid_angle / found.index**2) ** 0.8
-        around = found.background + 0.07 * found.solid_angle.sqrt() * found.luminance
-        total = (0.478 * found.luminance**1.6 * weighted / around).sum().clamp(min=_LEAST)
-        return found.presence * 10 * torch.log10(total)
+        weighted = (sources.solid_angle / sources.position_index**2) ** 0.8
+        surround = sources.background + 0.07 * sources.solid_angle.sqrt() * sources.luminance
+        total = (0.478 * sources.luminance**1.6 * weighted / surround).sum().clamp(min=_MIN_SUM)
+        return sources.max_weight * 10 * torch.log10(total)

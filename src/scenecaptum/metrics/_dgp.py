@@ -1,4 +1,4 @@
-"""The daylight glare probability of Wienold and Christoffersen."""
+"""Daylight glare probability (Wienold and Christoffersen)."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import Literal
 import torch
 
 from ..camera import Camera
-from ._glare import Background, GlareRating, Grouping, choice
+from ._glare import Background, GlareRating, Grouping, check_choice
 from ._sources import Sources
 
 Constants = Literal["evalglare", "published"]
 
 _COEFFICIENTS = {"evalglare": (5.87e-5, 0.092, 0.159), "published": (5.87e-5, 0.0918, 0.16)}
-_LEAST_ILLUMINANCE = 1e-6  # lux; keeps the quotient finite where a source lights the eye edge-on
+_MIN_ILLUMINANCE = 1e-6  # lux; keeps the quotient finite for a source at 90° from the line of sight
 
 
 class DaylightGlareProbability(GlareRating):
     """Daylight glare probability, ``DGP = c₁ Ev + c₂ log10(1 + Σ L² ω / (Ev^1.87 P²)) + c₃``, at most 1.
 
-    Ev is the vertical illuminance at the eye in lux; L, ω and P are a source's luminance, solid angle and position
-    index. The formula was made for 180° pictures, ``Ev`` above 380 lux and values from 0.2 to 0.8. Without a
-    source it is ``c₁ Ev + c₃``. There is no background in it: ``background`` is accepted as by the other ratings
-    and changes nothing.
+    Ev is the vertical illuminance at the eye in lux; L, ω and P are a source's luminance, solid angle and
+    position index. The formula is valid for 180° images, ``Ev`` above 380 lux and values from 0.2 to 0.8.
+    Without a source it is ``c₁ Ev + c₃``. It does not depend on the background: ``background`` is accepted for
+    consistency and has no effect.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class DaylightGlareProbability(GlareRating):
 
     half_class = 0.025  # EN 17037: 0.35, 0.40, 0.45
 
-    def __init__(  # noqa: PLR0913 - those of every rating and two of its own
+    def __init__(  # noqa: PLR0913 -- options shared by all ratings, plus two of its own
         self,
         camera: Camera,
         *,
@@ -67,15 +67,15 @@ class DaylightGlareProbability(GlareRating):
             task=task,
         )
         self.low_light = low_light
-        self.constants = choice("constants", constants, tuple(_COEFFICIENTS))
+        self.constants = check_choice("constants", constants, tuple(_COEFFICIENTS))
 
-    def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:
+    def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
         c1, c2, c3 = _COEFFICIENTS[self.constants]
-        illuminance = (self.view.projected.to(luminance) * luminance.flatten()).sum()
+        illuminance = (self.pixels.projected.to(luminance) * luminance.flatten()).sum()
         dgp = c1 * illuminance + c3
-        if found is not None:
-            total = (found.luminance**2 * found.solid_angle / found.index**2).sum()
-            dgp = dgp + c2 * torch.log10(1 + total / illuminance.clamp(min=_LEAST_ILLUMINANCE) ** 1.87)
+        if sources is not None:
+            total = (sources.luminance**2 * sources.solid_angle / sources.position_index**2).sum()
+            dgp = dgp + c2 * torch.log10(1 + total / illuminance.clamp(min=_MIN_ILLUMINANCE) ** 1.87)
         dgp = dgp.clamp(max=1.0)
         if self.low_light and illuminance < 1000:
             dgp = dgp * torch.sigmoid(0.024 * illuminance - 4)

@@ -1,4 +1,4 @@
-"""Running a user's network without leaving a trace in it."""
+"""Call a user's network without side effects."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import torch
 
 
 def run_frozen(model: Callable[[torch.Tensor], Any], x: torch.Tensor) -> Any:
-    """Return ``model(x)`` in evaluation mode and with constant parameters; the derivative goes to ``x`` only.
+    """Return ``model(x)`` in evaluation mode and with detached parameters; gradients propagate to ``x`` only.
 
-    The model's training mode, its parameters' ``requires_grad`` and ``grad`` and its running statistics stay as
-    they are. ``x`` is brought to the precision of the parameters.
+    The model's training mode and running statistics and its parameters' ``requires_grad`` and ``grad`` do not
+    change. ``x`` is cast to the dtype of the parameters.
     """
     if not isinstance(model, torch.nn.Module):
         return model(x)
     parameters = {name: parameter.detach() for name, parameter in model.named_parameters()}
     precision = next((p.dtype for p in parameters.values() if p.is_floating_point()), x.dtype)
     with _evaluation_mode(model):
-        if isinstance(model, torch.jit.ScriptModule):  # its parameters cannot be exchanged for one call
+        if isinstance(model, torch.jit.ScriptModule):  # not supported by functional_call
             return model(x.to(precision))
         return torch.func.functional_call(model, parameters, (x.to(precision),))
 
 
 @contextmanager
 def _evaluation_mode(model: torch.nn.Module) -> Iterator[None]:
-    # Module by module, because a user may keep some of them, batch normalisation say, in evaluation mode.
+    # Per module, since some of them, such as batch normalisation, may already be in evaluation mode.
     training = [module for module in model.modules() if module.training]
     model.eval()
     try:

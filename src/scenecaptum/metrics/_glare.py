@@ -1,4 +1,4 @@
-"""What the glare ratings share: their settings, the detection of sources, and ways to look at them."""
+"""Base class of the glare ratings: settings, source detection and inspection of the sources."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import torch
 
 from ..camera import Camera
 from ..errors import SceneCaptumError
-from ._checks import like_input, photopic
-from ._sources import GlareSource, Sources, View, describe, find_sources
+from ._checks import cast_like, photometric_luminance
+from ._luminance import luminance as relative_luminance
+from ._sources import GlareSource, PixelGeometry, Sources, find_sources, to_glare_sources
 
 Grouping = Literal["evalglare", "pixel"]
 Background = Literal["auto", "hemisphere", "mean"]
 
-# The colours of the check image: linear RGB of luminance 1, one source after another.
-_COLOURS = (
+# Linear RGB colours of the sources in the check image, before normalization to luminance 1.
+_COLORS = (
     (0.0, 1.0, 0.0),
     (1.0, 0.0, 0.0),
     (0.0, 0.0, 1.0),
@@ -30,50 +31,49 @@ _COLOURS = (
 
 
 class GlareRating(torch.nn.Module):
-    """Base of the glare ratings: a picture's sources, and what they add up to.
+    """Base class of the glare ratings: detects the sources of an image and combines them to a rating.
 
-    Luminance is weighed with Rec. 709's coefficients, the primaries of a render. evalglare takes a file to have
-    Radiance's primaries: it agrees on coloured pictures once they are converted (grey ones need not be).
+    Luminance uses the Rec. 709 coefficients, the primaries of a render. evalglare assumes Radiance's primaries:
+    results agree for colour images after conversion (grey images need none).
 
     Parameters
     ----------
     camera
-        The picture's camera (``renderer.camera``).
+        The camera of the images (``renderer.camera``).
     threshold
         Luminance in cd/m² above which a pixel is part of a source (evalglare's ``-b`` above 100).
     relaxation
-        Width of the transition, relative to the threshold. A pixel's weight rises from 0 to 1 as a sigmoid (a
-        cubic smoothstep) between ``1 − 3 relaxation`` and ``1 + 3 relaxation`` times the threshold, and a pixel in
-        that band joins a source like any other; with 0 it belongs above the threshold and not below, as in
-        evalglare.
+        Width of the transition, relative to the threshold. The weight of a pixel rises from 0 to 1 as a sigmoid
+        (a cubic smoothstep) between ``1 − 3 relaxation`` and ``1 + 3 relaxation`` times the threshold. A pixel
+        in that band is grouped into sources like any other. 0 is the hard threshold of evalglare.
     threshold_factor
-        If given, the threshold is this times the mean luminance (evalglare's ``-b`` up to 100), instead of
-        ``threshold``. It moves with the picture, and its derivative is part of the rating's: a lighter wall raises
-        the threshold too. With ``relaxation=0`` no pixel has a derivative by the threshold, and that part is left
-        out. ``held_at`` answers the other question.
+        If given, the threshold is this factor times the mean luminance (evalglare's ``-b`` up to 100), instead of
+        ``threshold``. It depends on the image, and its derivative is part of the rating's: a brighter wall also
+        raises the threshold. With ``relaxation=0`` the derivative with respect to the threshold is undefined, and
+        left out. ``held_at`` fixes the threshold.
     grouping
-        ``"evalglare"``: pixels within 0.1 rad of each other form one source, and parts above 50 000 cd/m² one of
-        their own; ``"pixel"``: each pixel is a source.
+        ``"evalglare"``: pixels within 0.1 rad of each other form one source, and parts above 50 000 cd/m² separate
+        sources; ``"pixel"``: each pixel is a source.
     background
-        ``"hemisphere"``: ``(Ev − Edir) / π`` over the pixels present, as in evalglare; ``"mean"``: the mean over
-        pixels that are not source, weighted by solid angle; ``"auto"``: the first for a camera that sees the
-        hemisphere and the second for one that sees less, where dividing by π would make the rating depend on the
-        field of view.
+        ``"hemisphere"``: ``(Ev − Edir) / π`` over the pixels in the image, as in evalglare; ``"mean"``: the
+        mean over non-source pixels, weighted by solid angle; ``"auto"``: the first for a camera that sees the
+        hemisphere, otherwise the second, because dividing by π would make the rating depend on the field of
+        view.
     efficacy
-        Luminous efficacy in lm/W that turns radiance into luminance: 179 in Radiance.
+        Luminous efficacy in lm/W that converts radiance to luminance: 179 as in Radiance.
     task
-        ``(H, W)`` bool, the task zone: with it ``threshold_factor`` multiplies the mean luminance of this zone
+        ``(H, W)`` bool, the task zone: ``threshold_factor`` then multiplies the mean luminance of this zone
         (evalglare's ``-t``).
 
     Attributes
     ----------
     half_class
-        Half the width of the classes in which the rating is read: an error beyond it leaves the class open.
+        Half the width of the rating's classes; with a larger error the class is uncertain.
 
     Raises
     ------
     SceneCaptumError
-        Where a setting is unknown or out of range, or the task zone does not fit the camera.
+        If a setting is unknown or out of range, or the task zone does not fit the camera.
     """
 
     task: torch.Tensor | None
@@ -92,70 +92,71 @@ class GlareRating(torch.nn.Module):
         task: torch.Tensor | None = None,
     ) -> None:
         super().__init__()
-        self.threshold = number("threshold", threshold)
-        self.relaxation = number("relaxation", relaxation, zero=True)
+        self.threshold = check_positive("threshold", threshold)
+        self.relaxation = check_positive("relaxation", relaxation, or_zero=True)
         self.threshold_factor = (
-            None if threshold_factor is None else number("threshold_factor", threshold_factor)
+            None if threshold_factor is None else check_positive("threshold_factor", threshold_factor)
         )
-        self.grouping = choice("grouping", grouping, ("evalglare", "pixel"))
-        self.background = choice("background", background, ("auto", "hemisphere", "mean"))
-        self.efficacy = number("efficacy", efficacy)
-        self.view = View(camera)
+        self.grouping = check_choice("grouping", grouping, ("evalglare", "pixel"))
+        self.background = check_choice("background", background, ("auto", "hemisphere", "mean"))
+        self.efficacy = check_positive("efficacy", efficacy)
+        self.pixels = PixelGeometry(camera)
         self.register_buffer("task", self._check_task(task), persistent=False)
 
     @property
     def camera(self) -> Camera:
-        """The camera of the pictures that this rates."""
-        return self.view.camera
+        """The camera of the images."""
+        return self.pixels.camera
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the rating of a ``(H, W, 3)`` picture of linear radiance, a 0-d tensor.
+        """Return the rating of an ``(H, W, 3)`` linear-radiance image, a 0-d tensor.
 
         Raises
         ------
         SceneCaptumError
-            If a value is negative, NaN or infinite, or the picture has another size than the camera.
+            If a value is negative, NaN or infinite, or the image does not have the size of the camera.
         """
-        values = photopic(image, self.efficacy, self.camera)
-        return like_input(self._rate(values, self._find(values)), image)
+        values = photometric_luminance(image, self.efficacy, self.camera)
+        return cast_like(self._rate(values, self._find_sources(values)), image)
 
     def sources(self, image: torch.Tensor) -> list[GlareSource]:
-        """Return the sources of an ``(H, W, 3)`` picture, the brightest first; errors as those of ``forward``."""
-        values = photopic(image.detach(), self.efficacy, self.camera)
-        found = self._find(values)
-        return [] if found is None else describe(found, self.view)
+        """Return the sources of an ``(H, W, 3)`` image, the brightest first; raises like ``forward``."""
+        values = photometric_luminance(image.detach(), self.efficacy, self.camera)
+        found = self._find_sources(values)
+        return [] if found is None else to_glare_sources(found, self.pixels)
 
     def check_image(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the picture in grey with each source in a colour of its own, ``(H, W, 3)``, luminance unchanged.
+        """Return the image in grey with the sources in different colours, ``(H, W, 3)``, with unchanged luminance.
 
-        This is evalglare's check file (``-c``), in the unit of the picture.
+        This is evalglare's check file (``-c``), in the unit of the image.
         """
-        values = photopic(image.detach(), 1.0, self.camera)
-        painted = values[..., None].expand(-1, -1, 3).clone()
+        values = photometric_luminance(image.detach(), 1.0, self.camera)
+        result = values[..., None].expand(-1, -1, 3).clone()
         for number, source in enumerate(self.sources(image)):
             rows, columns = source.pixels.unbind(-1)
-            colour = torch.tensor(_COLOURS[number % len(_COLOURS)], dtype=values.dtype, device=values.device)
-            painted[rows, columns] = values[rows, columns, None] * colour / _relative_luminance(colour)
-        return like_input(painted, image)
+            color = torch.tensor(_COLORS[number % len(_COLORS)], dtype=values.dtype, device=values.device)
+            scale = relative_luminance(color[None, None])[0, 0]
+            result[rows, columns] = values[rows, columns, None] * color / scale
+        return cast_like(result, image)
 
     def held_at(self, image: torch.Tensor) -> GlareRating:
-        """Return the same rating with the threshold that it has for a picture ``(H, W, 3)``, whatever it sees.
+        """Return a copy of the rating with a fixed threshold: the one that it computes for an ``(H, W, 3)`` image.
 
-        Its derivative is that of the rating among the sources of this picture, as if its threshold did not move.
+        Its derivative is that of the rating with a constant threshold.
         """
-        values = photopic(image.detach(), self.efficacy, self.camera)
-        held = copy.deepcopy(self)
-        held.threshold, held.threshold_factor, held.task = self._threshold(values).item(), None, None
-        return held
+        values = photometric_luminance(image.detach(), self.efficacy, self.camera)
+        fixed = copy.deepcopy(self)
+        fixed.threshold, fixed.threshold_factor, fixed.task = self._threshold(values).item(), None, None
+        return fixed
 
     @abstractmethod
-    def _rate(self, luminance: torch.Tensor, found: Sources | None) -> torch.Tensor:
-        """Return the rating for a picture in cd/m², ``(H, W)``, and its sources."""
+    def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
+        """Return the rating for the luminance in cd/m², ``(H, W)``, and its sources."""
 
-    def _find(self, luminance: torch.Tensor) -> Sources | None:
+    def _find_sources(self, luminance: torch.Tensor) -> Sources | None:
         return find_sources(
             luminance,
-            self.view,
+            self.pixels,
             threshold=self._threshold(luminance),
             relaxation=self.relaxation,
             grouping=self.grouping,
@@ -165,7 +166,7 @@ class GlareRating(torch.nn.Module):
     def _threshold(self, luminance: torch.Tensor) -> torch.Tensor:
         if self.threshold_factor is None:
             return luminance.new_tensor(self.threshold)
-        weight = self.view.solid_angle.to(luminance)
+        weight = self.pixels.solid_angle.to(luminance)
         if self.task is not None:
             weight = weight * self.task.to(luminance).flatten()
         return self.threshold_factor * (weight * luminance.flatten()).sum() / weight.sum()
@@ -180,23 +181,23 @@ class GlareRating(torch.nn.Module):
             return None
         if self.threshold_factor is None:
             raise SceneCaptumError(
-                "task needs threshold_factor: how many times the zone's mean luminance makes a source (say 5)."
+                "task needs threshold_factor: the threshold as a multiple of the zone's mean luminance, such as 5."
             )
         expected = (self.camera.height, self.camera.width)
         if tuple(task.shape) != expected:
             raise SceneCaptumError(
-                f"task has shape {tuple(task.shape)}; the camera's picture is {expected} (height, width)."
+                f"task has shape {tuple(task.shape)}; the camera's image is {expected} (height, width)."
             )
-        if not (task.flatten().to(self.view.solid_angle) * self.view.solid_angle).sum() > 0:
+        if not (task.flatten().to(self.pixels.solid_angle) * self.pixels.solid_angle).sum() > 0:
             raise SceneCaptumError("task selects no pixel that the camera sees.")
         return task
 
     def __repr__(self) -> str:
-        """Show the settings on one line; what the camera says about each pixel is no setting."""
+        """Show the settings on one line, without the submodule of pixel directions and solid angles."""
         return f"{type(self).__name__}({self.extra_repr()})"
 
     def extra_repr(self) -> str:
-        """Show the camera and how sources are found."""
+        """Show the camera and the settings of the source detection."""
         limit = (
             f"threshold={self.threshold:g}"
             if self.threshold_factor is None
@@ -208,21 +209,15 @@ class GlareRating(torch.nn.Module):
         )
 
 
-def _relative_luminance(colour: torch.Tensor) -> torch.Tensor:
-    from ._luminance import luminance
-
-    return luminance(colour[None, None])[0, 0]
-
-
-def number(name: str, value: float, *, zero: bool = False) -> float:
-    least = "at least 0" if zero else "above 0"
-    good = isinstance(value, Real) and math.isfinite(value) and (value > 0 or (zero and value == 0))
-    if not good:
-        raise SceneCaptumError(f"{name} must be a finite number {least}, not {value!r}.")
+def check_positive(name: str, value: float, *, or_zero: bool = False) -> float:
+    limit = "at least 0" if or_zero else "above 0"
+    valid = isinstance(value, Real) and math.isfinite(value) and (value > 0 or (or_zero and value == 0))
+    if not valid:
+        raise SceneCaptumError(f"{name} must be a finite number {limit}, not {value!r}.")
     return float(value)
 
 
-def choice(name: str, value: str, known: tuple[str, ...]) -> str:
-    if value not in known:
-        raise SceneCaptumError(f"{name} must be one of {', '.join(map(repr, known))}, not {value!r}.")
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> str:
+    if value not in choices:
+        raise SceneCaptumError(f"{name} must be one of {', '.join(map(repr, choices))}, not {value!r}.")
     return value

@@ -1,4 +1,4 @@
-"""Which bright pixels make up one glare source: discrete, outside the derivative graph."""
+"""Grouping of bright pixels into glare sources; not differentiable."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-REACH = 0.1  # rad: pixels this close belong to one source (evalglare's ``-r 0.2`` is a diameter)
-PEAK = 50_000.0  # cd/m²: brighter parts of a source are sources of their own (evalglare's ``-y``)
+MAX_ANGLE = 0.1  # rad between linked pixels (evalglare's ``-r 0.2`` is a diameter)
+PEAK_LUMINANCE = 50_000.0  # cd/m²: brighter parts of a source are separate sources (evalglare's ``-y``)
 
 Floats = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.int64]
@@ -17,8 +17,8 @@ Labels = npt.NDArray[np.int64]
 def group_as_evalglare(directions: Floats, luminance: Floats) -> Labels:
     """Return the source number of each bright pixel, from 0.
 
-    Pixels within 0.1 rad of each other are linked, directly or over others between them. Then the pixels of a
-    source at or above 50 000 cd/m² leave it and are grouped among themselves in the same way.
+    Sources are connected components of pixels within 0.1 rad of each other. Pixels at or above 50 000 cd/m² are
+    then removed from their source and grouped separately in the same way.
 
     Parameters
     ----------
@@ -29,38 +29,38 @@ def group_as_evalglare(directions: Floats, luminance: Floats) -> Labels:
 
     Notes
     -----
-    evalglare looks for neighbours pixel by pixel and merges a source into a larger one. Over 278 random pictures
-    the number of sources was the same but for four: three had a source one pixel high, of which evalglare left a
-    pixel aside, and one had scattered peaks. Their ratings differed by less than 0.001.
+    evalglare searches for neighbours pixel by pixel and merges a source into a larger one. For 278 random
+    images the number of sources was the same except for four: in three, evalglare dropped a pixel of a source
+    one pixel high, and one had scattered peaks. Their ratings differed by less than 0.001.
     """
-    labels = linked(directions, REACH)
-    peaks = luminance >= PEAK
+    labels = connected_components(directions, MAX_ANGLE)
+    peaks = luminance >= PEAK_LUMINANCE
     for label in np.unique(labels[peaks]):
         split = peaks & (labels == label)
-        labels[split] = labels.max() + 1 + linked(directions[split], REACH)
+        labels[split] = labels.max() + 1 + connected_components(directions[split], MAX_ANGLE)
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
 
-def linked(directions: Floats, angle: float) -> Labels:
+def connected_components(directions: Floats, angle: float) -> Labels:
     """Label the connected components of unit vectors, where vectors at most ``angle`` apart are connected.
 
-    Space is cut into cells whose diagonal is the chord of ``angle``: the vectors of one cell are connected without
-    looking, and only cells less than three apart need be compared, nearest first.
+    Uses a grid of cells whose diagonal is the chord of ``angle``: all vectors in a cell are connected, and only
+    cells less than three apart need to be compared, nearest first.
     """
     if len(directions) == 0:
         return np.zeros(0, np.int64)
     side = 2 * math.sin(angle / 2) / math.sqrt(3)
-    places = np.floor(directions / side).astype(np.int64)
-    span = int(2 / side) + 3  # more than any difference of coordinates, so that one number names a cell
-    key = (places * [span * span, span, 1]).sum(1)
+    coordinates = np.floor(directions / side).astype(np.int64)
+    span = int(2 / side) + 3  # exceeds any difference of coordinates, so that keys are unique
+    key = (coordinates * [span * span, span, 1]).sum(1)
     _, first, cell_of, counts = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
-    cells = places[first]
+    cells = coordinates[first]
     members = np.split(np.argsort(cell_of, kind="stable"), np.cumsum(counts)[:-1])
     parent = list(range(len(cells)))
-    for one, other in _neighbours(cells):
-        a, b = _root(parent, one), _root(parent, other)
-        if a != b and _touch(directions[members[one]], directions[members[other]], math.cos(angle)):
-            parent[b] = a
+    for a, b in _neighbours(cells):
+        root_a, root_b = _root(parent, a), _root(parent, b)
+        if root_a != root_b and _within(directions[members[a]], directions[members[b]], math.cos(angle)):
+            parent[root_b] = root_a
     roots = np.array([_root(parent, cell) for cell in range(len(cells))])
     return np.unique(roots, return_inverse=True)[1].astype(np.int64)[cell_of]
 
@@ -68,7 +68,7 @@ def linked(directions: Floats, angle: float) -> Labels:
 def _neighbours(cells: Labels) -> list[tuple[int, int]]:
     span = np.arange(-2, 3)
     offsets = np.stack(np.meshgrid(span, span, span, indexing="ij"), -1).reshape(-1, 3)
-    offsets = offsets[len(offsets) // 2 + 1 :]  # the other half names the same pairs
+    offsets = offsets[len(offsets) // 2 + 1 :]  # the other half gives the same pairs
     offsets = offsets[np.argsort((offsets**2).sum(-1), kind="stable")]
     index = {cell: number for number, cell in enumerate(map(tuple, cells.tolist()))}
     return [
@@ -79,11 +79,13 @@ def _neighbours(cells: Labels) -> list[tuple[int, int]]:
     ]
 
 
-def _touch(a: Floats, b: Floats, cosine: float) -> bool:
+def _within(a: Floats, b: Floats, cosine: float) -> bool:
+    """Whether any two vectors of ``a`` and ``b`` are within an angle, given by its cosine."""
     return bool((a @ b.T).max() >= cosine)
 
 
 def _root(parent: list[int], node: int) -> int:
+    """Return the root of a node in a union-find forest, with path halving."""
     while parent[node] != node:
         parent[node] = parent[parent[node]]
         node = parent[node]

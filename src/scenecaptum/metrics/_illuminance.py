@@ -1,15 +1,15 @@
-"""Illuminance at the eye."""
+"""Vertical illuminance at the eye."""
 
 from __future__ import annotations
 
 import torch
 
 from ..camera import Camera
-from ._checks import like_input, photopic
+from ._checks import cast_like, photometric_luminance
 
 
 class VerticalIlluminance(torch.nn.Module):
-    """Illuminance at the eye in lux, ``Ev = Σ L ω cos θ`` over the pixels in front.
+    """Vertical illuminance at the eye in lux, ``Ev = Σ L ω cos θ`` over the pixels in front of the camera.
 
     Example
     -------
@@ -19,19 +19,19 @@ class VerticalIlluminance(torch.nn.Module):
     Parameters
     ----------
     camera
-        The picture's camera. One that sees less than the hemisphere gives the share of what it sees.
+        The camera of the image. A field of view below the hemisphere gives only the illuminance from within it.
     efficacy
-        Luminous efficacy in lm/W: with 179, as in Radiance, radiance gives lux.
+        Luminous efficacy in lm/W that converts radiance to luminance: 179 as in Radiance.
 
     Raises
     ------
     SceneCaptumError
-        From ``forward``, where a value is negative or not finite, or the image has another size than the camera.
+        From ``forward``, if a value is negative or not finite, or the image does not have the size of the camera.
 
     Notes
     -----
     L is the luminance of a pixel, ω its solid angle and θ its angle from the line of sight: the definition of
-    illuminance (CIE S 017), on a plane that faces the line of sight.
+    illuminance (CIE S 017), on a plane perpendicular to the line of sight.
     """
 
     projected: torch.Tensor
@@ -42,9 +42,9 @@ class VerticalIlluminance(torch.nn.Module):
         self.register_buffer("projected", projected_solid_angles(camera), persistent=False)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the illuminance that an ``(H, W, 3)`` image of linear radiance gives, a 0-d tensor."""
-        values = photopic(image, self.efficacy, self.camera)
-        return like_input((self.projected.to(values) * values).sum(), image)
+        """Return the illuminance from an ``(H, W, 3)`` linear-radiance image, a 0-d tensor."""
+        values = photometric_luminance(image, self.efficacy, self.camera)
+        return cast_like((self.projected.to(values) * values).sum(), image)
 
     def extra_repr(self) -> str:
         """Show the camera and the efficacy."""
@@ -52,5 +52,5 @@ class VerticalIlluminance(torch.nn.Module):
 
 
 def projected_solid_angles(camera: Camera) -> torch.Tensor:
-    """Return ``ω cos θ`` of each pixel, ``(H, W)``, 0 behind the eye."""
+    """Return ``ω cos θ`` of each pixel, ``(H, W)``; 0 behind the camera."""
     return camera.solid_angles * camera.directions[..., 2].clamp(min=0)

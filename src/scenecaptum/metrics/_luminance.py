@@ -1,4 +1,4 @@
-"""Luminance of a linear-radiance picture."""
+"""Luminance of a linear-radiance image."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def luminance(image: torch.Tensor) -> torch.Tensor:
     Raises
     ------
     SceneCaptumError
-        Where the image has another shape.
+        If the image does not have this shape.
 
     References
     ----------
-    Recommendation ITU-R BT.709: the weights 0.2127, 0.7152 and 0.0722, as kornia has them.
+    Recommendation ITU-R BT.709: the weights 0.2127, 0.7152 and 0.0722, as in kornia.
     """
     from kornia.color import rgb_to_xyz
 
@@ -37,7 +37,7 @@ def luminance(image: torch.Tensor) -> torch.Tensor:
 
 
 class MeanLuminance(torch.nn.Module):
-    """Mean luminance of a picture, ``mean(efficacy · (0.2127 R + 0.7152 G + 0.0722 B))``.
+    """Mean luminance of an image, ``mean(efficacy · (0.2127 R + 0.7152 G + 0.0722 B))``.
 
     Example
     -------
@@ -49,12 +49,12 @@ class MeanLuminance(torch.nn.Module):
     efficacy
         Luminous efficacy in lm/W: 1 gives the relative luminance of the render, 179 gives cd/m² as in Radiance.
     mask
-        ``(H, W)``, the pixels that count (bool, or weights that are not negative); all of them by default.
+        ``(H, W)``, the pixels to average over (bool, or non-negative weights); all of them by default.
 
     Raises
     ------
     SceneCaptumError
-        Where the mask selects nothing or, from ``forward``, has another size than the image.
+        If the mask is empty or, from ``forward``, does not have the size of the image.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""A percentile of the luminance whose derivative reaches more than two pixels."""
+"""Percentile of the luminance, smoothed so that more than two pixels have a derivative."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from numbers import Real
 import torch
 
 from ..errors import SceneCaptumError
-from ._checks import like_input, photopic
+from ._checks import cast_like, photometric_luminance
 
 
 class LuminancePercentile(torch.nn.Module):
-    """Percentile of a picture's luminance, averaged over the percentiles within ``width`` of it.
+    """Percentile of an image's luminance, averaged over the percentiles within ``width`` of it.
 
-    The average is exact for the linearly interpolated quantile function, ``∫ Q(t) dt / 2 width`` over
-    ``[percentile − width, percentile + width]``, so every pixel in that band has a derivative. As ``width`` tends
-    to 0 this tends to ``numpy.percentile``, which ``width=0`` is.
+    The average is the exact integral of the linearly interpolated quantile function, ``∫ Q(t) dt / 2 width`` over
+    ``[percentile − width, percentile + width]``, so every pixel in that band has a derivative. ``width=0`` is
+    ``numpy.percentile``, and the limit for small widths.
 
     Example
     -------
@@ -27,34 +27,34 @@ class LuminancePercentile(torch.nn.Module):
     percentile
         From 0 (the darkest pixel) to 100 (the brightest).
     width
-        Half-width of the band, in percentile points; what sticks out beyond 0 or 100 is cut off.
+        Half-width of the band, in percentile points; the band is clipped to 0 and 100.
     efficacy
         Luminous efficacy in lm/W: 1 gives the relative luminance of the render, 179 gives cd/m² as in Radiance.
 
     Raises
     ------
     SceneCaptumError
-        Where a percentage is none or, from ``forward``, a value of the image is negative or not finite.
+        If a percentage is out of range or, from ``forward``, a value of the image is negative or not finite.
     """
 
     def __init__(self, percentile: float = 95.0, *, width: float = 1.0, efficacy: float = 1.0) -> None:
         super().__init__()
-        self.percentile = percent("percentile", percentile)
-        self.width = percent("width", width)
+        self.percentile = check_percentage("percentile", percentile)
+        self.width = check_percentage("width", width)
         self.efficacy = efficacy
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the percentile of an ``(H, W, 3)`` image, a 0-d tensor, in its unit times ``efficacy``."""
-        values = photopic(image, self.efficacy).flatten()
-        return like_input(banded_percentile(values, self.percentile, self.width), image)
+        values = photometric_luminance(image, self.efficacy).flatten()
+        return cast_like(banded_percentile(values, self.percentile, self.width), image)
 
     def extra_repr(self) -> str:
-        """Show which percentile, its band and the efficacy."""
+        """Show percentile, width and efficacy."""
         return f"percentile={self.percentile:g}, width={self.width:g}, efficacy={self.efficacy:g}"
 
 
-def percent(name: str, value: float) -> float:
-    """Return ``value`` if it lies from 0 to 100, or say what is wrong with the setting called ``name``."""
+def check_percentage(name: str, value: float) -> float:
+    """Return ``value`` if it is between 0 and 100; raise otherwise."""
     if not isinstance(value, Real) or not 0 <= value <= 100:
         raise SceneCaptumError(f"{name} must be from 0 to 100, in percent, not {value!r}.")
     return float(value)
@@ -62,7 +62,7 @@ def percent(name: str, value: float) -> float:
 
 def banded_percentile(values: torch.Tensor, percentile: float, width: float) -> torch.Tensor:
     """Average the percentiles of ``values`` (1-d) from ``percentile − width`` to ``percentile + width``."""
-    ordered = values.sort().values
+    sorted_values = values.sort().values
     last = len(values) - 1
     low = max(percentile - width, 0.0) / 100 * last
     high = min(percentile + width, 100.0) / 100 * last
@@ -71,10 +71,10 @@ def banded_percentile(values: torch.Tensor, percentile: float, width: float) -> 
         weight = (_hat_integral(high - rank) - _hat_integral(low - rank)) / (high - low)
     else:
         weight = (1 - (rank - low).abs()).clamp(min=0)
-    return (weight * ordered).sum()
+    return (weight * sorted_values).sum()
 
 
 def _hat_integral(x: torch.Tensor) -> torch.Tensor:
-    """Integrate the hat ``max(0, 1 − |t|)`` up to ``x``: linear interpolation spreads a value as a hat."""
+    """Integrate the hat function ``max(0, 1 − |t|)``, the basis of linear interpolation, up to ``x``."""
     x = x.clamp(-1, 1)
     return 0.5 + x - x * x.abs() / 2

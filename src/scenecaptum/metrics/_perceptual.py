@@ -1,4 +1,4 @@
-"""Distance between two pictures in the features of a network."""
+"""Perceptual distance between two images: distance between the features of a network."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from ._frozen import run_frozen
 from ._picture import check_exposure, check_reference, check_same_shape, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
-# Below this squared length a feature vector fades to zero instead of being blown up to unit length: without it
-# the derivative would be NaN where a network says nothing, as on black regions.
-_FAINT = 1e-8
+# Added to squared feature norms: without it the derivative would be NaN for zero features, as on black regions.
+_EPSILON = 1e-8
 
 
 class PerceptualDistance(torch.nn.Module):
-    """How differently a network sees the picture and a reference: ``Σ_l mean |f̂_l(x) − f̂_l(y)|² / layers``.
+    """Distance between an image and a reference in feature space: ``Σ_l mean |f̂_l(x) − f̂_l(y)|² / layers``.
 
-    ``f̂_l`` are the features of layer ``l``, scaled to unit length over their channels at each place; the mean
-    goes over places. It is 0 with a gradient of 0 where the pictures are the same, and at most 4 (2 for features
-    that a ReLU leaves).
+    ``f̂_l`` are the features of layer ``l``, normalized over the channels at each position; the mean is over
+    positions. The distance and its gradient are 0 for identical images; the maximum is 4 (2 for non-negative
+    features, such as after a ReLU).
 
     Example
     -------
@@ -36,26 +35,26 @@ class PerceptualDistance(torch.nn.Module):
     reference
         ``(H, W, 3)`` linear radiance.
     backbone
-        Any network. It is run in evaluation mode and left as it is, without gradients in its parameters.
+        Any network. It runs in evaluation mode and is not modified; its parameters get no gradients.
     layers
-        Names of its submodules (``named_modules``) whose outputs are compared. By default what the network itself
-        returns: a tensor, or several in a list or dict.
+        Names of the submodules (``named_modules``) whose outputs are compared. By default the output of the
+        network: a tensor, or several in a list or dict.
     transform
-        From an sRGB picture ``(1, 3, H, W)`` in [0, 1] to what the network takes. By default its own
-        ``preprocess`` where it has one, otherwise ImageNet's normalisation at the picture's own size.
+        Preprocessing from an sRGB picture ``(1, 3, H, W)`` in [0, 1] to the network's input. By default its own
+        ``preprocess`` if it has one, otherwise ImageNet's normalisation without resizing.
     exposure
-        What radiance is multiplied by before it is clipped at white and encoded as sRGB.
+        Factor on radiance before it is clipped at white and encoded as sRGB.
 
     Raises
     ------
     SceneCaptumError
-        Where the backbone has no such layer or, when it is called, returns no features, or the image has another
-        size than the reference or values that are negative or not finite.
+        If the backbone has no such layer or, from ``forward``, returns no features, or the image does not have the
+        size of the reference or has values that are negative or not finite.
 
     References
     ----------
-    Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", 2018 (LPIPS). Its
-    learnt weights of the channels are left out: every channel counts alike, so that any network will do.
+    Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", 2018 (LPIPS), without
+    learnt channel weights, so that any network can be used.
     """
 
     reference: torch.Tensor
@@ -79,12 +78,12 @@ class PerceptualDistance(torch.nn.Module):
         self.register_buffer("reference", check_reference(reference))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the distance of an ``(H, W, 3)`` image, a 0-d tensor without a unit."""
+        """Return the distance of an ``(H, W, 3)`` image to the reference, a 0-d dimensionless tensor."""
         check_same_shape(image, self.reference)
         with torch.no_grad():
             expected = self.features(self.reference.to(image))
         distances = [
-            (_unit(a) - _unit(b)).square().sum(1).mean()
+            (_normalize(a) - _normalize(b)).square().sum(1).mean()
             for a, b in zip(self.features(image), expected, strict=True)
         ]
         return torch.stack(distances).mean()
@@ -93,45 +92,45 @@ class PerceptualDistance(torch.nn.Module):
         """Return each layer's features of an ``(H, W, 3)`` image, ``(1, channels, …)``."""
         x = self.transform(srgb_picture(image, self.exposure))
         if self.layers is None:
-            return _tensors(run_frozen(self.backbone, x))
-        kept: dict[str, torch.Tensor] = {}
+            return _check_features(run_frozen(self.backbone, x))
+        features: dict[str, torch.Tensor] = {}
         hooks = [
-            self.backbone.get_submodule(name).register_forward_hook(_keep(kept, name)) for name in self.layers
+            self.backbone.get_submodule(name).register_forward_hook(_store(features, name))
+            for name in self.layers
         ]
         try:
             run_frozen(self.backbone, x)
         finally:
             for hook in hooks:
                 hook.remove()
-        if missing := [name for name in self.layers if name not in kept]:
-            raise SceneCaptumError(
-                f"The backbone ran without calling its layer {missing[0]!r}: choose another."
-            )
-        return [kept[name] for name in self.layers]
+        if missing := [name for name in self.layers if name not in features]:
+            raise SceneCaptumError(f"The backbone did not call its layer {missing[0]!r}: choose another.")
+        return [features[name] for name in self.layers]
 
     def extra_repr(self) -> str:
         """Show the settings."""
         return f"layers={self.layers}, exposure={self.exposure:g}, reference={tuple(self.reference.shape)}"
 
 
-def _keep(kept: dict[str, torch.Tensor], name: str) -> Callable[..., None]:
+def _store(features: dict[str, torch.Tensor], name: str) -> Callable[..., None]:
     def hook(_module: torch.nn.Module, _inputs: Any, output: Any) -> None:
-        # A copy, because the next layer may be an activation that works in place.
-        kept[name] = _tensors(output, name)[0].clone()
+        # A copy, because the next layer may be an in-place activation.
+        features[name] = _check_features(output, name)[0].clone()
 
     return hook
 
 
-def _tensors(output: Any, layer: str | None = None) -> list[torch.Tensor]:
+def _check_features(output: Any, layer: str | None = None) -> list[torch.Tensor]:
+    """Return the output of a network or layer as a list of tensors; raise if it is not one."""
     outputs = list(output.values()) if isinstance(output, Mapping) else output
     outputs = [outputs] if isinstance(outputs, torch.Tensor) else outputs
     valid = isinstance(outputs, list | tuple) and all(
         isinstance(o, torch.Tensor) and o.ndim >= 2 and o.is_floating_point() for o in outputs
     )
     if not valid or not outputs:
-        whose = "The backbone" if layer is None else f"The backbone's layer {layer!r}"
+        source = "The backbone" if layer is None else f"The backbone's layer {layer!r}"
         raise SceneCaptumError(
-            f"{whose} must return features of shape (1, channels, …), or a list of such tensors; it returned "
+            f"{source} must return features of shape (1, channels, …), or a list of such tensors; it returned "
             f"{_description(output)}. Name the layers to compare with layers=."
         )
     return list(outputs)
@@ -143,8 +142,8 @@ def _description(output: Any) -> str:
     return f"a {type(output).__name__}"
 
 
-def _unit(features: torch.Tensor) -> torch.Tensor:
-    return features * torch.rsqrt(features.square().sum(1, keepdim=True) + _FAINT)
+def _normalize(features: torch.Tensor) -> torch.Tensor:
+    return features * torch.rsqrt(features.square().sum(1, keepdim=True) + _EPSILON)
 
 
 def _check_layers(backbone: torch.nn.Module, layers: Sequence[str] | None) -> None:
@@ -156,4 +155,4 @@ def _check_layers(backbone: torch.nn.Module, layers: Sequence[str] | None) -> No
                 "dict(backbone.named_modules()) lists them."
             )
     if layers is not None and not layers:
-        raise SceneCaptumError("layers is empty: name one layer or more, or leave it out.")
+        raise SceneCaptumError("layers is empty: give at least one layer, or leave it out.")

@@ -1,4 +1,4 @@
-"""From the image a renderer returns to the layouts and colours that networks and kornia take; nowhere else."""
+"""Conversion of rendered images to the layout and colour space of networks and kornia."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from ..errors import SceneCaptumError
 
 
 def channels_first(image: torch.Tensor) -> torch.Tensor:
-    """Return an ``(H, W, 3)`` image as the ``(1, 3, H, W)`` that kornia and networks take.
+    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks.
 
     Raises
     ------
     SceneCaptumError
-        Where the image has another shape.
+        If the image has another shape.
     """
     check_image(image)
     return image.movedim(-1, 0)[None]
 
 
 def channels_last(picture: torch.Tensor) -> torch.Tensor:
-    """Return a ``(1, 3, H, W)`` picture as the ``(H, W, 3)`` that renderers and figures take."""
+    """Convert a ``(1, 3, H, W)`` picture to ``(H, W, 3)``, the layout of renderers and figures."""
     return picture[0].movedim(0, -1)
 
 
 def check_image(image: torch.Tensor) -> None:
-    """Raise where a tensor is no ``(H, W, 3)`` image."""
+    """Raise if a tensor is not an ``(H, W, 3)`` image."""
     if image.ndim != 3 or image.shape[-1] != 3 or not image.numel():
         raise SceneCaptumError(
             f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
@@ -33,9 +33,9 @@ def check_image(image: torch.Tensor) -> None:
 
 
 def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
-    """Return linear radiance as the sRGB picture that a camera would save, ``sRGB(min(exposure · L, 1))``.
+    """Encode linear radiance as an sRGB picture, ``sRGB(min(exposure · L, 1))``.
 
-    The gradient is finite everywhere: 12.92 · exposure at black, and 0 above white, where the picture is clipped.
+    The gradient is finite everywhere: 12.92 · exposure at black, and 0 above white, where values are clipped.
 
     Example
     -------
@@ -47,7 +47,7 @@ def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
     image
         ``(H, W, 3)`` linear radiance, Rec. 709 primaries.
     exposure
-        What radiance is multiplied by before it is clipped at 1, white.
+        Factor on radiance before it is clipped at 1, white.
 
     Returns
     -------
@@ -57,34 +57,34 @@ def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
     Raises
     ------
     SceneCaptumError
-        Where the image has another shape, or a value that is negative or not finite.
+        If the image has another shape, or a value that is negative or not finite.
 
     References
     ----------
-    IEC 61966-2-1 (sRGB), as kornia writes it.
+    IEC 61966-2-1 (sRGB), as implemented in kornia.
     """
     from kornia.color import linear_rgb_to_rgb
 
     radiance = channels_first(image)
-    if not bool(((radiance >= 0) & (radiance < torch.inf)).all()):
-        bad = int((~((radiance >= 0) & (radiance < torch.inf))).any(1).sum())
+    valid = (radiance >= 0) & (radiance < torch.inf)
+    if not bool(valid.all()):
         raise SceneCaptumError(
-            f"Radiance must be finite and not negative; on {bad} of {image.shape[0] * image.shape[1]} pixels it "
-            "is not. Mend the scene, or remove the values with image.nan_to_num(0).clamp(min=0)."
+            f"Radiance must be finite and not negative; on {int((~valid).any(1).sum())} of {valid[0, 0].numel()} "
+            "pixels it is not. Fix the scene, or remove the values with image.nan_to_num(0).clamp(min=0)."
         )
     encoded: torch.Tensor = linear_rgb_to_rgb((radiance * exposure).clamp(max=1.0))
     return encoded
 
 
 def check_exposure(exposure: float) -> float:
-    """Return a factor that radiance can be multiplied by, or say what is wrong with it."""
+    """Return a positive, finite factor; raise otherwise."""
     if not 0 < exposure < float("inf"):
         raise SceneCaptumError(f"exposure must be a positive, finite factor, not {exposure!r}.")
     return float(exposure)
 
 
 def check_reference(reference: torch.Tensor) -> torch.Tensor:
-    """Return a reference image as a constant of its own, or say what is wrong with it."""
+    """Return a detached copy of a reference image; raise if it is invalid."""
     check_image(reference)
     if not torch.isfinite(reference).all():
         raise SceneCaptumError("The reference has values that are not finite: pass it through nan_to_num(0).")
@@ -92,7 +92,7 @@ def check_reference(reference: torch.Tensor) -> torch.Tensor:
 
 
 def check_same_shape(image: torch.Tensor, reference: torch.Tensor) -> None:
-    """Raise where an image cannot be compared with its reference pixel by pixel."""
+    """Raise if an image and its reference have different shapes."""
     if image.shape != reference.shape:
         raise SceneCaptumError(
             f"The image is {tuple(image.shape)} and its reference {tuple(reference.shape)} (height, width, "

@@ -1,20 +1,21 @@
-"""How much less a source disturbs, the further it is from the line of sight."""
+"""Guth position index of glare sources."""
 
 from __future__ import annotations
 
 import torch
 
-_BELOW = 1.15  # a source below the line of sight counts as this much further down
+_DOWNWARD_STRETCH = 1.15  # of directions below the line of sight
 
 
 def position_index(directions: torch.Tensor) -> torch.Tensor:
-    """Return the Guth position index of each direction: 1 on the line of sight, growing away from it, at most 16.
+    """Return the Guth position index of each direction: from 1 on the line of sight to at most 16.
 
     Above the line of sight it is Guth's formula in the IES Lighting Handbook and CIE 117,
     ``ln P = (35.2 − 0.31889 τ − 1.22 exp(−2τ/9)) 10⁻³ σ + (21 + 0.26667 τ − 0.002963 τ²) 10⁻⁵ σ²``, where σ is the
-    angle from the line of sight and τ the angle from the vertical of the plane that holds both, in degrees. Below
-    it evalglare 3.06 stretches the direction downward by 1.15 on the plane in front of the eye and takes
-    ``ln P = 6.49 10⁻³ σ + 21 10⁻⁵ σ²`` there, which is Guth's formula at τ = 90°; older versions used Iwata's.
+    angle from the line of sight and τ the angle between the vertical and the plane through the direction and the
+    line of sight, in degrees. Below it, as in evalglare 3.06, the direction is stretched downward by 1.15 on the
+    plane in front of the eye and ``ln P = 6.49 10⁻³ σ + 21 10⁻⁵ σ²``, which is Guth's formula at τ = 90°. Older
+    versions of evalglare used Iwata's.
 
     Parameters
     ----------
@@ -28,12 +29,12 @@ def position_index(directions: torch.Tensor) -> torch.Tensor:
 
     Notes
     -----
-    The lower branch was measured: it reproduces the picture of indices that ``evalglare -p`` writes to the
-    rounding of the picture's format, and the indices that ``evalglare -d`` prints to 2e-6.
+    The lower branch was verified: it reproduces the index image of ``evalglare -p`` up to the rounding of the
+    image format, and the indices that ``evalglare -d`` prints to 2e-6.
     """
     x, y, z = directions.unbind(-1)
     below = y < 0
-    sigma = torch.rad2deg(torch.atan2(torch.hypot(x, torch.where(below, _BELOW * y, y)), z))
+    sigma = torch.rad2deg(torch.atan2(torch.hypot(x, torch.where(below, _DOWNWARD_STRETCH * y, y)), z))
     tau = torch.rad2deg(torch.atan2(x.abs(), y))
     linear = torch.where(below, 6.49, 35.2 - 0.31889 * tau - 1.22 * torch.exp(-2 * tau / 9))
     square = torch.where(below, 21.0, 21 + 0.26667 * tau - 0.002963 * tau**2)

@@ -1,4 +1,4 @@
-"""What stands between a picture and a network: resizing, cropping and normalisation."""
+"""Preprocessing for networks: resizing, cropping and normalisation."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 class ResizeCropNormalize(torch.nn.Module):
-    """A picture as a classifier was trained to see it: ``(crop(resize(picture)) − mean) / std``.
+    """Standard classifier preprocessing: ``(crop(resize(picture)) − mean) / std``.
 
-    The defaults are those of torchvision's ``ResNet50_Weights.IMAGENET1K_V2.transforms()``, to which it is equal
-    on the same picture; it needs no torchvision, and it is differentiable.
+    The defaults give the same result as torchvision's ``ResNet50_Weights.IMAGENET1K_V2.transforms()``, without
+    torchvision. Differentiable.
 
     Example
     -------
@@ -26,18 +26,18 @@ class ResizeCropNormalize(torch.nn.Module):
     Parameters
     ----------
     resize
-        Length in pixels of the shorter side after resizing (antialiased); ``None`` leaves the size alone.
+        Length in pixels of the shorter side after resizing (antialiased); ``None`` for no resizing.
     crop
-        Side in pixels of the square cut from the middle; ``None`` keeps all of the picture.
+        Side in pixels of the square centre crop; ``None`` for no cropping.
     mean, std
         Per channel, of an sRGB picture in [0, 1].
     interpolation
-        ``"bilinear"`` or ``"bicubic"``, as the network's model card says.
+        ``"bilinear"`` or ``"bicubic"``, as used in the network's training.
 
     Raises
     ------
     SceneCaptumError
-        Where the interpolation is unknown, or the square to be cut is larger than the picture.
+        If the interpolation is unknown, or the crop is larger than the picture.
     """
 
     mean: torch.Tensor
@@ -53,7 +53,7 @@ class ResizeCropNormalize(torch.nn.Module):
     ) -> None:
         super().__init__()
         if interpolation not in ("bilinear", "bicubic"):
-            raise SceneCaptumError(f"interpolation is 'bilinear' or 'bicubic', not {interpolation!r}.")
+            raise SceneCaptumError(f"interpolation must be 'bilinear' or 'bicubic', not {interpolation!r}.")
         if resize and crop and crop > resize:
             raise SceneCaptumError(
                 f"crop={crop} is larger than the resized picture: it must be at most resize={resize}."
@@ -65,18 +65,18 @@ class ResizeCropNormalize(torch.nn.Module):
         self.register_buffer("std", torch.tensor(std).reshape(-1, 1, 1), persistent=False)
 
     def forward(self, picture: torch.Tensor) -> torch.Tensor:
-        """Return what the network takes, ``(N, 3, h, w)``, for ``(N, 3, H, W)`` in [0, 1]."""
+        """Return the network's input, ``(N, 3, h, w)``, for pictures ``(N, 3, H, W)`` in [0, 1]."""
         if self.resize is not None:
-            picture = self._resized(picture, self.resize)
+            picture = self._resize(picture, self.resize)
         if self.crop is not None:
-            picture = _middle(picture, self.crop)
+            picture = _centre_crop(picture, self.crop)
         return (picture - self.mean.to(picture)) / self.std.to(picture)
 
-    def _resized(self, picture: torch.Tensor, shorter: int) -> torch.Tensor:
+    def _resize(self, picture: torch.Tensor, shorter: int) -> torch.Tensor:
         height, width = picture.shape[-2:]
-        least = min(height, width)
-        # Whole numbers, rounded down: what torchvision does with the longer side.
-        size = (shorter * height // least, shorter * width // least)
+        shortest = min(height, width)
+        # The longer side is rounded down, as in torchvision.
+        size = (shorter * height // shortest, shorter * width // shortest)
         return torch.nn.functional.interpolate(
             picture, size=size, mode=self.interpolation, align_corners=False, antialias=True
         )
@@ -86,17 +86,17 @@ class ResizeCropNormalize(torch.nn.Module):
         return f"resize={self.resize}, crop={self.crop}, interpolation={self.interpolation!r}"
 
 
-def own_preprocessing(model: object, otherwise: torch.nn.Module) -> torch.nn.Module:
-    """Return the ``preprocess`` that a model brings along, such as the shape classifier's, or ``otherwise``."""
+def own_preprocessing(model: object, default: torch.nn.Module) -> torch.nn.Module:
+    """Return the model's own ``preprocess`` module, such as the shape classifier's, or else ``default``."""
     own = getattr(model, "preprocess", None)
-    return own if isinstance(own, torch.nn.Module) else otherwise
+    return own if isinstance(own, torch.nn.Module) else default
 
 
-def _middle(picture: torch.Tensor, side: int) -> torch.Tensor:
+def _centre_crop(picture: torch.Tensor, side: int) -> torch.Tensor:
     height, width = picture.shape[-2:]
     if min(height, width) < side:
         raise SceneCaptumError(
-            f"A square of {side} pixels cannot be cut from a picture of {width} × {height}: give resize= as well."
+            f"A picture of {width} × {height} pixels cannot be cropped to {side} × {side}: give resize= as well."
         )
     top, left = round((height - side) / 2), round((width - side) / 2)
     return picture[..., top : top + side, left : left + side]

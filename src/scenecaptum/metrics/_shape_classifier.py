@@ -1,4 +1,4 @@
-"""A small network that tells spheres, cubes and cylinders apart, trained on renders."""
+"""A small classifier of spheres, cubes and cylinders, trained on renders."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _WIDTHS = (3, 10, 16, 24, 32)
 
 
 class ShapeClassifier(torch.nn.Module):
-    """Logits for ``sphere``, ``cube`` and ``cylinder``, by a convolutional network of 12 thousand parameters.
+    """Convolutional network with 12 thousand parameters and the classes ``sphere``, ``cube`` and ``cylinder``.
 
-    Four convolutions of 3 × 3, each followed by batch normalisation and a ReLU, with pooling between them; the
-    mean over places goes into one linear layer. ``examples/train_shape_classifier.py`` made
-    the weights, which ship with scenecaptum.
+    Four 3 × 3 convolutions, each followed by batch normalisation and a ReLU, with max pooling between them, then
+    global average pooling and one linear layer. The weights ship with scenecaptum; they were trained by
+    ``examples/train_shape_classifier.py``.
 
     Example
     -------
@@ -30,8 +30,8 @@ class ShapeClassifier(torch.nn.Module):
 
     Notes
     -----
-    Trained on 4000 pictures of one shape on a floor before a wall, in random poses, colours and lights. Of 600
-    held-out pictures of that kind it names 98.2 % rightly. On other pictures its answer is nothing to rely on.
+    Trained on 4000 images of one shape on a floor in front of a wall, with random poses, colours and lights. The
+    accuracy on 600 held-out images of that kind is 98.2 %. Do not rely on it for other images.
     """
 
     classes = ("sphere", "cube", "cylinder")

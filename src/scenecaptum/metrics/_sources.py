@@ -1,4 +1,4 @@
-"""Glare sources in a picture: detected, relaxed, grouped and summed, as evalglare does it."""
+"""Detection of glare sources as in evalglare: thresholding (optionally relaxed), grouping and summation."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from ._grouping import group_as_evalglare
 from ._illuminance import projected_solid_angles
 from ._position_index import position_index
 
-DARKEST = 1e-6  # cd/m²: no eye sees less, and a background counts as at least this much
+MIN_BACKGROUND = 1e-6  # cd/m², about the threshold of vision
 
 
 @dataclass(frozen=True)
 class GlareSource:
-    """One detected source.
+    """A detected glare source.
 
     Attributes
     ----------
     row, column
-        Centre of its light in pixels; the middle of the top left pixel is (0, 0).
+        Centroid, weighted by luminance and solid angle, in pixels; the centre of the top left pixel is (0, 0).
     luminance
-        Its mean luminance in cd/m².
+        Mean luminance in cd/m².
     solid_angle
         In steradians.
     position_index
-        Guth's index at the pixel that evalglare takes for the centre.
+        Guth position index at the pixel that evalglare uses as the centre.
     direction
         Unit vector to that pixel: x right, y up, z forward.
     pixels
-        ``(N, 2)`` rows and columns of the pixels that belong to it.
+        ``(N, 2)`` rows and columns of its pixels.
     """
 
     row: float
@@ -45,25 +45,29 @@ class GlareSource:
 
 @dataclass(frozen=True)
 class Sources:
-    """The sources of one picture as tensors of N sources, with derivatives where they exist."""
+    """The N sources of an image as tensors, differentiable where a derivative exists.
+
+    ``pixels`` are flat indices of all source pixels and ``labels`` their source numbers; ``max_weight`` is the
+    largest weight of any pixel.
+    """
 
     luminance: torch.Tensor
     solid_angle: torch.Tensor
-    index: torch.Tensor
+    position_index: torch.Tensor
     background: torch.Tensor
-    presence: torch.Tensor
+    max_weight: torch.Tensor
     pixels: torch.Tensor
     labels: torch.Tensor
     centre: torch.Tensor
 
 
-class View(torch.nn.Module):
-    """What a camera says about each pixel in front of the eye, flattened to ``(H W,)``."""
+class PixelGeometry(torch.nn.Module):
+    """Direction, solid angle and position index of each pixel of a camera, flattened to ``(H W,)``."""
 
     directions: torch.Tensor
     solid_angle: torch.Tensor
     projected: torch.Tensor
-    index: torch.Tensor
+    position_index: torch.Tensor
 
     def __init__(self, camera: Camera) -> None:
         super().__init__()
@@ -73,7 +77,7 @@ class View(torch.nn.Module):
             "directions": camera.directions.reshape(-1, 3),
             "solid_angle": (camera.solid_angles * in_front).flatten(),
             "projected": projected_solid_angles(camera).flatten(),
-            "index": position_index(camera.directions).flatten(),
+            "position_index": position_index(camera.directions).flatten(),
         }
         for name, value in values.items():
             self.register_buffer(name, value.double(), persistent=False)
@@ -81,52 +85,52 @@ class View(torch.nn.Module):
 
 def find_sources(
     luminance: torch.Tensor,
-    view: View,
+    geometry: PixelGeometry,
     *,
     threshold: torch.Tensor,
     relaxation: float,
     grouping: str,
     background: str,
 ) -> Sources | None:
-    """Detect and sum the sources of a picture, ``(H, W)`` in cd/m²; None where there is none.
+    """Detect and sum the sources of an image, ``(H, W)`` in cd/m²; None if there are none.
 
-    A pixel counts with the weight w that `membership` gives it. Of the pixels of one source, ``ω_s = Σ w ω`` is
-    the solid angle and ``L_s = Σ w ω L / ω_s`` the luminance; both carry derivatives, through w as well. Which
-    pixels form a source, and where its centre is, carries none.
+    Each pixel has the weight w of `source_weight`. For the pixels of one source, ``ω_s = Σ w ω`` is the solid
+    angle and ``L_s = Σ w ω L / ω_s`` the luminance; both are differentiable, also through w. The grouping of
+    pixels into sources and their centres are not.
     """
     values = luminance.flatten()
-    solid_angle, projected = view.solid_angle.to(values), view.projected.to(values)
-    weight = membership(values, threshold, relaxation) * (solid_angle > 0)
+    solid_angle, projected = geometry.solid_angle.to(values), geometry.projected.to(values)
+    weight = source_weight(values, threshold, relaxation) * (solid_angle > 0)
     pixels = ((weight > 0) & (values > 0)).nonzero().squeeze(-1)
     if len(pixels) == 0:
         return None
-    labels = _labels(values.detach()[pixels], view.directions[pixels], grouping)
-    part = (weight * solid_angle)[pixels]
-    size = torch.zeros(int(labels.max()) + 1, dtype=values.dtype, device=values.device)
-    total = size.index_add(0, labels, part)
-    light = size.index_add(0, labels, part * values[pixels])
-    centre = _centres(pixels, labels, (part * values[pixels]).detach(), view.camera.width)
+    labels = _labels(values.detach()[pixels], geometry.directions[pixels], grouping)
+    weighted_angle = (weight * solid_angle)[pixels]
+    weighted_luminance = weighted_angle * values[pixels]
+    zeros = torch.zeros(int(labels.max()) + 1, dtype=values.dtype, device=values.device)
+    angle_sum = zeros.index_add(0, labels, weighted_angle)
+    luminance_sum = zeros.index_add(0, labels, weighted_luminance)
+    centre = _centroids(pixels, labels, weighted_luminance.detach(), geometry.camera.width)
     return Sources(
-        luminance=light / total,
-        solid_angle=total,
-        index=view.index.to(values)[_centre_pixels(centre, view.camera)],
+        luminance=luminance_sum / angle_sum,
+        solid_angle=angle_sum,
+        position_index=geometry.position_index.to(values)[_centre_pixels(centre, geometry.camera)],
         background=_background(values, 1 - weight, solid_angle, projected, background),
-        presence=weight.max(),
+        max_weight=weight.max(),
         pixels=pixels,
         labels=labels,
         centre=centre,
     )
 
 
-def membership(luminance: torch.Tensor, threshold: torch.Tensor, relaxation: float) -> torch.Tensor:
-    """Return how far each pixel belongs to a source: 0 below the threshold, 1 above it, and a sigmoid in between.
+def source_weight(luminance: torch.Tensor, threshold: torch.Tensor, relaxation: float) -> torch.Tensor:
+    """Return the weight of each pixel in a source: 0 below the threshold, 1 above it, a sigmoid in between.
 
     With ``relaxation`` r the sigmoid is the cubic smoothstep from ``(1 − 3 r) threshold`` to ``(1 + 3 r)
-    threshold``: it has the slope of a logistic function of scale ``r threshold`` where they cross the threshold,
-    but ends. Outside the band the weight is exactly 0 or 1, as with r = 0, so a wide dim background cannot add up
-    to a source.
+    threshold``. At the threshold it has the slope of a logistic function of scale ``r threshold``. Outside the
+    band the weight is exactly 0 or 1, so a large dim background cannot add up to a source.
     """
-    if not threshold > 0:  # a black picture measured against its own mean has no source
+    if not threshold > 0:  # a black image with a relative threshold has no sources
         return torch.zeros_like(luminance)
     if relaxation == 0:
         return (luminance > threshold).to(luminance)
@@ -142,51 +146,55 @@ def _labels(luminance: torch.Tensor, directions: torch.Tensor, grouping: str) ->
 
 
 def _background(
-    values: torch.Tensor, rest: torch.Tensor, solid_angle: torch.Tensor, projected: torch.Tensor, mode: str
+    values: torch.Tensor,
+    weight: torch.Tensor,
+    solid_angle: torch.Tensor,
+    projected: torch.Tensor,
+    mode: str,
 ) -> torch.Tensor:
     if mode == "hemisphere":
-        mean = (rest * projected * values).sum() / torch.pi
+        mean = (weight * projected * values).sum() / torch.pi
     else:
-        # No pixel is left where the whole picture is a source; 0 / tiny is then the darkest background.
-        area = (rest * solid_angle).sum().clamp(min=torch.finfo(values.dtype).tiny)
-        mean = (rest * solid_angle * values).sum() / area
-    return mean.clamp(min=DARKEST)
+        # If the whole image is a source, the sum of weights is 0 and the mean becomes 0 / tiny = 0.
+        area = (weight * solid_angle).sum().clamp(min=torch.finfo(values.dtype).tiny)
+        mean = (weight * solid_angle * values).sum() / area
+    return mean.clamp(min=MIN_BACKGROUND)
 
 
-def _centres(pixels: torch.Tensor, labels: torch.Tensor, light: torch.Tensor, width: int) -> torch.Tensor:
-    """Return the centres of the sources in rows and columns, each pixel weighted by ``L ω`` (evalglare 3.06)."""
-    places = torch.stack([pixels // width, pixels % width, torch.ones_like(pixels)], -1).to(light)
-    sums = torch.zeros(int(labels.max()) + 1, 3, dtype=light.dtype, device=light.device)
-    sums = sums.index_add(0, labels, light[:, None] * places)
+def _centroids(pixels: torch.Tensor, labels: torch.Tensor, weights: torch.Tensor, width: int) -> torch.Tensor:
+    """Return the centroids of the sources in rows and columns, with weights ``L ω`` as in evalglare 3.06."""
+    coordinates = torch.stack([pixels // width, pixels % width, torch.ones_like(pixels)], -1).to(weights)
+    sums = torch.zeros(int(labels.max()) + 1, 3, dtype=weights.dtype, device=weights.device)
+    sums = sums.index_add(0, labels, weights[:, None] * coordinates)
     return sums[:, :2] / sums[:, 2:]
 
 
 def _centre_pixels(centre: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Return the flat index of the pixel of a centre: evalglare drops the fraction, counting rows upward."""
-    rounding = 1e-6  # a centre that is a whole pixel up to rounding is that pixel
-    row = torch.ceil(centre[:, 0] - rounding).clamp(0, camera.height - 1)
-    column = torch.floor(centre[:, 1] + rounding).clamp(0, camera.width - 1)
+    """Return the flat pixel index of each centre; evalglare truncates, and counts rows from the bottom."""
+    tolerance = 1e-6  # for rounding errors of integer coordinates
+    row = torch.ceil(centre[:, 0] - tolerance).clamp(0, camera.height - 1)
+    column = torch.floor(centre[:, 1] + tolerance).clamp(0, camera.width - 1)
     return (row * camera.width + column).long()
 
 
-def describe(sources: Sources, view: View) -> list[GlareSource]:
-    """Return the sources as plain numbers, the brightest first."""
-    width = view.camera.width
-    centre_pixels = _centre_pixels(sources.centre, view.camera)
+def to_glare_sources(sources: Sources, geometry: PixelGeometry) -> list[GlareSource]:
+    """Convert the sources to Python numbers, the brightest first."""
+    width = geometry.camera.width
+    centre_pixels = _centre_pixels(sources.centre, geometry.camera)
     order = torch.argsort(sources.luminance.detach(), descending=True).tolist()
-    described = []
+    result = []
     for number in order:
         members = sources.pixels[sources.labels == number]
-        x, y, z = view.directions[centre_pixels[number]].tolist()
-        described.append(
+        x, y, z = geometry.directions[centre_pixels[number]].tolist()
+        result.append(
             GlareSource(
                 row=sources.centre[number, 0].item(),
                 column=sources.centre[number, 1].item(),
                 luminance=sources.luminance[number].item(),
                 solid_angle=sources.solid_angle[number].item(),
-                position_index=sources.index[number].item(),
+                position_index=sources.position_index[number].item(),
                 direction=(x, y, z),
                 pixels=torch.stack([members // width, members % width], -1),
             )
         )
-    return described
+    return result

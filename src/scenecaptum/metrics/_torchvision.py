@@ -1,4 +1,4 @@
-"""Models and weights of torchvision, an optional library that is imported when it is first needed."""
+"""Pretrained models from torchvision, an optional dependency that is imported lazily."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def _models() -> ModuleType:
         from torchvision import models
     except ImportError as error:
         raise SceneCaptumError(
-            "torchvision, which has the pretrained classifiers, is not installed. Fix: "
-            "pip install 'scenecaptum[vision]'. Without it, metrics.ClassLogit takes any model of yours, and "
+            "torchvision, which provides the pretrained classifiers, is not installed. Fix: "
+            "pip install 'scenecaptum[vision]'. Without it, metrics.ClassLogit accepts any model of your own, and "
             "metrics.ShapeClassifier.pretrained() ships with scenecaptum."
         ) from error
     except RuntimeError as error:  # 'operator torchvision::nms does not exist'
         raise SceneCaptumError(
-            f"torchvision does not fit the installed torch {torch.__version__}: {error}. Fix: install both from "
-            "the same place, for example pip install --force-reinstall torch torchvision --index-url "
+            f"torchvision does not match the installed torch {torch.__version__}: {error}. Fix: install both from "
+            "the same index, for example pip install --force-reinstall torch torchvision --index-url "
             "https://download.pytorch.org/whl/cpu"
         ) from error
     module: ModuleType = models
@@ -49,11 +49,11 @@ def _models() -> ModuleType:
 def _member(enumeration: Any, name: str, weights: Any) -> Any:
     if isinstance(weights, enumeration):
         return weights
-    short = str(weights).rpartition(".")[2]  # 'ResNet50_Weights.IMAGENET1K_V2' is as good as 'IMAGENET1K_V2'
+    short = str(weights).rpartition(".")[2]  # accept 'ResNet50_Weights.IMAGENET1K_V2' and 'IMAGENET1K_V2'
     names = list(enumeration.__members__)
     if not isinstance(weights, str) or short not in names:
         raise SceneCaptumError(
-            f"{weights!r} are no weights of {name}, which has {', '.join(names) or 'none'}."
+            f"{weights!r} is not one of the weights of {name}: {', '.join(names) or 'none'}."
         )
     return enumeration[short]
 
@@ -61,7 +61,7 @@ def _member(enumeration: Any, name: str, weights: Any) -> Any:
 def _not_loaded(name: str, chosen: Any, error: Exception) -> str:
     folder = f"{torch.hub.get_dir()}/checkpoints"
     return (
-        f"The weights {chosen} of {name} cannot be loaded: {error}. Without a connection, fetch {chosen.url} "
-        f"on another machine and put the file into {folder} under the same name, in place of a damaged one; or "
+        f"The weights {chosen} of {name} cannot be loaded: {error}. Without a connection, download {chosen.url} "
+        f"on another machine and copy the file to {folder} with the same name, replacing a damaged one; or "
         "use metrics.ShapeClassifier.pretrained(), which ships with scenecaptum."
     )

@@ -1,4 +1,4 @@
-"""A backward pass whose samples may go to any pixels: what our integrators share.
+"""Backward passes with samples in arbitrary pixels: the base class of our integrators, and the film's filter.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -16,14 +16,14 @@ import numpy as np
 import torch
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
-from ._passes import SAMPLES
+from ._chunks import MAX_SAMPLES
 from ._sampler import SobolSampler
 
 
-class ChoosingIntegrator(RBIntegrator):
-    """A path replay integrator that can be told which pixels to sample."""
+class AdjointSampledIntegrator(RBIntegrator):
+    """A path replay integrator whose backward pass can sample given pixels, e.g. in proportion to the adjoint."""
 
-    def propagate(
+    def render_backward_pixels(
         self,
         scene: Any,
         sensor: Any,
@@ -31,37 +31,37 @@ class ChoosingIntegrator(RBIntegrator):
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
         seed: Any,
-        seen: Any,
+        light_traced: Any,
     ) -> None:
-        """Carry an adjoint to the tracked parameters, from samples inside given pixels.
+        """Backpropagate an adjoint image to the tracked parameters with samples in given pixels.
 
         Parameters
         ----------
         adjoint
-            ``∂M/∂I`` divided by what each pixel has ``caught``, a ``(H, W, 3)`` tensor.
+            ``∂M/∂I`` divided by each pixel's ``FilmFilter.filter_weight_sum``, a ``(H, W, 3)`` tensor.
         samples
-            The pixel of each sample, counted along the rows, and what a sample inside each pixel counts.
+            The row-major pixel index of each sample, and the weight of a sample in each pixel.
         profile
-            Profile and reach of the film's filter: see ``FilmFilter``.
+            Profile and radius of the film's filter: see ``FilmFilter``.
         seed
             Seed of the samples.
-        seen
-            Marks of shapes, to propagate to nothing but where the camera sees these, directly or by specular
-            reflection; or None.
+        light_traced
+            Mask of the shapes that light tracing handles, or None. With a mask, derivatives are propagated only
+            where the camera sees these shapes directly or by specular reflection.
         """
         pixel, weight = samples
         with dr.suspend_grad():
             sampler = SobolSampler.of(dr.width(pixel), seed)
             ray, response, point = _camera_rays(sensor, sampler, pixel)
-            emitted = response * dr.gather(mi.Float, weight, pixel)
-            emitted *= read_adjoint(sensor.film(), adjoint, *profile, pixel, point)
+            adjoint_radiance = response * dr.gather(mi.Float, weight, pixel)
+            adjoint_radiance *= filtered_adjoint(sensor.film(), adjoint, *profile, pixel, point)
             *_, state = self.sample(
                 mode=dr.ADMode.Primal,
                 scene=scene,
                 sampler=sampler.clone(),
                 ray=ray,
                 active=mi.Bool(True),
-                seen=seen,
+                light_traced=light_traced,
             )
             self.sample(
                 mode=dr.ADMode.Backward,
@@ -70,155 +70,158 @@ class ChoosingIntegrator(RBIntegrator):
                 ray=ray,
                 active=mi.Bool(True),
                 state_in=state,
-                δL=emitted,
-                seen=seen,
+                δL=adjoint_radiance,
+                light_traced=light_traced,
             )
             dr.eval()
 
-    def strength(self, scene: Any, sensor: Any, spp: int, seed: Any, seen: Any) -> Any:
-        """Return the root mean square over samples inside each pixel of the derivative along the tangents.
+    def rms_derivative(self, scene: Any, sensor: Any, spp: int, seed: Any, light_traced: Any) -> Any:
+        """Return each pixel's root mean square of its samples' derivatives in the direction of the tangents.
 
-        A ``(H, W)`` tensor. ``seen`` is that of ``propagate``.
+        A ``(H, W)`` tensor. ``light_traced`` is that of ``render_backward_pixels``.
         """
         width, height = sensor.film().crop_size()
         with dr.suspend_grad():
             pixel = dr.arange(mi.UInt32, width * height * spp) // spp
             sampler = SobolSampler.of(dr.width(pixel), seed)
             ray, response, _ = _camera_rays(sensor, sampler, pixel)
-            fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "seen": seen}
+            fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
             *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
             derivative, *_ = self.sample(mode=dr.ADMode.Forward, sampler=sampler, state_in=state, **fixed)
             square = dr.zeros(mi.Float, width * height)
             dr.scatter_add(square, dr.squared_norm(response * derivative) / spp, pixel)
             return mi.TensorXf(dr.sqrt(square), (height, width))
 
-    def count(self, scene: Any, sensor: Any, spp: int, seed: int, counter: Callable[[Any, Any], Any]) -> None:
-        """Tell the light of the vertices of ``spp`` paths from each pixel.
+    def accumulate_moments(
+        self, scene: Any, sensor: Any, spp: int, seed: int, make_moments: Callable[[Any, Any], Any]
+    ) -> None:
+        """Trace ``spp`` paths from each pixel and accumulate moments of their vertices' contributions.
 
-        ``counter`` makes what is told, for the pixel of each lane and what the sensor makes of its radiance.
+        ``make_moments`` returns the accumulator for the pixel and the sensor response of each lane.
         """
         width, height = sensor.film().crop_size()
-        pixels, most = width * height, max(1, SAMPLES // spp)
+        pixels, max_pixels = width * height, max(1, MAX_SAMPLES // spp)
         with dr.suspend_grad():
-            for number, first in enumerate(range(0, pixels, most)):
-                lanes = spp * min(most, pixels - first)
+            for number, first in enumerate(range(0, pixels, max_pixels)):
+                lanes = spp * min(max_pixels, pixels - first)
                 pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, lanes) // spp
                 sampler = SobolSampler.of(lanes, dr.opaque(mi.UInt32, seed + number))
                 ray, response, _ = _camera_rays(sensor, sampler, pixel)
                 fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
                 *_, state = self.sample(sampler=sampler.clone(), **fixed)
-                self.sample(sampler=sampler, state_in=state, counter=counter(pixel, response), **fixed)
+                self.sample(sampler=sampler, state_in=state, moments=make_moments(pixel, response), **fixed)
                 dr.eval()
                 dr.sync_thread()
 
 
-STEPS = 1024  # of a filter's profile
+PROFILE_STEPS = 1024  # intervals of a filter's tabulated profile
 
 
 @dataclass(frozen=True)
 class FilmFilter:
-    """How a film spreads a sample over pixels.
+    """A film's reconstruction filter, tabulated.
 
     Attributes
     ----------
     profile
-        The filter along an axis, at even distances from 0 to ``reach + 1`` pixels.
-    reach
-        How many pixels away from its own a sample counts.
-    caught
-        The weight that each pixel catches of an evenly sampled film, by which the film divides, ``(H, W, 1)``.
+        The filter along an axis, at equidistant offsets from 0 to ``radius + 1`` pixels.
+    radius
+        How many pixels away from its own pixel a sample contributes.
+    filter_weight_sum
+        The filter weight that each pixel collects from a uniformly sampled film, by which the film normalises,
+        ``(H, W, 1)``.
     """
 
     profile: torch.Tensor
-    reach: int
-    caught: torch.Tensor
+    radius: int
+    filter_weight_sum: torch.Tensor
 
-    def strength(self, adjoint: torch.Tensor) -> torch.Tensor:
-        """Return the root mean square of the adjoint of samples inside each pixel, ``(H, W)``."""
-        # In NumPy: torch's threads would wait for Dr.Jit's, and this is little work. In float64, for the squares.
-        image = (adjoint / self.caught.to(adjoint)).cpu().double().numpy()
-        quarters = (-0.25, 0.25)
-        columns = [self._spread(image, 0, y) for y in quarters]
-        squares = sum(np.square(self._spread(one, 1, x)).sum(-1) for one in columns for x in quarters)
+    def rms_adjoint(self, adjoint: torch.Tensor) -> torch.Tensor:
+        """Return each pixel's root mean square of the filtered adjoint over its samples, ``(H, W)``."""
+        # NumPy, because torch's threads would wait for Dr.Jit's, and this is little work; float64 for the squares.
+        image = (adjoint / self.filter_weight_sum.to(adjoint)).cpu().double().numpy()
+        offsets = (-0.25, 0.25)
+        columns = [self._filter(image, 0, y) for y in offsets]
+        squares = sum(np.square(self._filter(column, 1, x)).sum(-1) for column in columns for x in offsets)
         return torch.from_numpy(np.sqrt(squares / 4)).to(adjoint)
 
-    def _spread(self, image: np.ndarray, axis: int, shift: float) -> np.ndarray:
-        """Weigh each pixel's neighbours along an axis, for samples at ``shift`` from its centre."""
-        reach, length = self.reach, image.shape[axis]
-        border = [(reach, reach) if along == axis else (0, 0) for along in range(image.ndim)]
+    def _filter(self, image: np.ndarray, axis: int, offset: float) -> np.ndarray:
+        """Filter an image along an axis, for samples at ``offset`` from the pixel centres."""
+        radius, length = self.radius, image.shape[axis]
+        border = [(radius, radius) if dim == axis else (0, 0) for dim in range(image.ndim)]
         padded = np.pad(image, border)
-        distance = abs(np.arange(-reach, reach + 1) - shift)
-        weights = self.profile.numpy()[(distance * STEPS / (reach + 1)).round().astype(int)]
-        spread = np.zeros_like(image)
+        distance = abs(np.arange(-radius, radius + 1) - offset)
+        weights = self.profile.numpy()[(distance * PROFILE_STEPS / (radius + 1)).round().astype(int)]
+        filtered = np.zeros_like(image)
         for step, weight in enumerate(weights):
-            spread += weight * padded[(slice(None),) * axis + (slice(step, step + length),)]
-        return spread
+            filtered += weight * padded[(slice(None),) * axis + (slice(step, step + length),)]
+        return filtered
 
 
 def film_filter(film: Any) -> FilmFilter | None:
-    """Return a film's filter, or None where samples cannot be weighted one by one: the film is a special one."""
+    """Return a film's filter, or None for a film whose samples cannot be weighted individually."""
     if film.sample_border() or mi.has_flag(film.flags(), mi.FilmFlags.Special):
         return None
     rfilter = film.rfilter()
-    # Mitsuba gives its box no share of the neighbours, however wide it is.
-    reach = 0 if rfilter.is_box_filter() else math.ceil(rfilter.radius() - 0.5)
-    distance = torch.linspace(0, reach + 1, STEPS + 1)
+    # Mitsuba's box filter never contributes to neighbouring pixels, whatever its radius.
+    radius = 0 if rfilter.is_box_filter() else math.ceil(rfilter.radius() - 0.5)
+    distance = torch.linspace(0, radius + 1, PROFILE_STEPS + 1)
     profile = torch.ones_like(distance)
-    if reach:
+    if radius:
         profile = torch.where(
             distance < rfilter.radius(), rfilter.eval(mi.Float(distance)).torch().cpu(), torch.zeros(())
         )
     width, height = film.crop_size()
-    across, down = (_caught(profile, reach, pixels) for pixels in (width, height))
-    return FilmFilter(profile, reach, torch.outer(down, across)[..., None])
+    across, down = (_weight_sum(profile, radius, pixels) for pixels in (width, height))
+    return FilmFilter(profile, radius, torch.outer(down, across)[..., None])
 
 
-def _caught(profile: torch.Tensor, reach: int, pixels: int) -> torch.Tensor:
-    """Integrate the filter of each pixel of a row, cut off at the ends of the row."""
-    if not reach:
+def _weight_sum(profile: torch.Tensor, radius: int, pixels: int) -> torch.Tensor:
+    """Integrate the filter of each pixel of a row over the row."""
+    if not radius:
         return torch.ones(pixels)
-    fine = 64  # points per pixel
+    resolution = 64  # points per pixel
     centre = torch.arange(pixels)[:, None] + 0.5
-    offset = (torch.arange(2 * (reach + 1) * fine) + 0.5) / fine - (reach + 1)
-    weight = profile[(offset.abs() * STEPS / (reach + 1)).round().long()] / fine
+    offset = (torch.arange(2 * (radius + 1) * resolution) + 0.5) / resolution - (radius + 1)
+    weight = profile[(offset.abs() * PROFILE_STEPS / (radius + 1)).round().long()] / resolution
     inside = (centre + offset > 0) & (centre + offset < pixels)
     return inside.to(weight) @ weight
 
 
 def _camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
-    """Return rays through random points of pixels, what the sensor makes of them, and the points."""
+    """Return rays through random points of pixels, the sensor response to each, and the points."""
     size = sensor.film().crop_size()
     point = mi.Point2f(pixel % size.x, pixel // size.x) + mi.Point2f(sampler.next_2d())
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-    open_for = sensor.shutter_open_time()
-    time = sensor.shutter_open() + (sampler.next_1d() * open_for if open_for > 0 else 0)
+    open_time = sensor.shutter_open_time()
+    time = sensor.shutter_open() + (sampler.next_1d() * open_time if open_time > 0 else 0)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     position = point / mi.ScalarPoint2f(size)
     return *sensor.sample_ray_differential(time, wavelength, position, lens), point
 
 
-def read_adjoint(film: Any, adjoint: Any, profile: Any, reach: int, pixel: Any, point: Any) -> Any:
-    """Return the adjoint of the radiance at a point: those of the pixels near it, weighted by the filter."""
+def filtered_adjoint(film: Any, adjoint: Any, profile: Any, radius: int, pixel: Any, point: Any) -> Any:
+    """Return the adjoint of the radiance at a film point: that of nearby pixels, weighted by the filter."""
     size = film.crop_size()
     home = mi.Point2i(mi.Int32(pixel % size.x), mi.Int32(pixel // size.x))
-    offsets = range(-reach, reach + 1)
+    offsets = range(-radius, radius + 1)
     across, down = (
-        [_look_up(profile, abs(point[axis] - home[axis] - step - 0.5) / (reach + 1)) for step in offsets]
+        [_interpolate(profile, abs(point[axis] - home[axis] - step - 0.5) / (radius + 1)) for step in offsets]
         for axis in (0, 1)
     )
     total = mi.Color3f(0)
-    for x, along in zip(offsets, across, strict=True):
-        for y, downwards in zip(offsets, down, strict=True):
-            near = home + mi.Vector2i(x, y)
-            on_film = dr.all((near >= 0) & (near < mi.ScalarPoint2i(size)))
-            index = mi.UInt32(near.y * size.x + near.x)
-            total += along * downwards * dr.gather(mi.Color3f, adjoint.array, index, on_film)
+    for x, weight_x in zip(offsets, across, strict=True):
+        for y, weight_y in zip(offsets, down, strict=True):
+            neighbour = home + mi.Vector2i(x, y)
+            on_film = dr.all((neighbour >= 0) & (neighbour < mi.ScalarPoint2i(size)))
+            index = mi.UInt32(neighbour.y * size.x + neighbour.x)
+            total += weight_x * weight_y * dr.gather(mi.Color3f, adjoint.array, index, on_film)
     return total
 
 
-def _look_up(profile: Any, share: Any) -> Any:
-    """Read a table over [0, 1] between its entries."""
-    place = share * (dr.width(profile) - 1)
-    index = dr.minimum(mi.UInt32(place), dr.width(profile) - 2)
-    low, high = (dr.gather(mi.Float, profile, index + step) for step in (0, 1))
-    return dr.lerp(low, high, place - mi.Float(index))
+def _interpolate(table: Any, x: Any) -> Any:
+    """Look up a table over [0, 1] with linear interpolation."""
+    position = x * (dr.width(table) - 1)
+    index = dr.minimum(mi.UInt32(position), dr.width(table) - 2)
+    low, high = (dr.gather(mi.Float, table, index + step) for step in (0, 1))
+    return dr.lerp(low, high, position - mi.Float(index))

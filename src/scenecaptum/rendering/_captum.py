@@ -1,4 +1,4 @@
-"""The bridge to Captum: a renderer and a metric as the function of batched tensors that Captum's classes call."""
+"""The bridge to Captum: a renderer and a metric as a function of batched tensors."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, Literal, TypeAlias
 
 import torch
 
-from .._reflection import reflect
 from ..denoising import straight_through
 from ..errors import SceneCaptumError, check_seed
+from ..scene import reflect
 
 Values: TypeAlias = dict[str, torch.Tensor]
 
@@ -23,13 +23,13 @@ def as_captum(
     bounds: Literal["raise", "reflect"] = "raise",
     denoise: bool = False,
 ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
-    """Return ``(forward, inputs)`` for Captum's classes; ``SceneRenderer.as_captum`` says how they are used.
+    """Return ``(forward, inputs)`` for Captum's classes; see ``SceneRenderer.as_captum``.
 
     Parameters
     ----------
     renderer
         Any callable ``renderer(inputs, *, seed, spp)`` with an ``inputs`` attribute, and with ``bounds`` for
-        reflection. What ``parameters_table()`` says of open bounds is heeded where there is one.
+        reflection. Open bounds are taken from its ``parameters_table()``, if it has one.
     metric, seed, bounds, denoise
         As in ``SceneRenderer.as_captum``.
 
@@ -43,27 +43,27 @@ def as_captum(
     own = {name: value.detach().clone() for name, value in (getattr(renderer, "inputs", None) or {}).items()}
     if not own:
         raise SceneCaptumError(
-            "The renderer has no inputs to hand to Captum: it needs an attribute inputs, a dict from parameter "
+            "The renderer has no inputs to pass to Captum: it needs an attribute inputs, a dict from parameter "
             "name to tensor."
         )
-    place = _placement(renderer, own, bounds)
+    bound = _bounding(renderer, own, bounds)
     spp = getattr(renderer, "spp", None)
     guides = getattr(renderer, "guides", None) if denoise else None
 
     def forward(*tensors: torch.Tensor) -> torch.Tensor:
-        """Measure the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
+        """Evaluate the metric on the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
         outputs = []
         for row in _rows(tuple(own), tensors):
-            image = renderer(place(row), seed=_fresh_seed() if seed is None else seed, spp=spp)
+            image = renderer(bound(row), seed=_fresh_seed() if seed is None else seed, spp=spp)
             image = straight_through(image, guides) if denoise else image
-            outputs.append(_measure(metric, image))
+            outputs.append(_evaluate(metric, image))
         return torch.stack(outputs)
 
     return forward, tuple(value[None].clone() for value in own.values())
 
 
-def _placement(renderer: Any, own: Values, bounds: str) -> Callable[[Values], Values]:
-    """Return what is done with the values of a row before they are rendered."""
+def _bounding(renderer: Any, own: Values, bounds: str) -> Callable[[Values], Values]:
+    """Return the function that brings the values of a row within bounds before they are rendered."""
     if bounds == "raise":
         return lambda row: row
     if bounds != "reflect":
@@ -76,24 +76,24 @@ def _placement(renderer: Any, own: Values, bounds: str) -> Callable[[Values], Va
     table = renderer.parameters_table() if hasattr(renderer, "parameters_table") else None
     is_open = {name: table is not None and table[name].bounds.open_low for name in own}
 
-    def place(row: Values) -> Values:
-        placed = {}
+    def bound(row: Values) -> Values:
+        bounded = {}
         for name, value in row.items():
-            # The scene's own values render wherever they lie, and stay what they are.
-            kept = torch.equal(value.detach(), own[name].to(value))
+            # The scene's own values can be rendered even beyond the bounds, and stay as they are.
+            unchanged = torch.equal(value.detach(), own[name].to(value))
             low, high = limits.get(name, (-math.inf, math.inf))
-            placed[name] = value if kept else reflect(value, low, high, open_low=is_open[name])
-        return placed
+            bounded[name] = value if unchanged else reflect(value, low, high, open_low=is_open[name])
+        return bounded
 
-    return place
+    return bound
 
 
 def _rows(names: tuple[str, ...], tensors: tuple[torch.Tensor, ...]) -> Iterator[Values]:
-    """Check a batch, and return its rows as values by name."""
+    """Check a batch, and iterate over its rows as values by name."""
     if len(tensors) != len(names):
         raise SceneCaptumError(
             f"forward takes one tensor for each of the renderer's {len(names)} inputs, in their order, not "
-            f"{len(tensors)}. Hand the whole tuple to Captum, and no additional_forward_args."
+            f"{len(tensors)}. Pass the whole tuple to Captum, and no additional_forward_args."
         )
     for name, tensor in zip(names, tensors, strict=True):
         if not isinstance(tensor, torch.Tensor) or tensor.ndim == 0:
@@ -109,11 +109,11 @@ def _rows(names: tuple[str, ...], tensors: tuple[torch.Tensor, ...]) -> Iterator
             f"All inputs must have the same number of rows; {names[0]!r} has {size} and {other!r} {sizes[other]}."
         )
     if size == 0:
-        raise SceneCaptumError("The batch has no rows; there is nothing to render.")
+        raise SceneCaptumError("The batch has no rows: there is nothing to render.")
     return (dict(zip(names, row, strict=True)) for row in zip(*tensors, strict=True))
 
 
-def _measure(metric: Callable[[torch.Tensor], torch.Tensor], image: torch.Tensor) -> torch.Tensor:
+def _evaluate(metric: Callable[[torch.Tensor], torch.Tensor], image: torch.Tensor) -> torch.Tensor:
     output = metric(image)
     called = getattr(metric, "__name__", type(metric).__name__)
     if not isinstance(output, torch.Tensor):

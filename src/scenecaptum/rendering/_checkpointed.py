@@ -1,4 +1,4 @@
-"""An engine whose passes are kept in a folder, and what tells them from those of any other scene.
+"""An engine that stores its results in a checkpoint folder, and fingerprints of scenes to identify them.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -20,16 +20,16 @@ from ._engine import Engine, Values
 
 
 class CheckpointedEngine:
-    """An engine that is asked only for what the checkpoint does not have.
+    """An engine that computes only what the checkpoint does not contain.
 
     Parameters
     ----------
     engine
-        What renders.
+        The engine that renders.
     checkpoint
-        Where passes are kept.
+        Where results are stored.
     fingerprint
-        Of the scene and how it is rendered: what a pass follows from beside its arguments.
+        Hash of the scene and the render settings: everything but the arguments that a result depends on.
     """
 
     def __init__(self, engine: Engine, checkpoint: Checkpoint, fingerprint: str) -> None:
@@ -41,13 +41,13 @@ class CheckpointedEngine:
         return getattr(self.engine, name)
 
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
-        """Render, or return the picture that was rendered before."""
+        """Render, or return the stored image."""
         (image,) = self._take(
             "picture", (values, seed, spp), lambda: (self.engine.primal(values, seed, spp),)
         )
         return image
 
-    def adjoint(
+    def vjp(
         self,
         values: Values,
         tracked: Sequence[str],
@@ -55,39 +55,43 @@ class CheckpointedEngine:
         seed: int,
         spp: int,
         *,
-        choose: bool = False,
+        importance_sampling: bool = False,
     ) -> tuple[torch.Tensor, ...]:
-        """Return the vector–Jacobian product, as ``Engine.adjoint``."""
+        """Return the vector–Jacobian product, as ``Engine.vjp``."""
         return self._take(
             "gradient",
-            (values, tuple(tracked), adjoint, seed, spp, choose),
-            lambda: self.engine.adjoint(values, tracked, adjoint, seed, spp, choose=choose),
+            (values, tuple(tracked), adjoint, seed, spp, importance_sampling),
+            lambda: self.engine.vjp(
+                values, tracked, adjoint, seed, spp, importance_sampling=importance_sampling
+            ),
         )
 
-    def tangent(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
-        """Return the Jacobian–vector product, as ``Engine.tangent``."""
+    def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
+        """Return the Jacobian–vector product, as ``Engine.jvp``."""
         (image,) = self._take(
             "derivative image",
             (values, tangents, seed, spp),
-            lambda: (self.engine.tangent(values, tangents, seed, spp),),
+            lambda: (self.engine.jvp(values, tangents, seed, spp),),
         )
         return image
 
     def _take(
-        self, kind: str, asked: Any, render: Callable[[], tuple[torch.Tensor, ...]]
+        self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]
     ) -> tuple[torch.Tensor, ...]:
-        return self._checkpoint.take((kind, self._fingerprint, asked), render, self.engine.device)
+        return self._checkpoint.get_or_render(
+            (kind, self._fingerprint, arguments), render, self.engine.device
+        )
 
 
 def scene_contents(scene: Any) -> str:
-    """Return a hash of all that Mitsuba tells of a scene: its plugins and their settings, and every array."""
+    """Return a hash of a scene: its plugins, their settings and all arrays, as far as Mitsuba exposes them."""
     parameters = mi.traverse(scene)
     numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
     return digest((without_addresses(str(scene)), numbers))
 
 
 def fingerprint(scene: str, sensor: Any, settings: Mapping[str, Any]) -> str:
-    """Return a hash of a scene's contents, a sensor, how they are rendered and by which versions."""
+    """Return a hash of a scene's contents, a sensor, the render settings and the package versions."""
     versions = [version(package) for package in ("scenecaptum", "mitsuba", "drjit")]
     parameters = mi.traverse(sensor)
     numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
@@ -96,7 +100,7 @@ def fingerprint(scene: str, sensor: Any, settings: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value of Mitsuba's as numbers, or as the text that it prints."""
+    """Return a Mitsuba value as numbers, or as the text that it prints."""
     value = getattr(value, "matrix", value)
     if not dr.is_array_v(value):
         return value if isinstance(value, (int, float, str)) else without_addresses(str(value))

@@ -1,8 +1,8 @@
-"""The one place where torch meets Dr.Jit: primal, adjoint and tangent renders as pure functions of tensors.
+"""The bridge between torch and Dr.Jit: render, VJP and JVP as pure functions of tensors.
 
-Imported only once a variant is active (see ``SceneRenderer``). ``dr.wrap`` carries arrays across, but no
-derivative graph ever outlives one call: each call writes its own values into the scene, and what it returns
-depends on nothing that happens to the scene afterwards.
+Imported only once a variant is active (see ``SceneRenderer``). ``dr.wrap`` converts arrays, but no derivative
+graph outlives a call: each call writes its own values into the scene, and its result does not depend on later
+changes of the scene.
 """
 
 from __future__ import annotations
@@ -22,40 +22,50 @@ import torch
 
 from ..backend import device, dispose, exclusively
 from ..errors import SceneCaptumError
-from ..scene import SceneParameters, SurfaceMap
+from ..projection import SurfaceMap
+from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
-from . import (
-    _integrator,  # noqa: F401 -- registers the plugin
-    _volumetric,
-)
 from ._backward import FilmFilter, film_filter
-from ._choice import choose_pixels, sample_shares
-from ._from_surfaces import Receiver, Surfaces, find_surfaces, propagate_from_surfaces
-from ._passes import Pass, passes
-from ._pilot import Pilot, find_rows, take_pilot
+from ._chunks import Chunk, chunks
+from ._derivative_routes import (
+    FiniteDifference,
+    clamp_off_singularity,
+    finite_difference,
+    is_constant,
+    low_roughness_names,
+)
+from ._pilot import Pilot, find_parameter_groups, run_pilot
+from ._pixel_sampling import pixel_probabilities, sample_pixels
 from ._plan import RenderPlan
-from ._routes import Difference, difference, is_constant, lifted, shiny_ones
 from ._state import SceneState, flat, owned
+from .integrators import path  # noqa: F401 -- registers the plugin
+from .integrators.light_tracing import (
+    CameraAdjoint,
+    SampledShapes,
+    find_sampled_shapes,
+    trace_light_backward,
+)
+from .integrators.volumetric import VolumetricReplayIntegrator
 
 Values = Mapping[str, torch.Tensor]
 
-# How many times fewer samples a finite difference takes where a backward pass has samples of its own.
-CHEAPER = 4
+# With importance sampling a finite difference takes this many times fewer samples per render: common random
+# numbers remove most of its noise.
+DIFFERENCE_SPP_DIVISOR = 4
 
-# Of the samples that choose their pixels, this share goes where pixels are noisy, and this one to each tracked
-# surface alike; the rest is spread evenly.
-NOISY, ALIKE = 0.35, 0.35
-PILOTS, PILOT_SPP = 8, 2
+# Mixture weights of the importance maps: noisy pixels, and noisy pixels with equal shares per tracked surface. The
+# remaining samples are uniform.
+NOISE_WEIGHT, SURFACE_WEIGHT = 0.35, 0.35
+NOISE_RENDERS, NOISE_SPP = 8, 2
 
-# How many samples tell where the derivative of a low roughness is noisy: in all, and in a pixel at most.
-PILOT_SAMPLES, MOST_PILOTS = 2**20, 64
+# Samples for the noise map of low roughnesses: in all, and per pixel at most.
+ROUGHNESS_NOISE_SAMPLES, MAX_ROUGHNESS_NOISE_SPP = 2**20, 64
 
-# How many times the samples of an estimate are looked at one by one, to tell how rare what it is made of is; and
-# how many samples at most.
-CLOSER, MOST_CLOSER = 4, 2**17
+# Samples of a pilot: relative to those of the estimate, and in all at most.
+PILOT_FACTOR, MAX_PILOT_SAMPLES = 4, 2**17
 
-# The engine whose scene is tracked, if any. A call through a virtual function reaches the objects of every scene
-# in the process, so what another scene tracks would become part of this one's derivatives.
+# The engine whose scene is tracked, if any. A virtual function call dispatches to the objects of every scene in
+# the process, so another scene's tracked values would enter this one's derivatives.
 _tracking: weakref.ref[Engine] | None = None
 
 
@@ -69,20 +79,20 @@ class Engine:
     state
         The scene's values.
     parameters
-        What they are.
+        The scene's parameters.
     plan
         How to render.
     resolution
         ``(width, height)`` in pixels.
-    look_at
-        Returns what each pixel shows.
+    surface_map
+        Returns the map of the objects that each pixel shows.
     borrowed
-        Whether the scene belongs to the caller and must be left as it was found.
+        Whether the scene belongs to the caller and must be restored after each call.
 
     Attributes
     ----------
     device
-        Where its pictures and gradients are.
+        The device of images and gradients.
     """
 
     def __init__(
@@ -93,7 +103,7 @@ class Engine:
         parameters: SceneParameters,
         plan: RenderPlan,
         resolution: tuple[int, int],
-        look_at: Callable[[], SurfaceMap],
+        surface_map: Callable[[], SurfaceMap],
         *,
         borrowed: bool,
     ) -> None:
@@ -105,20 +115,20 @@ class Engine:
         self._resolution = resolution
         self._borrowed = borrowed
         self._variant, self.device = mi.variant(), device()
-        self._is_at_hand = False
+        self._has_exclusive_scene = False
         self._plan = plan
-        self._look_at = look_at
-        self._starts: dict[tuple[str, ...], Surfaces | None] = {}
-        self._interest: dict[Any, Sequence[tuple[float, torch.Tensor]]] = {}
-        self._noise_of: Values = {}
+        self._surface_map = surface_map
+        self._sampled_shapes: dict[tuple[str, ...], SampledShapes | None] = {}
+        self._importance_maps: dict[Any, Sequence[tuple[float, torch.Tensor]]] = {}
+        self._noise_values: Values = {}
         self._pilots: dict[int, Pilot] = {}
         self._integrator = plan.create_integrator()
-        self._render, self._render_backward, self._propagate = _frozen(
+        self._render, self._render_backward, self._render_backward_pixels = _freeze(
             self._integrator, sensor, state.forget_gradients
         )
-        # Whoever drops the last reference may do so while another thread records a kernel.
+        # The last reference may be dropped while another thread records a kernel.
         weakref.finalize(self, dispose, self.__dict__).atexit = False
-        # Decoding textures leaves Dr.Jit with as much memory again that it would keep for later.
+        # Decoding textures leaves as much memory again in Dr.Jit's allocation cache.
         dr.flush_malloc_cache()
 
     @property
@@ -130,42 +140,42 @@ class Engine:
     def _film_filter(self) -> FilmFilter | None:
         return film_filter(self._sensor.film())
 
-    def look(self) -> None:
-        """Read a borrowed scene's own values again: its owner may have changed them."""
+    def refresh_originals(self) -> None:
+        """Read a borrowed scene's own values again, because its owner may have changed them."""
         if self._borrowed:
             with exclusively(self._variant):
-                self._state.look()
+                self._state.refresh_originals()
 
-    def shows(self, pixels: torch.Tensor) -> str:
-        """Say in a sentence what a mask of pixels ``(H, W)`` shows."""
-        names = self._look_at().objects_on(pixels.numpy(force=True))
+    def describe_pixels(self, pixels: torch.Tensor) -> str:
+        """Return a sentence that names the objects on a mask of pixels ``(H, W)``."""
+        names = self._surface_map().objects_on(pixels.numpy(force=True))
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        return f" They show {', '.join(names[:3])}{more}: look for a value at an extreme there, or in the lights."
+        return f" They show {', '.join(names[:3])}{more}: look for an extreme value there, or in the lights."
 
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
         """Render: ``(H, W, 3)`` linear radiance."""
-        with self.at_hand():
-            # What an earlier adjoint left tracked does no harm here, and writing it again would cost.
+        with self.exclusive_scene():
+            # Values that are still tracked for an earlier VJP do no harm here, and rewriting them would take time.
             tracked = self._state.leaves.keys()
-            stale = self._state.stale(values, tracked)
+            pending = self._state.pending_writes(values, tracked)
 
             def render(*arrays: Any) -> Any:
-                self._state.write(stale, arrays, tracked)
+                self._state.write(pending, arrays, tracked)
                 with dr.suspend_grad():
                     return _sum(
-                        _done(
+                        evaluate(
                             self._render(
-                                self._scene, dr.opaque(mi.UInt32, one.seed), one.spp, self._state.scalars
+                                self._scene, dr.opaque(mi.UInt32, chunk.seed), chunk.spp, self._state.scalars
                             )
-                            * one.share
+                            * chunk.weight
                         )
-                        for one in self._passes(seed, spp)
+                        for chunk in self._chunks(seed, spp)
                     )
 
-            image: torch.Tensor = _call(render, *stale.values())
+            image: torch.Tensor = call_with_torch(render, *pending.values())
             return image
 
-    def adjoint(
+    def vjp(
         self,
         values: Values,
         tracked: Sequence[str],
@@ -173,36 +183,56 @@ class Engine:
         seed: int,
         spp: int,
         *,
-        choose: bool = False,
+        importance_sampling: bool = False,
     ) -> tuple[torch.Tensor, ...]:
         """Return the vector–Jacobian product: for each tracked parameter ``Σ adjoint · ∂image/∂parameter``.
 
-        With ``choose`` the samples go to pixels by their adjoint; otherwise they are those of the primal of the
-        same seed, which makes it the derivative of that very picture.
+        With ``importance_sampling``, pixels are sampled in proportion to the adjoint. Otherwise the samples are
+        those of the primal with the same seed, so that the result is the derivative of that very image.
         """
-        replayed = [name for name in tracked if self._difference(name, values) is None]
-        shiny = shiny_ones(self._parameters, {n: values[n] for n in replayed}) if choose else []
-        surfaces = self._surfaces(tuple(shiny)) if shiny else None
-        if surfaces is None:
-            found = self._replay(values, replayed, adjoint, seed, spp, choose=choose)
+        replayed = [name for name in tracked if self._finite_difference(name, values) is None]
+        low_roughness = (
+            low_roughness_names(self._parameters, {n: values[n] for n in replayed})
+            if importance_sampling
+            else []
+        )
+        shapes = self._find_sampled_shapes(tuple(low_roughness)) if low_roughness else None
+        if shapes is None:
+            gradients = self._replay_backward(
+                values, replayed, adjoint, seed, spp, importance_sampling=importance_sampling
+            )
         else:
-            rest = [name for name in replayed if name not in shiny]
-            found = self._replay(values, rest, adjoint, seed, spp, choose=choose)
-            found |= self._replay(values, shiny, adjoint, seed, spp, choose=choose, surfaces=surfaces)
-        # Samples of its own need not be as many: a shared seed takes most of the noise out of a difference.
-        fewer = max(1, spp // CHEAPER) if choose else spp
+            rest = [name for name in replayed if name not in low_roughness]
+            gradients = self._replay_backward(
+                values, rest, adjoint, seed, spp, importance_sampling=importance_sampling
+            )
+            gradients |= self._replay_backward(
+                values,
+                low_roughness,
+                adjoint,
+                seed,
+                spp,
+                importance_sampling=importance_sampling,
+                light_traced=shapes,
+            )
+        difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
         for name in tracked:
-            if name not in found:
-                product = (adjoint * self._slope(name, values, seed, fewer)).sum((0, 1))
-                # The channels of a picture are those of a colour: none sees another's.
-                found[name] = product if values[name].ndim else product.sum()
+            if name not in gradients:
+                quotient = self._difference_quotient(name, values, seed, difference_spp)
+                product = (adjoint * quotient).sum((0, 1))
+                # Each channel of the image depends only on the same channel of a colour.
+                gradients[name] = product if values[name].ndim else product.sum()
             if is_constant(self._parameters[name], {**self.original, **values}):
-                found[name] = torch.zeros_like(values[name])
-        return tuple(found[name].to(values[name]) for name in tracked)
+                gradients[name] = torch.zeros_like(values[name])
+        return tuple(gradients[name].to(values[name]) for name in tracked)
 
-    def tangent(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
-        """Return the Jacobian–vector product: the derivative image along ``tangents``."""
-        replayed = {name: t for name, t in tangents.items() if self._difference(name, values) is None}
+    def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
+        """Return the Jacobian–vector product: the derivative image in the direction of ``tangents``."""
+        replayed = {
+            name: tangent
+            for name, tangent in tangents.items()
+            if self._finite_difference(name, values) is None
+        }
         width, height = self._resolution
         image = torch.zeros((height, width, 3), device=self.device)
         moving = {n for n in tangents if not is_constant(self._parameters[n], {**self.original, **values})}
@@ -210,10 +240,11 @@ class Engine:
         if replayed:
             image = image + self._replay_forward(values, replayed, seed, spp)
         for name in moving - replayed.keys():
-            image = image + (self._slope(name, values, seed, spp) * tangents[name]).to(image)
+            quotient = self._difference_quotient(name, values, seed, spp)
+            image = image + (quotient * tangents[name]).to(image)
         return image
 
-    def spread(
+    def cumulants(
         self,
         values: Values,
         tracked: Sequence[str],
@@ -221,50 +252,54 @@ class Engine:
         spp: int,
         replicates: int,
     ) -> dict[str, tuple[float, float]]:
-        """Return variance and fourth cumulant of what replicates of ``adjoint`` find on average.
+        """Return variance and fourth cumulant of the mean over replicates of ``vjp``, estimated by a pilot.
 
-        They are those of the light that each tracked parameter acts on, as a pilot tells them from the scene's own
-        values. What has no such light is left out, and so is what has samples of its own.
+        They are those of the light that each tracked parameter acts on, at the scene's own values. Parameters
+        without such light are left out, and so are low roughnesses that are differentiated by light tracing.
         """
-        replayed = [name for name in tracked if self._difference(name, values) is None]
-        shiny = shiny_ones(self._parameters, {n: values[n] for n in replayed})
-        if shiny and self._surfaces(tuple(shiny)) is not None:
-            replayed = [name for name in replayed if name not in shiny]
+        replayed = [name for name in tracked if self._finite_difference(name, values) is None]
+        low_roughness = low_roughness_names(self._parameters, {n: values[n] for n in replayed})
+        if low_roughness and self._find_sampled_shapes(tuple(low_roughness)) is not None:
+            replayed = [name for name in replayed if name not in low_roughness]
         else:
-            shiny = []
+            low_roughness = []
         adjoint = adjoint.detach().float()
         width, height = self._resolution
-        with self.at_hand():
+        with self.exclusive_scene():
             film = self._film_filter
-            strength = film.strength(adjoint) if film else adjoint.norm(dim=-1)
-            interests = self._interests(values, replayed, None) if film else []
-            chosen = sample_shares(strength, interests) * (width * height * spp)
-            pilot = self._pilot(max(1, min(CLOSER * spp * replicates, MOST_CLOSER // (width * height))))
-        size = strength.cpu().double().numpy().ravel()
+            magnitude = film.rms_adjoint(adjoint) if film else adjoint.norm(dim=-1)
+            importance_maps = self._find_importance_maps(values, replayed, None) if film else []
+            sampled = pixel_probabilities(magnitude, importance_maps) * (width * height * spp)
+            max_spp = MAX_PILOT_SAMPLES // (width * height)
+            pilot = self._run_pilot(max(1, min(PILOT_FACTOR * spp * replicates, max_spp)))
+        weights = magnitude.cpu().double().numpy().ravel()
         found = {}
         for name in tracked:
-            evenly = np.full_like(size, max(1, spp // CHEAPER))
-            samples = replicates * (chosen if name in replayed else evenly)
-            if name not in shiny and (spread := pilot.spread(name, size, samples)) is not None:
-                found[name] = spread
+            uniform = np.full_like(weights, max(1, spp // DIFFERENCE_SPP_DIVISOR))
+            samples = replicates * (sampled if name in replayed else uniform)
+            if (
+                name not in low_roughness
+                and (cumulants := pilot.cumulants(name, weights, samples)) is not None
+            ):
+                found[name] = cumulants
         return found
 
-    def _difference(self, name: str, values: Values) -> Difference | None:
-        return difference(self._parameters[name], values[name])
+    def _finite_difference(self, name: str, values: Values) -> FiniteDifference | None:
+        return finite_difference(self._parameters[name], values[name])
 
-    def _slope(self, name: str, values: Values, seed: int, spp: int) -> torch.Tensor:
-        """Return by how much the picture changes per unit of a scalar or colour: a finite difference, float64."""
-        chosen = self._difference(name, values)
-        assert chosen is not None
+    def _difference_quotient(self, name: str, values: Values, seed: int, spp: int) -> torch.Tensor:
+        """Return the derivative image per unit of a scalar or colour by a finite difference, float64."""
+        difference = self._finite_difference(name, values)
+        assert difference is not None
         value = values[name]
-        off = {other: torch.zeros_like(self.original[other]) for other in chosen.off}
-        slope: torch.Tensor = _sum(
+        off = {other: torch.zeros_like(self.original[other]) for other in difference.off}
+        quotient: torch.Tensor = _sum(
             self.primal({**values, **off, name: value + shift}, seed, spp).double() * weight
-            for shift, weight in chosen.points
+            for shift, weight in difference.points
         )
-        return slope
+        return quotient
 
-    def _replay(
+    def _replay_backward(
         self,
         values: Values,
         tracked: Sequence[str],
@@ -272,166 +307,186 @@ class Engine:
         seed: int,
         spp: int,
         *,
-        choose: bool,
-        surfaces: Surfaces | None = None,
+        importance_sampling: bool,
+        light_traced: SampledShapes | None = None,
     ) -> dict[str, torch.Tensor]:
+        """Return gradients by path replay, and by light tracing for the parameters of ``light_traced`` shapes."""
         if not tracked:
             return {}
-        with self.at_hand():
-            chosen_by = self._film_filter if choose else None
-            interests = self._interests(values, tracked, surfaces) if chosen_by else []
-            stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
+        with self.exclusive_scene():
+            film = self._film_filter if importance_sampling else None
+            importance_maps = self._find_importance_maps(values, tracked, light_traced) if film else []
+            pending = self._state.pending_writes(
+                _clamp_off_singularities(values, tracked, self._parameters), tracked
+            )
 
             def backward(*arrays: Any) -> Any:
-                self._state.write(stale, arrays, tracked)
-                for one in self._passes(seed, spp):
-                    number, scalars = dr.opaque(mi.UInt32, one.seed), self._state.scalars
-                    weighted = one.share * adjoint
-                    if chosen_by is None:
-                        whole = owned(mi.TensorXf(weighted))
-                        self._render_backward(self._scene, whole, number, one.spp, scalars)
+                self._state.write(pending, arrays, tracked)
+                for chunk in self._chunks(seed, spp):
+                    chunk_seed, scalars = dr.opaque(mi.UInt32, chunk.seed), self._state.scalars
+                    weighted = chunk.weight * adjoint
+                    if film is None:
+                        image = owned(mi.TensorXf(weighted))
+                        self._render_backward(self._scene, image, chunk_seed, chunk.spp, scalars)
                     else:
-                        strength = chosen_by.strength(adjoint)
-                        pixel, weight = choose_pixels(strength, interests, one.spp, one.seed)
+                        magnitude = film.rms_adjoint(adjoint)
+                        pixel, weight = sample_pixels(magnitude, importance_maps, chunk.spp, chunk.seed)
                         samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
-                        profile = owned(mi.Float(chosen_by.profile.to(weight))), chosen_by.reach
-                        scaled = owned(mi.TensorXf(weighted / chosen_by.caught.to(weight)))
-                        self._propagate(self._scene, scaled, number, scalars, samples, profile, surfaces)
-                    _done()
+                        profile = owned(mi.Float(film.profile.to(weight))), film.radius
+                        image = owned(mi.TensorXf(weighted / film.filter_weight_sum.to(weight)))
+                        self._render_backward_pixels(
+                            self._scene, image, chunk_seed, scalars, samples, profile, light_traced
+                        )
+                    evaluate()
                 return [flat(dr.grad(self._state.leaves[name])) for name in tracked]
 
             adjoint = adjoint.detach().float()
-            gradients = _call(backward, *stale.values())
+            gradients = call_with_torch(backward, *pending.values())
             return {n: g.reshape(values[n].shape) for g, n in zip(gradients, tracked, strict=True)}
 
-    def _surfaces(self, shiny: tuple[str, ...]) -> Surfaces | None:
-        with self.at_hand():
-            if shiny not in self._starts:
-                worn = self._look_at().parameters
-                self._starts[shiny] = find_surfaces(self._graph, worn, self._sensor, self._plan, shiny)
-            return self._starts[shiny]
+    def _find_sampled_shapes(self, names: tuple[str, ...]) -> SampledShapes | None:
+        with self.exclusive_scene():
+            if names not in self._sampled_shapes:
+                params_by_shape = self._surface_map().parameters
+                self._sampled_shapes[names] = find_sampled_shapes(
+                    self._graph, params_by_shape, self._sensor, self._plan, names
+                )
+            return self._sampled_shapes[names]
 
-    def _interests(
-        self, values: Values, tracked: Sequence[str], surfaces: Surfaces | None
+    def _find_importance_maps(
+        self, values: Values, tracked: Sequence[str], light_traced: SampledShapes | None
     ) -> Sequence[tuple[float, torch.Tensor]]:
-        """Return shares of the samples and where each goes: to noisy pixels, and as many to each surface."""
-        # Where highlights are depends on the roughness, but not finely.
-        octaves = {n: values[n].clamp_min(1e-4).log2().round().exp2() for n in tracked} if surfaces else {}
-        if not _equal(self._noise_of, self.original):
-            self._noise_of = self.original
-            self._interest.clear()
+        """Return importance maps and their mixture weights: the noise, and the noise equalized by surface."""
+        # Highlights depend on the roughness, but a factor of 2 is precise enough to cache them.
+        octaves = (
+            {n: values[n].clamp_min(1e-4).log2().round().exp2() for n in tracked} if light_traced else {}
+        )
+        if not _equal(self._noise_values, self.original):
+            self._noise_values = self.original
+            self._importance_maps.clear()
             self._pilots.clear()
-            self.__dict__.pop("_noise", None)
+            self.__dict__.pop("_noise_map", None)
         key = tuple(tracked), tuple(value.numpy(force=True).tobytes() for value in octaves.values())
-        if key not in self._interest:
-            noise = self._noise_left_by(surfaces, octaves) if surfaces else self._noise
-            self._interest[key] = ((NOISY, noise), (ALIKE, self._for_each_surface(noise, tracked)))
-        return self._interest[key]
+        if key not in self._importance_maps:
+            noise = self._roughness_noise_map(light_traced, octaves) if light_traced else self._noise_map
+            self._importance_maps[key] = (
+                (NOISE_WEIGHT, noise),
+                (SURFACE_WEIGHT, self._equalized_by_surface(noise, tracked)),
+            )
+        return self._importance_maps[key]
 
-    def _pilot(self, spp: int) -> Pilot:
+    def _run_pilot(self, spp: int) -> Pilot:
         if spp not in self._pilots:
-            rows = find_rows(self._graph, self._parameters)
-            with self.holding({}):
-                self._pilots[spp] = take_pilot(self._integrator, self._scene, self._sensor, rows, spp, 0)
+            groups = find_parameter_groups(self._graph, self._parameters)
+            with self.with_values({}):
+                self._pilots[spp] = run_pilot(self._integrator, self._scene, self._sensor, groups, spp, 0)
         return self._pilots[spp]
 
-    def _for_each_surface(self, noise: torch.Tensor, tracked: Sequence[str]) -> torch.Tensor:
-        """Return the noise of the pixels, scaled to the same sum for every tracked parameter that they show.
+    def _equalized_by_surface(self, noise: torch.Tensor, tracked: Sequence[str]) -> torch.Tensor:
+        """Return the noise map, scaled so that the surfaces of each tracked parameter have the same sum.
 
-        What a small object adds would otherwise be lost beside the walls.
+        Otherwise small objects would get few samples beside the walls.
         """
         surfaces = [n for n in tracked if self._parameters[n].kind not in ("emitters", "media")]
-        shown = (torch.from_numpy(self._look_at().shown([name])) for name in surfaces)
-        seen = [noise * one for one in shown]
-        return sum((one / one.sum() for one in seen if one.any()), torch.zeros_like(noise))
+        masks = (torch.from_numpy(self._surface_map().shown([name])) for name in surfaces)
+        masked = [noise * mask for mask in masks]
+        return sum((part / part.sum() for part in masked if part.any()), torch.zeros_like(noise))
 
-    def _noise_left_by(self, surfaces: Surfaces, values: Values) -> torch.Tensor:
-        """Roughly how noisy the derivatives of each pixel are where only some samples start on surfaces."""
+    def _roughness_noise_map(self, light_traced: SampledShapes, values: Values) -> torch.Tensor:
+        """Estimate the noise of each pixel's derivatives that light tracing leaves to path replay."""
         width, height = self._resolution
-        spp = max(1, min(MOST_PILOTS, PILOT_SAMPLES // (width * height)))
-        stale = self._state.stale({**self.original, **values}, values.keys())
+        spp = max(1, min(MAX_ROUGHNESS_NOISE_SPP, ROUGHNESS_NOISE_SAMPLES // (width * height)))
+        pending = self._state.pending_writes({**self.original, **values}, values.keys())
 
-        def pilot(*arrays: Any) -> Any:
-            self._state.write(stale, arrays, values.keys())
+        def rms_derivative(*arrays: Any) -> Any:
+            self._state.write(pending, arrays, values.keys())
             self._state.set_tangents({name: mi.TensorXf(1.0, value.shape) for name, value in values.items()})
-            strength = self._integrator.strength
-            return _done(strength(self._scene, self._sensor, spp, dr.opaque(mi.UInt32, 0), surfaces.among))
+            render = self._integrator.rms_derivative
+            return evaluate(
+                render(self._scene, self._sensor, spp, dr.opaque(mi.UInt32, 0), light_traced.mask)
+            )
 
-        return _smooth(_call(pilot, *stale.values()))
+        return _smooth(call_with_torch(rms_derivative, *pending.values()))
 
     @cached_property
-    def _noise(self) -> torch.Tensor:
-        """Roughly how noisy each pixel is: the spread of pilot pictures without the lights themselves.
+    def _noise_map(self) -> torch.Tensor:
+        """Estimate the noise of each pixel from a few renders without directly visible lights.
 
-        The noise of a pixel's derivatives goes with it, while a light that is seen directly has none. It is
-        that of the scene's own values, whatever was rendered before: the same seed shall choose the same pixels.
+        The noise of a pixel's derivatives is roughly proportional; directly visible lights have none. The scene's
+        own values are rendered, so that the same seed samples the same pixels whatever was rendered before.
         """
         integrator = self._plan.create_integrator(hide_emitters=True)
-        render, *_ = _frozen(integrator, self._sensor, self._state.forget_gradients)
+        render, *_ = _freeze(integrator, self._sensor, self._state.forget_gradients)
 
         def luminance(seed: int) -> torch.Tensor:
-            fixed = dr.opaque(mi.UInt32, seed), PILOT_SPP, self._state.scalars
-            image = _call(lambda: _done(render(self._scene, *fixed)))
+            fixed = dr.opaque(mi.UInt32, seed), NOISE_SPP, self._state.scalars
+            image = call_with_torch(lambda: evaluate(render(self._scene, *fixed)))
             brightness: torch.Tensor = image.double().sum(-1)  # whose squares may overflow float32
             return brightness
 
-        with self.holding({}):
-            spread = torch.stack([luminance(seed) for seed in range(PILOTS)]).std(0)
-        return _smooth(spread)
+        with self.with_values({}):
+            noise = torch.stack([luminance(seed) for seed in range(NOISE_RENDERS)]).std(0)
+        return _smooth(noise)
 
     def _replay_forward(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
-        with self.at_hand():
+        with self.exclusive_scene():
             tracked = tuple(tangents)
-            stale = self._state.stale(_lift(values, tracked, self._parameters), tracked)
+            pending = self._state.pending_writes(
+                _clamp_off_singularities(values, tracked, self._parameters), tracked
+            )
             split = len(tangents)
 
             def forward(*arrays: Any) -> Any:
-                self._state.write(stale, arrays[split:], tracked)
+                self._state.write(pending, arrays[split:], tracked)
                 self._state.set_tangents(dict(zip(tracked, arrays[:split], strict=True)))
                 return _sum(
-                    _done(
+                    evaluate(
                         self._integrator.render_forward(
-                            self._scene, None, self._sensor, seed=dr.opaque(mi.UInt32, one.seed), spp=one.spp
+                            self._scene,
+                            None,
+                            self._sensor,
+                            seed=dr.opaque(mi.UInt32, chunk.seed),
+                            spp=chunk.spp,
                         )
-                        * one.share
+                        * chunk.weight
                     )
-                    for one in self._passes(seed, spp)
+                    for chunk in self._chunks(seed, spp)
                 )
 
-            image: torch.Tensor = _call(forward, *tangents.values(), *stale.values())
+            image: torch.Tensor = call_with_torch(forward, *tangents.values(), *pending.values())
             return image
 
-    def _passes(self, seed: int, spp: int) -> Iterator[Pass]:
-        return passes(seed, spp, self._resolution)
+    def _chunks(self, seed: int, spp: int) -> Iterator[Chunk]:
+        return chunks(seed, spp, self._resolution)
 
     @contextlib.contextmanager
-    def holding(self, values: Values) -> Iterator[None]:
-        """Have the scene hold values, untracked, and the process to ourselves."""
-        with self.at_hand():
-            stale = self._state.stale(values, ())
+    def with_values(self, values: Values) -> Iterator[None]:
+        """Give the scene these values, untracked, within an ``exclusive_scene``."""
+        with self.exclusive_scene():
+            pending = self._state.pending_writes(values, ())
 
             def write(*arrays: Any) -> None:
-                self._state.write(stale, arrays, ())
+                self._state.write(pending, arrays, ())
 
-            _call(write, *stale.values())
+            call_with_torch(write, *pending.values())
             yield
 
     @contextlib.contextmanager
-    def at_hand(self) -> Iterator[None]:
-        """Have the process to ourselves, and leave a borrowed scene as it was found."""
+    def exclusive_scene(self) -> Iterator[None]:
+        """Lock Mitsuba for this thread, and restore a borrowed scene afterwards."""
         with exclusively(self._variant), _collector_paused():
-            if self._is_at_hand:
+            if self._has_exclusive_scene:
                 yield
                 return
             self._take_over_tracking()
-            self.look()
+            self.refresh_originals()
             size = _film_size(self._sensor)
             _resize(self._sensor, self._resolution)
-            self._is_at_hand = True
+            self._has_exclusive_scene = True
             try:
                 yield
             finally:
-                self._is_at_hand = False
+                self._has_exclusive_scene = False
                 if self._borrowed:
                     self._state.restore()
                     _resize(self._sensor, size)
@@ -445,21 +500,23 @@ class Engine:
         _tracking = weakref.ref(self)
 
 
-def _equal(one: Values, other: Values) -> bool:
-    return one is other or (one.keys() == other.keys() and all(torch.equal(one[n], other[n]) for n in one))
+def _equal(first: Values, second: Values) -> bool:
+    return first is second or (
+        first.keys() == second.keys() and all(torch.equal(first[n], second[n]) for n in first)
+    )
 
 
 def _smooth(image: torch.Tensor) -> torch.Tensor:
-    """Average each pixel of an ``(H, W)`` image and its neighbours."""
+    """Filter an ``(H, W)`` image with a 3×3 box."""
     smooth: torch.Tensor = torch.nn.functional.avg_pool2d(image[None, None], 3, 1, 1, count_include_pad=False)
     return smooth[0, 0]
 
 
-def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[Callable[..., Any], ...]:
-    """Return primal render, its backward pass and one of chosen pixels, as frozen functions where that is safe.
+def _freeze(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[Callable[..., Any], ...]:
+    """Return render, backward pass and backward pass of given pixels, as frozen functions where that is safe.
 
-    Tracing a room with dozens of materials takes 0.2 s, the same for every pass: so it is done once. Numbers that
-    Mitsuba writes into kernels (``scalars``) are arguments for others to be traced anew.
+    Tracing a room with dozens of materials in Python takes 0.2 s each time; a frozen function does it once.
+    ``scalars`` become literals in kernels, so they are arguments: other values are traced again.
     """
 
     def render(scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:
@@ -468,30 +525,30 @@ def _frozen(integrator: Any, sensor: Any, forget: Callable[[], None]) -> tuple[C
     def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> None:
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
 
-    def propagate(
+    def render_backward_pixels(
         scene: Any,
         adjoint: Any,
         seed: Any,
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
-        surfaces: Surfaces | None,
+        light_traced: SampledShapes | None,
     ) -> None:
-        seen = surfaces.among if surfaces else None
-        integrator.propagate(scene, sensor, adjoint, samples, profile, seed, seen)
-        if surfaces is not None:
-            receiver = Receiver(sensor, adjoint, profile)
-            propagate_from_surfaces(integrator, scene, receiver, surfaces, seed, dr.width(samples[0]))
+        mask = light_traced.mask if light_traced else None
+        integrator.render_backward_pixels(scene, sensor, adjoint, samples, profile, seed, mask)
+        if light_traced is not None:
+            camera = CameraAdjoint(sensor, adjoint, profile)
+            trace_light_backward(integrator, scene, camera, light_traced, seed, dr.width(samples[0]))
 
-    functions = (render, render_backward, propagate)
-    # Freezing does not see phase functions: a picture would stay that of the first.
-    if isinstance(integrator, _volumetric.VolumetricReplayIntegrator):
+    functions = (render, render_backward, render_backward_pixels)
+    # Frozen functions do not see changes of phase functions: their images would stay the same.
+    if isinstance(integrator, VolumetricReplayIntegrator):
         return functions
-    return tuple(_Frozen(function, forget) for function in functions)
+    return tuple(_FrozenFunction(function, forget) for function in functions)
 
 
-class _Frozen:
-    """A frozen function, or the function itself where a plugin hides objects that freezing must see."""
+class _FrozenFunction:
+    """A frozen function, or the plain function where a plugin hides objects that freezing would have to see."""
 
     def __init__(self, function: Callable[..., Any], forget: Callable[[], None]) -> None:
         self._function = function
@@ -502,50 +559,51 @@ class _Frozen:
         try:
             return self._call(*arguments)
         except RuntimeError as error:
-            if "record()" not in _whole(error) or _nothing_attached(error):
+            if "record()" not in _full_message(error) or _is_detached_error(error):
                 raise
-            # What the failed recording has accumulated would count twice.
+            # Gradients that the failed recording has accumulated would count twice.
             self._forget()
             self._call = self._function
             return self._function(*arguments)
 
 
-def _whole(error: BaseException | None) -> str:
+def _full_message(error: BaseException | None) -> str:
     """Return the messages of an error and of its causes."""
-    return "" if error is None else f"{error} {_whole(error.__cause__)}"
+    return "" if error is None else f"{error} {_full_message(error.__cause__)}"
 
 
-def _done(*pictures: Any) -> Any:
-    """Wait for a pass: Dr.Jit would begin others beside it, each with memory of its own."""
-    dr.eval(*pictures)
+def evaluate(*images: Any) -> Any:
+    """Evaluate and wait: otherwise Dr.Jit would start the next chunk beside this one, with memory of its own."""
+    dr.eval(*images)
     dr.sync_thread()
-    return pictures[0] if pictures else None
+    return images[0] if images else None
 
 
 def _sum(terms: Iterable[Any]) -> Any:
-    """Add up pictures one after the other: there is no empty picture to start from."""
+    """Add images without an initial 0, which would need a type and a shape."""
     return reduce(operator.add, terms)
 
 
-def _lift(values: Values, tracked: Collection[str], parameters: SceneParameters) -> Values:
-    return {**values, **{name: lifted(parameters[name], values[name]) for name in tracked}}
+def _clamp_off_singularities(values: Values, tracked: Collection[str], parameters: SceneParameters) -> Values:
+    clamped = {name: clamp_off_singularity(parameters[name], values[name]) for name in tracked}
+    return {**values, **clamped}
 
 
-def _call(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
+def call_with_torch(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
     """Call a function of Dr.Jit tensors with torch tensors."""
     try:
         return dr.wrap(source="torch", target="drjit")(function)(
             *(tensor.detach().to(torch.float32).contiguous() for tensor in tensors)
         )
     except RuntimeError as error:
-        if _nothing_attached(error):
-            raise SceneCaptumError(NOTHING_ATTACHED) from error
+        if _is_detached_error(error):
+            raise SceneCaptumError(NO_DERIVATIVE) from error
         raise
 
 
 @contextlib.contextmanager
 def _collector_paused() -> Iterator[None]:
-    """Keep Python from collecting a scene while Dr.Jit records a frozen function: that aborts the process."""
+    """Pause garbage collection: collecting a scene while Dr.Jit records a frozen function aborts the process."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -567,12 +625,12 @@ def _resize(sensor: Any, size: tuple[int, int]) -> None:
         film.update()
 
 
-NOTHING_ATTACHED = (
-    "No derivative reaches any of the inputs: none of them takes part in a path that can be differentiated. Look "
-    "at renderer.plan for cautions, and add an input that the picture depends on, such as a light."
+NO_DERIVATIVE = (
+    "No derivative reaches any of the inputs: none of them affects a path that can be differentiated. See "
+    "renderer.plan for cautions, and add an input that the image depends on, such as a light."
 )
 
 
-def _nothing_attached(error: BaseException) -> bool:
-    """Whether Mitsuba's complaint that nothing is tracked lies at the root of an error."""
-    return "not attached to the AD graph" in _whole(error)
+def _is_detached_error(error: BaseException) -> bool:
+    """Whether an error was caused by Mitsuba finding nothing attached to the AD graph."""
+    return "not attached to the AD graph" in _full_message(error)

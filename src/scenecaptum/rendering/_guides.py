@@ -1,4 +1,4 @@
-"""Guide pictures for a denoiser: albedo and shading normals, without noise.
+"""Guide images for a denoiser: albedo and shading normals, without noise.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -17,10 +17,11 @@ from ._visibility import BATCH, RAYS, camera_rays, follow_specular
 
 
 def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides:
-    """Trace what a sensor shows, through mirrors and glass to the first surface that scatters light.
+    """Trace camera rays through mirrors and glass to the first surface that scatters light.
 
-    Every pixel averages the same stratified rays at each call, so that the guides have no noise. Emitters and the
-    background have an albedo of 1, as Open Image Denoise's documentation asks; what a fisheye does not see has 0.
+    Each pixel averages the same stratified rays at every call, so the guides have no noise. Emitters and the
+    background have an albedo of 1, as Open Image Denoise's documentation requires; outside a fisheye's circle it
+    is 0.
     """
     width, height = resolution
     pixels, step = width * height, BATCH // RAYS
@@ -28,7 +29,7 @@ def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides
         _guide_rays(scene, sensor, resolution, first, min(step, pixels - first))
         for first in range(0, pixels, step)
     ]
-    albedo, normal = (np.concatenate(one).reshape(height, width, 3) for one in zip(*parts, strict=True))
+    albedo, normal = (np.concatenate(part).reshape(height, width, 3) for part in zip(*parts, strict=True))
     return Guides(torch.from_numpy(albedo), torch.from_numpy(normal))
 
 
@@ -41,9 +42,9 @@ def _guide_rays(
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
         si = hit.compute_surface_interaction(ray)
         si, _, _ = follow_specular(scene, si, hit, ray.d, pixel, point)
-        looks = dr.max(weight) > 0
-        albedo = dr.select(looks, _albedo(si), 0)
-        normal = dr.select(looks & si.is_valid(), si.sh_frame.n, 0)
+        valid = dr.max(weight) > 0  # not outside a fisheye's circle
+        albedo = dr.select(valid, _albedo(si), 0)
+        normal = dr.select(valid & si.is_valid(), si.sh_frame.n, 0)
         means = [
             dr.block_reduce(dr.ReduceOp.Add, mi.Float(channel), RAYS) / RAYS
             for guide in (albedo, normal)
@@ -55,9 +56,9 @@ def _guide_rays(
 
 
 def _albedo(si: Any) -> Any:
-    """Return the share of light that a surface reflects, 1 where it emits: between 0 and 1.
+    """Return the diffuse reflectance, clipped to [0, 1]; 1 for emitters and the background.
 
-    Surfaces without a diffuse lobe have the weight of one sample of their lobes instead.
+    Surfaces without a diffuse lobe have the weight of one BSDF sample instead.
     """
     context, bsdf = mi.BSDFContext(), si.bsdf()
     reflects = si.is_valid() & ~si.shape.is_emitter()

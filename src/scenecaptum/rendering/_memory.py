@@ -1,4 +1,4 @@
-"""How much memory a job takes: told before it begins, and refused where there is less."""
+"""Predict the memory of a job before it starts, and refuse a job that would not fit."""
 
 from __future__ import annotations
 
@@ -7,58 +7,59 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import SceneCaptumError
-from ._passes import SAMPLES
+from ._chunks import MAX_SAMPLES
 
 MEBIBYTE = 2**20
 
-# Upper bounds of what ``benchmarks/memory.py --predict`` measures, in bytes.
-ONCE = 250 * MEBIBYTE  # kernels, libraries and what is imported on the way
-PER_SAMPLE = 40  # of a pass
-PER_PIXEL = 320  # of one picture with its pilots and its backward pass
-PER_PICTURE = 80  # and pixel: a picture, its adjoint, and what the jackknife makes of both
-PER_TEXEL = 60  # and channel, of what is tracked: values, gradients and their spread
+# Upper bounds of the measurements of ``benchmarks/memory.py --predict``, in bytes.
+FIXED = 250 * MEBIBYTE  # kernels and lazily imported libraries
+PER_SAMPLE = 40  # of a chunk
+PER_PIXEL = 320  # of one image with its pilots and its backward pass
+PER_PICTURE = 80  # and pixel: an image, its adjoint, and their jackknife replicates
+PER_TEXEL = 60  # and channel, of the tracked parameters: values, gradients and their variances
 
-# Where Linux says in which control groups a process is, and what their limits are.
-GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-_NAMES = ("memory.max", "memory.current")
+# Linux: a process's control groups, and the folder with their limits.
+CGROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+_CGROUP_V2_FILES = ("memory.max", "memory.current")
+_CGROUP_V1_FILES = ("memory.limit_in_bytes", "memory.usage_in_bytes")
 
-# Some of what is free must stay so.
-MARGIN = 0.9
+# The fraction of the available memory that a job may take.
+MAX_FRACTION = 0.9
 
 
 def predict(resolution: tuple[int, int], spp: int, pictures: int, texels: int) -> int:
-    """Return the bytes that rendering and differentiating takes at most, beyond what the process holds already.
+    """Return an upper bound on the bytes that rendering and differentiating allocates.
 
     Parameters
     ----------
     resolution
-        ``(width, height)`` in pixels; of several cameras, the width of all.
+        ``(width, height)`` in pixels; for several cameras, their total width.
     spp
-        Samples per pixel of each picture. They come in passes of bounded size.
+        Samples per pixel of each image. They are rendered in chunks of bounded size.
     pictures
-        How many are held at the same time: the passes of an attribution.
+        Number of images held at the same time: the replicates of an attribution.
     texels
-        Numbers that are tracked.
+        Number of tracked scalars.
     """
     pixels = math.prod(resolution)
-    samples = min(spp * pixels, max(SAMPLES, pixels))
-    return ONCE + PER_SAMPLE * samples + (PER_PIXEL + PER_PICTURE * pictures) * pixels + PER_TEXEL * texels
+    samples = min(spp * pixels, max(MAX_SAMPLES, pixels))
+    return FIXED + PER_SAMPLE * samples + (PER_PIXEL + PER_PICTURE * pictures) * pixels + PER_TEXEL * texels
 
 
 def available() -> int | None:
-    """Return the bytes of main memory that this process may still take, or None where that is not known."""
+    """Return the bytes of main memory available to this process, or None where that is unknown."""
     try:
         lines = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
         free = 1024 * int(lines["MemAvailable"].split()[0])
     except (OSError, KeyError, ValueError):
         return None
-    return min([free, *_left_by_groups()])
+    return min([free, *_available_in_cgroups()])
 
 
-def _left_by_groups() -> list[int]:
-    """Return what the limits of containers and batch systems leave (control groups, version 2 and 1)."""
-    own, root = GROUPS
-    found = []
+def _available_in_cgroups() -> list[int]:
+    """Return the bytes available under the limits of containers and batch systems (cgroups v2 and v1)."""
+    own, root = CGROUPS
+    remaining = []
     try:
         groups = [line.split(":", 2) for line in own.read_text().splitlines()]
     except OSError:
@@ -66,40 +67,40 @@ def _left_by_groups() -> list[int]:
     for _, controllers, place in groups:
         if controllers not in ("", "memory"):
             continue
-        names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if controllers else _NAMES
-        folder = root / controllers / place.lstrip("/")
-        # Any group above may have the limit; a container sees its own as the root.
-        for one in [folder, *folder.parents]:
+        files = _CGROUP_V1_FILES if controllers else _CGROUP_V2_FILES
+        group = root / controllers / place.lstrip("/")
+        # Any ancestor may have the limit; a container sees its own group as the root.
+        for folder in [group, *group.parents]:
             try:
-                limit, used = (int((one / name).read_text()) for name in names)
+                limit, used = (int((folder / file).read_text()) for file in files)
             except (OSError, ValueError):  # no such file, or "max"
                 continue
-            found.append(max(0, limit - used))
-    return found
+            remaining.append(max(0, limit - used))
+    return remaining
 
 
 def require(resolution: tuple[int, int], spp: int, pictures: int, texels: int, free: int | None) -> None:
-    """Refuse a job that does not fit into what is free, and name settings that would.
+    """Raise if a job does not fit into the free memory.
 
     Raises
     ------
     SceneCaptumError
-        With what it would take, what there is, and what fits.
+        Names the predicted and the available memory, and settings that would fit.
     """
     needed = predict(resolution, spp, pictures, texels)
-    if free is None or needed <= MARGIN * free:
+    if free is None or needed <= MAX_FRACTION * free:
         return
 
     def fits(size: tuple[int, int], samples: int, count: int) -> bool:
-        return predict(size, samples, count, texels) <= MARGIN * free
+        return predict(size, samples, count, texels) <= MAX_FRACTION * free
 
     width, height = resolution
     remedies = []
-    # Fewer passes have more samples each.
+    # Fewer replicates have more samples each.
     if (count := _largest(pictures, lambda n: fits(resolution, math.ceil(spp * pictures / n), n))) > 1:
         remedies.append(f"replicates={count}")
     if (samples := _largest(spp, lambda n: fits(resolution, n, pictures))) > 0:
-        remedies.append(f"{samples} samples per pixel in a pass (spp={samples * pictures})")
+        remedies.append(f"{samples} samples per pixel in a replicate (spp={samples * pictures})")
     smaller = next(
         (
             (max(width // k, 1), max(height // k, 1))
@@ -110,15 +111,18 @@ def require(resolution: tuple[int, int], spp: int, pictures: int, texels: int, f
     )
     if smaller:
         remedies.append(f"resolution={smaller}")
-    each = f"{pictures} picture{'s' if pictures > 1 else ''} of {width}×{height} pixels at {spp} spp each"
-    remedy = f"What fits is {', or '.join(remedies)}." if remedies else "Nothing smaller fits either."
+    job = f"{pictures} image{'s' if pictures > 1 else ''} of {width}×{height} pixels at {spp} spp each"
+    remedy = (
+        f"Settings that fit: {', or '.join(remedies)}." if remedies else "No smaller setting fits either."
+    )
     raise SceneCaptumError(
-        f"This would take about {size(needed)} of memory ({each}), and {size(free)} are available. {remedy}"
+        f"This would take about {format_bytes(needed)} of memory ({job}), but only {format_bytes(free)} are "
+        f"available. {remedy}"
     )
 
 
 def _largest(below: int, fits: Callable[[int], bool]) -> int:
-    """Return the largest number from 1 to ``below − 1`` that fits, or 0: what fits less fits no more."""
+    """Return the largest number from 1 to ``below − 1`` that fits, or 0, by bisection."""
     low, high = 0, below
     while high - low > 1:
         middle = (low + high) // 2
@@ -126,12 +130,12 @@ def _largest(below: int, fits: Callable[[int], bool]) -> int:
     return low
 
 
-def size(number: int) -> str:
-    """Write a number of bytes.
+def format_bytes(count: int) -> str:
+    """Format a number of bytes for people.
 
     Example
     -------
-    >>> size(3 * 2**29), size(5 * 2**20)
+    >>> format_bytes(3 * 2**29), format_bytes(5 * 2**20)
     ('1.5 GB', '5 MB')
     """
-    return f"{number / 2**30:.1f} GB" if number >= 2**30 else f"{number / MEBIBYTE:.0f} MB"
+    return f"{count / 2**30:.1f} GB" if count >= 2**30 else f"{count / MEBIBYTE:.0f} MB"

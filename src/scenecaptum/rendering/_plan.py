@@ -1,4 +1,4 @@
-"""Which integrator, depth and derivatives a scene requires, each decision with its reason."""
+"""Choose integrator, path depth and derivative methods for a scene, each with its reason."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import torch
 from ..backend import activate
 from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
-from ._memory import size
-from ._routes import reason_against_replay, shiny_ones
+from ._derivative_routes import low_roughness_names, reason_against_replay
+from ._memory import format_bytes
 
-# Up to this depth every path is traced to its end: the cost of the last bounces is small, and without
-# random termination the rendered number is a smooth function of the parameters.
+# Up to this depth there is no Russian roulette: the last bounces cost little, and without random termination the
+# image is a smooth function of the parameters.
 FULL_PATH_DEPTH = 16
 DEFAULT_DEPTH = 6
 
@@ -27,7 +27,7 @@ STOCK = ("prb", "prbvolpath")
 
 @dataclass(frozen=True)
 class RenderPlan:
-    """How a scene is rendered and differentiated; prints one decision a line, with its reason.
+    """How a scene is rendered and differentiated; prints one decision per line, with its reason.
 
     Attributes
     ----------
@@ -38,17 +38,17 @@ class RenderPlan:
     rr_depth
         Depth from which Russian roulette may end a path.
     hide_emitters
-        Whether the camera does not see lights directly.
+        Whether lights are hidden from the camera.
     reasons
         ``(decision, reason)`` pairs.
     differences
-        The inputs whose derivative is a finite difference with a shared seed, each with the reason why path
-        replay does not serve; at the scene's own values, since at others it may.
+        The inputs that are differentiated by finite differences with common random numbers, each with the reason
+        why path replay is not used. They are determined at the scene's own values and may differ at others.
     cautions
-        ``(parameter, caution)`` pairs: of inputs, what is known to be wrong with their derivatives; of others,
-        that the scene's own value is not finite or physically impossible.
+        ``(parameter, caution)`` pairs: for inputs, known errors of their derivatives; for other parameters, a
+        value in the scene that is not finite or not physical.
     memory
-        Bytes that a picture and its backward pass take at most, of the renderer's own samples.
+        Upper bound on the bytes of a render and its backward pass with the renderer's own ``spp``.
     """
 
     integrator: str
@@ -61,7 +61,7 @@ class RenderPlan:
     memory: int = 0
 
     def __str__(self) -> str:
-        """Write one decision a line."""
+        """Return one decision per line."""
         from ..visualization import plan_text
 
         return plan_text(self)
@@ -72,7 +72,7 @@ class RenderPlan:
         return plan_html(self)
 
     def create_integrator(self, *, hide_emitters: bool | None = None) -> Any:
-        """Return a Mitsuba integrator as planned; ``hide_emitters`` may be set otherwise."""
+        """Return the planned Mitsuba integrator, optionally with another ``hide_emitters``."""
         return activate().load_dict(
             {
                 "type": self.integrator,
@@ -84,12 +84,12 @@ class RenderPlan:
 
     @property
     def decisions(self) -> tuple[tuple[str, str], ...]:
-        """The decisions with their reasons, and what they take."""
+        """The decisions with their reasons, and the memory bound."""
         if not self.memory:
             return self.reasons
         return (
             *self.reasons,
-            (f"at most {size(self.memory)} of memory", "to render and differentiate one picture"),
+            (f"at most {format_bytes(self.memory)} of memory", "to render and differentiate one image"),
         )
 
 
@@ -99,7 +99,7 @@ def make_plan(
     inputs: Mapping[str, torch.Tensor],
     max_depth: int | None,
 ) -> RenderPlan:
-    """Choose the integrator, its settings and a derivative for each of the inputs that are asked for."""
+    """Choose the integrator, its settings and a derivative method for each input."""
     mi = activate()
     own = graph.scene.integrator()
     reasons: list[tuple[str, str]] = []
@@ -119,20 +119,22 @@ def make_plan(
     if 0 < depth <= FULL_PATH_DEPTH:
         rr_depth = depth + 1
         reasons.append(
-            ("no Russian roulette", f"paths of at most {FULL_PATH_DEPTH} segments are traced whole")
+            ("no Russian roulette", f"paths of at most {FULL_PATH_DEPTH} segments are traced to their end")
         )
     else:
         rr_depth = _setting(own, "rr_depth") or 5
-        reasons.append((f"Russian roulette from depth {rr_depth}", "deeper paths end at random, unbiased"))
+        reasons.append(
+            (f"Russian roulette from depth {rr_depth}", "deeper paths end at random, without bias")
+        )
 
     hide_emitters = bool(getattr(own, "hide_emitters", False))
     if hide_emitters:
-        reasons.append(("lights hidden from the camera", "as the scene's integrator says"))
-    reasons += _not_used(own)
+        reasons.append(("lights hidden from the camera", "as set by the scene's integrator"))
+    reasons += _unused_integrator(own)
 
     left_out = sum(not p.problem for p in parameters.values()) - len(inputs)
     reasons.append(
-        (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters stay detached")
+        (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters are not tracked")
     )
     against_replay = ((n, reason_against_replay(parameters[n], value)) for n, value in inputs.items())
     differences = tuple((name, reason) for name, reason in against_replay if reason is not None)
@@ -141,11 +143,11 @@ def make_plan(
             (f"{len(differences)} of them by finite differences", "two or three more renders each, see below")
         )
     replayed = {name: value for name, value in inputs.items() if name not in dict(differences)}
-    shiny = shiny_ones(parameters, replayed)
-    if shiny:
+    low_roughness = low_roughness_names(parameters, replayed)
+    if low_roughness:
         reasons.append(
             (
-                f"{len(shiny)} of them from their surfaces",
+                f"{len(low_roughness)} of them by light tracing",
                 "low roughness (pinhole and lens cameras, no bump maps)",
             )
         )
@@ -156,44 +158,44 @@ def make_plan(
     return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)
 
 
-# The scene's own integrators that do not render what path replay does, or not in its way, by their classes.
-_OTHERS = {
-    "AOVIntegrator": ("aov", "its channels beside radiance are not rendered"),
-    "DepthIntegrator": ("depth", "it shows distances, and radiance is rendered"),
+# Integrators of scenes that estimate something other than path replay does, or in another way, by class name.
+_OTHER_INTEGRATORS = {
+    "AOVIntegrator": ("aov", "only radiance is rendered, not its other channels"),
+    "DepthIntegrator": ("depth", "it renders depth; radiance is rendered instead"),
     "MomentIntegrator": ("moment", "squares of radiance are not rendered"),
     "StokesIntegrator": ("stokes", "polarization is not rendered"),
-    "ParticleTracerIntegrator": ("ptracer", "the same light is found from the camera, with other noise"),
-    "VolumetricPathIntegrator": ("volpath", "the same light is found by path replay"),
-    "VolpathMisIntegratorImpl": ("volpathmis", "the same light is found by path replay"),
-    "PRBVolpathIntegrator": ("prbvolpath", "the same light is found by path replay"),
+    "ParticleTracerIntegrator": ("ptracer", "the same light is traced from the camera, with other noise"),
+    "VolumetricPathIntegrator": ("volpath", "path replay renders the same light"),
+    "VolpathMisIntegratorImpl": ("volpathmis", "path replay renders the same light"),
+    "PRBVolpathIntegrator": ("prbvolpath", "path replay renders the same light"),
     "DirectProjectiveIntegrator": ("direct_projective", "visibility is not differentiated"),
     "PathProjectiveIntegrator": ("prb_projective", "visibility is not differentiated"),
 }
-# Those that path replay stands in for.
-_ALIKE = {"PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator"}
-_ALIKE |= {"ReplayIntegrator", "VolumetricReplayIntegrator"}
+# Integrators that path replay replaces without a difference.
+_EQUIVALENT_INTEGRATORS = {"PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator"}
+_EQUIVALENT_INTEGRATORS |= {"ReplayIntegrator", "VolumetricReplayIntegrator"}
 
 
-def _not_used(own: Any) -> list[tuple[str, str]]:
-    """Say that the scene's own integrator is not used, where pictures or derivatives could be expected of it."""
+def _unused_integrator(own: Any) -> list[tuple[str, str]]:
+    """Return the decision not to use the scene's own integrator, where its results would differ."""
     if own is None:
         return []
-    # Mitsuba knows a plugin in Python by the class of its base.
+    # For a plugin written in Python, Mitsuba reports the name of the base class.
     name = type(own).__name__ if own.class_name() == "SamplingIntegrator" else str(own.class_name())
-    if name in _ALIKE:
+    if name in _EQUIVALENT_INTEGRATORS:
         return []
-    plugin, reason = _OTHERS.get(name, (name, "radiance is found by path replay"))
+    plugin, reason = _OTHER_INTEGRATORS.get(name, (name, "path replay renders the radiance"))
     return [(f"the scene's integrator {plugin!r} is not used", reason)]
 
 
 def stock_plan(plan: RenderPlan) -> RenderPlan:
-    """Return the same plan with Mitsuba's own integrator, and its derivatives as they come."""
+    """Return the same plan with Mitsuba's own integrator and its uncorrected derivatives."""
     integrator = STOCK["volumetric" in plan.integrator]
     return dataclasses.replace(
         plan,
         integrator=integrator,
         reasons=(
-            (f"integrator {integrator}", "as asked: Mitsuba's own, to compare with"),
+            (f"integrator {integrator}", "as requested: Mitsuba's own, for comparison"),
             *plan.reasons[1:4],
         ),
         differences=(),
@@ -202,17 +204,17 @@ def stock_plan(plan: RenderPlan) -> RenderPlan:
 
 def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
     if max_depth is not None:
-        return max_depth, "as asked"
+        return max_depth, "as requested"
     depth = _setting(own, "max_depth")
     if depth is None and "Direct" in str(own):
-        return 2, "the scene's integrator stops at direct light"
+        return 2, "the scene's integrator renders direct light only"
     if depth is None:
-        return DEFAULT_DEPTH, "the scene names no depth"
-    # Mitsuba keeps "no limit" as the largest unsigned integer.
-    return (-1 if depth >= 2**31 else depth), "as the scene's integrator says"
+        return DEFAULT_DEPTH, "the scene sets no depth"
+    # Mitsuba stores "no limit" as the largest unsigned integer.
+    return (-1 if depth >= 2**31 else depth), "as set by the scene's integrator"
 
 
 def _setting(integrator: Any, name: str) -> int | None:
     """Read a setting of an integrator from its description; C++ integrators do not expose it otherwise."""
-    found = re.search(rf"{name} = (\d+)", str(integrator))
-    return int(found.group(1)) if found else None
+    match = re.search(rf"{name} = (\d+)", str(integrator))
+    return int(match.group(1)) if match else None

@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 import numpy as np
 import torch
 
-from .._finite import NotFiniteError
 from ..backend import device, exclusively
 from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
 from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
-from ..scene import SceneParameters, SurfaceMap, discover, load_scene, select
-from ..scene._extremes import check_scale
+from ..finite import NotFiniteError
+from ..projection import SurfaceMap
+from ..scene import SceneParameters, discover, load_scene, select
+from ..scene._checks import check_scale
 from ..scene._graph import SceneGraph
-from ..scene._loading import SceneLike, XmlParameters, as_text, describe, source_of
+from ..scene._loading import SceneLike, XmlParameters, format_parameters, hashable_source, scene_name
 from ..scene._selection import Selection
-from ._function import RenderCall, render
+from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import STOCK, RenderPlan, make_plan, stock_plan
 from ._sensors import choose_sensor, common_resolution
@@ -47,16 +48,16 @@ class SceneRenderer(torch.nn.Module):
     >>> x["left_wall.reflectance.value"].grad.shape
     torch.Size([3])
 
-    Every call is pure: it carries its own values into its backward pass and leaves a scene that was handed in
-    as it found it, but that objects without an id have got one. Any number of renders may live in one graph, and
-    a graph may be differentiated any number of times, but only to first order.
+    Every call is pure: its backward pass uses the values of its own forward pass, and an ``mi.Scene`` that was
+    passed in is restored, except that objects without an id get one. A graph may contain any number of renders
+    and may be differentiated any number of times, but only to first order.
 
     Parameters
     ----------
     scene
         A path to a Mitsuba XML file, the name of a bundled scene, a Mitsuba dict, or an ``mi.Scene``.
     inputs
-        What is differentiated: a kind (``"materials"``, ``"reflectance"``, ``"roughness"``, ``"ior"``,
+        The parameters to differentiate: a kind (``"materials"``, ``"reflectance"``, ``"roughness"``, ``"ior"``,
         ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"all"``), a glob over parameter names, an
         exact name, or a list of these.
     resolution
@@ -66,9 +67,9 @@ class SceneRenderer(torch.nn.Module):
     max_depth
         Longest path in segments (-1: no limit); the scene's own by default.
     sensor
-        Index of the sensor, or ``"fisheye"``: a 180° equidistant fisheye in place of the first one, square unless
-        ``resolution`` says otherwise. A list of these renders a stack ``(cameras, H, W, 3)``, which the metric
-        reduces; such a result has no heatmap.
+        Index of the sensor, or ``"fisheye"``: a 180° equidistant fisheye with the pose of the first one, square
+        unless ``resolution`` is given. A list of these renders a stack ``(cameras, H, W, 3)``, which the metric
+        reduces; its results have no heatmap.
     parameters
         Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
 
@@ -78,21 +79,21 @@ class SceneRenderer(torch.nn.Module):
         The selected parameters with the scene's own values: float32, a scalar 0-d, a colour ``(3,)``, a
         texture ``(H, W, C)``.
     plan : RenderPlan
-        Which integrator, depth and derivatives were chosen, and why.
+        The chosen integrator, path depth and derivative methods, with reasons.
     resolution : tuple of int
         ``(width, height)``.
     spp : int
-        Samples per pixel of a render, where ``spp=`` does not say otherwise.
+        Default samples per pixel of a render.
     name : str
-        What the scene is called in results.
+        The scene's name in results.
     checkpoint : Checkpoint or None
-        The folder of ``with_checkpoint``; its ``reused`` and ``rendered`` count passes.
+        The folder of ``with_checkpoint``; its ``reused`` and ``rendered`` count renders and backward passes.
 
     Raises
     ------
     SceneCaptumError
-        Where the scene cannot be loaded, ``inputs`` selects nothing that can be differentiated, or ``parameters``
-        are not those of the file.
+        If the scene cannot be loaded, ``inputs`` selects nothing differentiable, or ``parameters`` does not
+        match the file's placeholders.
     """
 
     def __init__(
@@ -111,12 +112,12 @@ class SceneRenderer(torch.nn.Module):
             self._variant, self._device = mi.variant(), device()
             self._borrowed = isinstance(scene, mi.Scene)
             self.checkpoint: Checkpoint | None = None
-            self._granted = 0  # bytes that were found to be available
+            self._granted_memory = 0  # bytes that were found to be available
             try:
                 size = self._load(scene, parameters, inputs, sensor, resolution, spp)
                 self._prepare(size, self._plan_for(max_depth))
             except SceneCaptumError as error:
-                # What was loaded goes now: let go with the error, it would go while another thread renders.
+                # Free the scene now: freed together with the error, it could go while another thread renders.
                 self.__dict__.clear()
                 traceback.clear_frames(error.__traceback__)
                 raise
@@ -130,20 +131,20 @@ class SceneRenderer(torch.nn.Module):
         resolution: tuple[int, int] | None,
         spp: int | None,
     ) -> tuple[int, int]:
-        """Load the scene, and look at what is in it; return the resolution."""
+        """Load the scene with its parameters and sensors; return the resolution."""
         from ._state import SceneState  # which needs an active variant
 
-        self.name = describe(scene)
+        self.name = scene_name(scene)
         loaded = load_scene(scene, parameters)
-        self._placeholders = as_text(parameters)
-        self._source = digest((source_of(scene), self._placeholders))
+        self._placeholders = format_parameters(parameters)
+        self._source = digest((hashable_source(scene), self._placeholders))
         check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
         self._table = discover(self._graph)
         self._names = select(self._table, inputs)
         self._stacked = isinstance(sensor, list)
         chosen = sensor if isinstance(sensor, list) else [sensor]
-        self._sensors = [choose_sensor(loaded, one, resolution) for one in chosen]
+        self._sensors = [choose_sensor(loaded, which, resolution) for which in chosen]
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
@@ -156,9 +157,9 @@ class SceneRenderer(torch.nn.Module):
         return make_plan(self._graph, self._table, values, max_depth)
 
     def _prepare(self, resolution: tuple[int, int], plan: RenderPlan) -> None:
-        """Make an engine for each sensor, all on the same scene."""
+        """Create an engine for each sensor, all on the same scene."""
         from ._engine import Engine
-        from ._stock import StockEngine
+        from ._stock_engine import StockEngine
         from ._visibility import trace_surfaces
 
         self.resolution = resolution
@@ -168,40 +169,42 @@ class SceneRenderer(torch.nn.Module):
         self._engines: Sequence[Engine | CheckpointedEngine] = [
             (StockEngine if plan.integrator in STOCK else Engine)(
                 self._graph,
-                one,
+                sensor,
                 self._state,
                 self._table,
                 plan,
                 resolution,
                 partial(
-                    _look,
+                    _cached_surface_map,
                     self._surface_maps,
                     index,
-                    partial(trace_surfaces, self._graph, self._table, one, resolution),
+                    partial(trace_surfaces, self._graph, self._table, sensor, resolution),
                 ),
                 borrowed=self._borrowed,
             )
-            for index, one in enumerate(self._sensors)
+            for index, sensor in enumerate(self._sensors)
         ]
-        self._record()
+        self._attach_checkpoint()
 
-    def _record(self) -> None:
-        """Let the engines keep their passes in the checkpoint, if there is one, and in no other."""
+    def _attach_checkpoint(self) -> None:
+        """Let the engines use this renderer's checkpoint, or none."""
         from ._checkpointed import CheckpointedEngine
 
-        bare = [one.engine if isinstance(one, CheckpointedEngine) else one for one in self._engines]
+        bare = [
+            engine.engine if isinstance(engine, CheckpointedEngine) else engine for engine in self._engines
+        ]
         self._engines = bare
         if self.checkpoint is not None:
             self._engines = [
-                CheckpointedEngine(one, self.checkpoint, fingerprint)
-                for one, fingerprint in zip(bare, self._fingerprints(), strict=True)
+                CheckpointedEngine(engine, self.checkpoint, fingerprint)
+                for engine, fingerprint in zip(bare, self._fingerprints(), strict=True)
             ]
 
     def with_checkpoint(self, checkpoint: Folder) -> SceneRenderer:
-        """Return this renderer with every picture and backward pass kept in a folder; None for no folder.
+        """Return this renderer with a folder that stores every render and backward pass; None for no folder.
 
-        What is in the folder is not rendered again, in this process or another: a job that was killed goes on
-        where it was. ``checkpoint=`` of the attribution methods does this for one call.
+        Stored results are not computed again, in this process or another, so that a killed job can be resumed.
+        ``checkpoint=`` of the attribution methods does this for one call.
 
         Example
         -------
@@ -215,24 +218,24 @@ class SceneRenderer(torch.nn.Module):
         Raises
         ------
         SceneCaptumError
-            Where the folder cannot be written.
+            If the folder cannot be written.
         """
         if checkpoint is not None and not isinstance(checkpoint, Checkpoint):
             checkpoint = Checkpoint(checkpoint)
-        other = self._twin()
+        other = self._shallow_copy()
         other.checkpoint = checkpoint
-        other._record()
+        other._attach_checkpoint()
         return other
 
-    def _twin(self) -> SceneRenderer:
-        """Return another renderer of the same scene, with hooks of its own."""
+    def _shallow_copy(self) -> SceneRenderer:
+        """Return another renderer of the same scene, with its own module hooks."""
         other = type(self).__new__(type(self))
         other.__dict__.update(self.__dict__)
         torch.nn.Module.__init__(other)
         return other
 
     def memory(self, *, spp: int | None = None, pictures: int = 1) -> int:
-        """Return how many bytes rendering and differentiating will take at most, beyond what the process holds.
+        """Return an upper bound on the bytes that rendering and differentiating will allocate.
 
         Example
         -------
@@ -243,14 +246,14 @@ class SceneRenderer(torch.nn.Module):
         Parameters
         ----------
         spp
-            Samples per pixel of each picture; the renderer's by default.
+            Samples per pixel of each image; the renderer's by default.
         pictures
-            How many are held at the same time: the ``replicates`` of an attribution.
+            Number of images held at the same time: the ``replicates`` of an attribution.
         """
         return predict(*self._sizes(spp, pictures))
 
     def require_memory(self, *, spp: int | None = None, pictures: int = 1) -> None:
-        """Raise where ``memory`` is more than is available, with settings that would fit.
+        """Raise if ``memory`` exceeds the available memory, with settings that would fit.
 
         Parameters
         ----------
@@ -260,13 +263,13 @@ class SceneRenderer(torch.nn.Module):
         Raises
         ------
         SceneCaptumError
-            Naming both numbers.
+            Names both amounts.
         """
         sizes = self._sizes(spp, pictures)
-        if (needed := predict(*sizes)) > self._granted:
+        if (needed := predict(*sizes)) > self._granted_memory:
             require(*sizes, available() if self._device.type == "cpu" else None)
-            # What was taken once is not available, but still there.
-            self._granted = needed
+            # Memory allocated by an earlier call counts as used but can be reused.
+            self._granted_memory = needed
 
     def _sizes(self, spp: int | None, pictures: int) -> tuple[tuple[int, int], int, int, int]:
         width, height = self.resolution
@@ -274,7 +277,7 @@ class SceneRenderer(torch.nn.Module):
         return (width * len(self._sensors), height), self.spp if spp is None else spp, pictures, texels
 
     def _fingerprints(self) -> list[str]:
-        """Return for each sensor a hash of all that its pictures follow from beside values, seed and samples."""
+        """Return for each sensor a hash of everything that its images depend on, except values, seed and spp."""
         from ._checkpointed import fingerprint, scene_contents
 
         plan = self.plan
@@ -285,9 +288,9 @@ class SceneRenderer(torch.nn.Module):
             "hide_emitters": plan.hide_emitters,
             "resolution": self.resolution,
         }
-        with self._engines[0].holding({}):
+        with self._engines[0].with_values({}):
             scene = scene_contents(self._graph.scene)
-            return [fingerprint(scene, one, settings) for one in self._sensors]
+            return [fingerprint(scene, sensor, settings) for sensor in self._sensors]
 
     def replace(
         self,
@@ -296,7 +299,7 @@ class SceneRenderer(torch.nn.Module):
         max_depth: int | None = None,
         integrator: str | None = None,
     ) -> SceneRenderer:
-        """Return a renderer of the same scene and inputs with other settings; both hold one scene.
+        """Return a renderer with other settings that shares this renderer's scene and inputs.
 
         Example
         -------
@@ -309,13 +312,13 @@ class SceneRenderer(torch.nn.Module):
         resolution, max_depth
             As for the constructor; this renderer's by default.
         integrator
-            ``"prb"`` for Mitsuba's own path replay (``prbvolpath`` where there is a medium) with its derivatives
-            as they come, wrong ones included: to compare with.
+            ``"prb"`` for Mitsuba's own path replay (``prbvolpath`` where there is a medium) and its uncorrected
+            derivatives, for comparison.
 
         Raises
         ------
         SceneCaptumError
-            Where a setting is wrong.
+            If a setting is invalid.
         """
         if integrator not in (None, "prb"):
             raise SceneCaptumError(f'integrator must be "prb", or left out, not {integrator!r}.')
@@ -325,18 +328,18 @@ class SceneRenderer(torch.nn.Module):
             stock = integrator is not None or self.plan.integrator in STOCK
             if stock and plan.integrator not in STOCK:
                 plan = stock_plan(plan)
-            other = self._twin()
+            other = self._shallow_copy()
             other._prepare(size, plan)
         return other
 
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
-        """The selected parameters with the scene's own values, detached copies made afresh at each access."""
-        self._engines[0].look()
+        """The selected parameters with the scene's own values, as new detached copies at each access."""
+        self._engines[0].refresh_originals()
         return {name: self._engines[0].original[name].clone().to(self._device) for name in self._names}
 
     def leaves(self) -> dict[str, torch.Tensor]:
-        """Return ``inputs`` again as leaves that require grad."""
+        """Return ``inputs`` as leaves that require grad."""
         return {name: value.requires_grad_() for name, value in self.inputs.items()}
 
     @property
@@ -351,12 +354,12 @@ class SceneRenderer(torch.nn.Module):
 
     @property
     def camera(self) -> Camera:
-        """Where each pixel looks and how large it is: directions and solid angles.
+        """Ray direction and solid angle of each pixel.
 
         Raises
         ------
         SceneCaptumError
-            For a list of sensors, whose cameras are ``cameras``.
+            For a list of sensors: use ``cameras``.
         """
         if self._stacked:
             raise SceneCaptumError(
@@ -368,17 +371,17 @@ class SceneRenderer(torch.nn.Module):
     def cameras(self) -> list[Camera]:
         """The camera of every sensor."""
         with exclusively(self._variant):
-            from ._cameras import camera_of  # which registers a sensor under the variant that is active
+            from ._cameras import camera_of  # which registers a sensor under the active variant
 
-            found = []
+            cameras = []
             for engine, sensor in zip(self._engines, self._sensors, strict=True):
-                with engine.at_hand():
-                    found.append(camera_of(sensor))
-            return found
+                with engine.exclusive_scene():
+                    cameras.append(camera_of(sensor))
+            return cameras
 
     @property
     def info(self) -> dict[str, Any]:
-        """How this renderer renders, in plain values, for the record of a result."""
+        """The settings of this renderer as plain values, for the ``info`` of results."""
         return {
             "scene": self.name,
             **({"parameters": self._placeholders.copy()} if self._placeholders else {}),
@@ -391,55 +394,55 @@ class SceneRenderer(torch.nn.Module):
         }
 
     def parameters_table(self) -> SceneParameters:
-        """Return every parameter of the scene with kind, shape, bounds, owner and status; prints as a table."""
+        """Return all parameters of the scene with kind, shape, bounds, owner and status; prints as a table."""
         return self._table
 
     @property
     def surfaces(self) -> SurfaceMap | None:
-        """Which objects each pixel shows; None for a list of sensors."""
-        return None if self._stacked else self._surfaces_seen_by(0)
+        """The objects that each pixel shows; None for a list of sensors."""
+        return None if self._stacked else self._surface_map(0)
 
     def surfaces_with_texels(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
-        """Return ``surfaces`` together with the texels of textures that each pixel shows.
+        """Return ``surfaces`` with the texels that each pixel shows.
 
         Parameters
         ----------
         names
-            Parameters that are the texels of bitmaps or of the environment map, or attributes of the vertices or
-            faces of a mesh, by default all such inputs; others are passed over.
+            Parameters that are texels of bitmaps or of the environment map, or vertex or face attributes of a
+            mesh; by default all such inputs. Others are ignored.
         """
-        return None if self._stacked else self._surfaces_seen_by(0, self._textures(names))
+        return None if self._stacked else self._surface_map(0, self._textures(names))
 
     def see_through(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
-        """Return what each pixel shows in mirrors and behind glass; None for a list of sensors.
+        """Return the objects that each pixel shows in mirrors and behind glass; None for a list of sensors.
 
-        Rays go on where a surface only mirrors or lets pass, to the first that scatters light or shines, or until
-        they have met a dozen. Where a surface does both, its share of a pixel is parted as its light is; what it
-        absorbs is not told, so that shares sum to 1. ``heatmap(surfaces=…)`` paints on the map.
+        Rays continue at specular surfaces, up to 12 times, to the first surface that scatters or emits light.
+        Where a surface reflects and transmits, its fraction of a pixel is split as its light is. Absorption is
+        ignored, so that fractions sum to 1. ``heatmap(surfaces=…)`` paints on the map.
 
         Parameters
         ----------
         names
-            Of which textures the map tells the texels, as in ``surfaces_with_texels``.
+            Textures whose texels the map contains, as in ``surfaces_with_texels``.
         """
-        return None if self._stacked else self._surfaces_seen_by(0, self._textures(names), through=True)
+        return None if self._stacked else self._surface_map(0, self._textures(names), through=True)
 
     @property
     def guides(self) -> Guides:
         """Albedo and normals without noise, for a denoiser: ``(H, W, 3)``, or ``(cameras, H, W, 3)`` for a list.
 
-        They show the first surface that scatters light, in mirrors and behind glass too, with the scene's own
+        They are those of the first surface that scatters light, through mirrors and glass, with the scene's own
         values.
         """
         from ._guides import trace_guides
 
         if self._guides is None:
-            found = []
+            guides = []
             for engine, sensor in zip(self._engines, self._sensors, strict=True):
-                with engine.holding({}):
-                    found.append(trace_guides(self._graph.scene, sensor, self.resolution))
-            stacks = torch.stack([one.albedo for one in found]), torch.stack([one.normal for one in found])
-            self._guides = Guides(*stacks) if self._stacked else found[0]
+                with engine.with_values({}):
+                    guides.append(trace_guides(self._graph.scene, sensor, self.resolution))
+            stacks = torch.stack([g.albedo for g in guides]), torch.stack([g.normal for g in guides])
+            self._guides = Guides(*stacks) if self._stacked else guides[0]
         return self._guides
 
     def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
@@ -448,10 +451,10 @@ class SceneRenderer(torch.nn.Module):
             n for n in wanted if n in self._engines[0].original and len(self._table[n].shape) in (2, 3)
         )
 
-    def _surfaces_seen_by(
+    def _surface_map(
         self, index: int, textures: tuple[str, ...] = (), *, through: bool = False
     ) -> SurfaceMap:
-        """Trace what a sensor shows, once: nothing that can be an input moves geometry."""
+        """Return a sensor's surface map. It is cached, because no input moves geometry."""
         from ._texels import find_textures
         from ._visibility import trace_surfaces
 
@@ -459,14 +462,14 @@ class SceneRenderer(torch.nn.Module):
         if key not in self._surface_maps:
             engine, sensor = self._engines[index], self._sensors[index]
 
-            def hold(name: str, texels: Any) -> Any:
-                return engine.holding({name: torch.from_numpy(texels).to(self._device)})
+            def with_texels(name: str, texels: Any) -> Any:
+                return engine.with_values({name: torch.from_numpy(texels).to(self._device)})
 
-            with engine.at_hand():
+            with engine.exclusive_scene():
                 shapes = {name: self._table[name].shape for name in textures}
-                found = list(find_textures(self._graph, shapes, hold))
+                lookups = list(find_textures(self._graph, shapes, with_texels))
                 self._surface_maps[key] = trace_surfaces(
-                    self._graph, self._table, sensor, self.resolution, found, through=through
+                    self._graph, self._table, sensor, self.resolution, lookups, through=through
                 )
         return self._surface_maps[key]
 
@@ -484,17 +487,17 @@ class SceneRenderer(torch.nn.Module):
         Parameters
         ----------
         inputs
-            Values by parameter name; a parameter that is not named keeps the scene's value.
+            Values by parameter name; other parameters keep the scene's values.
         seed
             Seed of the samples.
         spp
-            Samples per pixel, if not the renderer's.
+            Samples per pixel; the renderer's by default.
         seed_grad
-            Seed of the samples of the backward pass. By default the same samples are replayed, so that the
-            gradient is that of the very image that was rendered. Samples of their own (``seed_grad`` other
-            than ``seed``) are spent where the metric's derivative is: pixels are chosen by their adjoint.
+            Seed of the backward pass. By default the same samples are replayed, so that the gradient is that of
+            the very image that was rendered. With a ``seed_grad`` other than ``seed``, the backward pass has
+            independent samples, and importance-samples pixels by the adjoint.
         spp_grad
-            Samples per pixel of the backward pass, as many as ``spp`` by default.
+            Samples per pixel of the backward pass; ``spp`` by default.
 
         Returns
         -------
@@ -504,7 +507,7 @@ class SceneRenderer(torch.nn.Module):
         Raises
         ------
         SceneCaptumError
-            Before anything is rendered, where a name is unknown, a shape wrong or a value unphysical.
+            Before anything is rendered, if a name is unknown, a shape is wrong or a value is unphysical.
         """
         given = dict(inputs or {})
         for name, value in given.items():
@@ -532,12 +535,12 @@ class SceneRenderer(torch.nn.Module):
                 for number, engine in enumerate(self._engines)
             ]
         except NotFiniteError as error:
-            raise NotFiniteError(f"{error}{self._suspects()}") from error
+            raise NotFiniteError(f"{error}{self._possible_causes()}") from error
         return torch.stack(images) if self._stacked else images[0]
 
-    def _suspects(self) -> str:
-        """Name the scene's own values that are not finite or impossible, in sentences."""
-        faults = [f" {name!r} may be why: {p.fault}." for name, p in self._table.items() if p.fault]
+    def _possible_causes(self) -> str:
+        """Return sentences that name values in the scene that are not finite or not physical."""
+        faults = [f" {name!r} may be the cause: {p.fault}." for name, p in self._table.items() if p.fault]
         return "".join(faults[:3])
 
     def derivative_image(
@@ -549,7 +552,7 @@ class SceneRenderer(torch.nn.Module):
         seed: int = 0,
         spp: int | None = None,
     ) -> torch.Tensor:
-        """Return by how much each pixel changes with a parameter, ``∂I/∂θ``, in forward mode.
+        """Return the derivative of each pixel with respect to a parameter, ``∂I/∂θ``, in forward mode.
 
         Example
         -------
@@ -564,9 +567,9 @@ class SceneRenderer(torch.nn.Module):
         name
             The parameter: an input, or any other that can be differentiated.
         direction
-            How it moves, of its shape; by default all its channels and texels by 1.
+            Direction of the derivative, of the parameter's shape; ones by default.
         inputs
-            The values at which the derivative is taken, by default the scene's own.
+            Values at which the derivative is computed; the scene's own by default.
         seed, spp
             As for a render.
 
@@ -578,10 +581,10 @@ class SceneRenderer(torch.nn.Module):
         Raises
         ------
         SceneCaptumError
-            Where the parameter is unknown or cannot be differentiated, or a shape or value is wrong.
+            If the parameter is unknown or not differentiable, or a shape or value is wrong.
         """
         given = dict(inputs or {})
-        self._engines[0].look()
+        self._engines[0].refresh_originals()
         value = given.pop(name, self._engines[0].original.get(name, torch.zeros(())))
         self._check_tensor(name, value)
         direction = torch.ones_like(value) if direction is None else direction.to(value)
@@ -590,10 +593,10 @@ class SceneRenderer(torch.nn.Module):
                 f"direction has shape {tuple(direction.shape)}, but {name!r} has {tuple(value.shape)}."
             )
 
-        def picture(moving: torch.Tensor) -> torch.Tensor:
+        def image(moving: torch.Tensor) -> torch.Tensor:
             return cast(torch.Tensor, self({**given, name: moving}, seed=seed, spp=spp))
 
-        return cast(torch.Tensor, torch.func.jvp(picture, (value,), (direction,))[1])
+        return cast(torch.Tensor, torch.func.jvp(image, (value,), (direction,))[1])
 
     def effective_samples(
         self,
@@ -603,30 +606,31 @@ class SceneRenderer(torch.nn.Module):
         spp: int | None = None,
         replicates: int = 1,
     ) -> dict[str, float]:
-        """Return how many samples tell the spread of each gradient, in effect; for few, a spread tells no error.
+        """Return the effective number of samples behind the variance of each gradient.
 
-        A gradient is a sum of contributions of single paths. Where these are many and alike, a few independent
-        replicates tell its error; where a few bright paths make up most of the variance, replicates are likely to
-        miss them, and to agree with each other all the same. Contributions ``c`` are worth ``(Σc²)² / Σc⁴`` equal
-        ones; the inverse is the excess kurtosis of the sum. A pilot counts the light that each parameter acts on,
-        at the scene's own values.
+        A gradient is a sum of contributions of single paths. If these are many and similar, the spread of a few
+        replicates estimates its error. If most of the variance comes from a few bright paths, replicates are
+        likely to miss them and still agree with each other, so a low number means that the standard error is
+        unreliable. Contributions ``c`` have an effective number of ``(Σc²)² / Σc⁴``, the inverse of the excess
+        kurtosis of their sum. It is estimated from a pilot render of the light that each parameter acts on, at
+        the scene's own values.
 
         Parameters
         ----------
         values
-            The parameters that are differentiated, and where.
+            The differentiated parameters and their values.
         adjoint
-            The derivative of a metric with respect to the picture, of its shape.
+            The derivative of a metric with respect to the image, of the image's shape.
         spp
-            Samples per pixel of a replicate, the renderer's by default.
+            Samples per pixel of a replicate; the renderer's by default.
         replicates
-            How many there are.
+            Number of replicates.
 
         Returns
         -------
         dict
-            By parameter, 0 where no path of the pilot has met it. Media are left out, and low roughnesses that are
-            sampled from their surfaces.
+            By parameter; 0 if no path of the pilot hit it. Media are left out, and low roughnesses that are
+            differentiated by light tracing.
 
         References
         ----------
@@ -634,12 +638,13 @@ class SceneRenderer(torch.nn.Module):
         """
         spp = whole_number("spp", self.spp if spp is None else spp)
         adjoints = adjoint if self._stacked else [adjoint]
-        spreads = [
-            engine.spread(values, tuple(values), one, spp, replicates)
-            for engine, one in zip(self._engines, adjoints, strict=True)
+        cumulants = [
+            engine.cumulants(values, tuple(values), camera_adjoint, spp, replicates)
+            for engine, camera_adjoint in zip(self._engines, adjoints, strict=True)
         ]
         variances, fourths = (
-            {name: sum(one[name][index] for one in spreads) for name in spreads[0]} for index in range(2)
+            {name: sum(camera[name][index] for camera in cumulants) for name in cumulants[0]}
+            for index in range(2)
         )
         return {
             name: variance**2 / fourths[name] if fourths[name] else 0.0
@@ -654,7 +659,7 @@ class SceneRenderer(torch.nn.Module):
         bounds: Literal["raise", "reflect"] = "raise",
         denoise: bool = False,
     ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
-        """Return ``(forward, inputs)``, on which Captum's own classes run.
+        """Return ``(forward, inputs)`` for Captum's own classes.
 
         Example
         -------
@@ -666,10 +671,10 @@ class SceneRenderer(torch.nn.Module):
         >>> dict(zip(renderer.inputs, attributions))["light.emitter.radiance.value"].shape
         torch.Size([1, 3])
 
-        Gradients are those of the very image that was rendered, its noise included; the standard errors and the
-        correction for that noise are what the library's own methods add. Methods that look inside a network
-        (DeepLift, LRP, layers and neurons) find none here. All rows of a batch share one graph;
-        ``internal_batch_size`` and ``nt_samples_batch_size`` bound what that holds.
+        Gradients are those of the very image that was rendered, including its noise. Only the library's own
+        methods add standard errors and correct the bias from that noise. Methods that need a network's layers
+        (DeepLift, LRP, layer and neuron attribution) do not apply. All rows of a batch share one graph;
+        ``internal_batch_size`` and ``nt_samples_batch_size`` limit its memory.
 
         Parameters
         ----------
@@ -677,16 +682,18 @@ class SceneRenderer(torch.nn.Module):
             A torch function from one image ``(H, W, 3)`` to a scalar, or to a vector that Captum's ``target``
             indexes.
         seed
-            Seed of the samples of every row: rows and calls then differ by their values alone. ``None`` draws a
-            fresh one for each row of each call from torch's global generator (``torch.manual_seed``).
+            Seed of the samples of every row, so that rows and calls differ by their values alone. ``None`` draws a
+            new seed for each row of each call from torch's global generator (``torch.manual_seed``).
         bounds
-            What becomes of values beyond the physical bounds: ``"raise"`` refuses them, ``"reflect"`` folds them
-            back at the bounds before rendering, differentiably. Noise needs that, and so does a baseline of zero
-            where zero is unphysical (a roughness); attributions belong to the values before the fold.
+            How values beyond the physical bounds are handled: ``"raise"`` refuses them, ``"reflect"`` reflects
+            them at the bounds before rendering, differentiably. Methods that add noise need this, and so does a
+            baseline of zero where zero is unphysical (a roughness). Attributions refer to the values before
+            reflection.
         denoise
-            Whether the metric sees denoised pictures (Open Image Denoise, with ``guides``). The gradient is taken
-            at what it sees and goes through the denoiser unchanged. There is no ``"auto"`` here: Captum sees one
-            picture at a time, which tells nothing of its own noise.
+            Whether to evaluate the metric on denoised images (Open Image Denoise, with ``guides``). The
+            gradient is that at the denoised image and passes through the denoiser unchanged (straight-through).
+            There is no ``"auto"``, because the noise cannot be estimated from the single image that Captum
+            renders at a time.
 
         Returns
         -------
@@ -698,15 +705,15 @@ class SceneRenderer(torch.nn.Module):
         Raises
         ------
         SceneCaptumError
-            Where an option is wrong. From ``forward``: where the tensors do not fit the inputs, the metric
-            returns neither scalar nor vector, or a value is unphysical.
+            If an option is invalid. From ``forward``: if the tensors do not match the inputs, the metric returns
+            neither scalar nor vector, or a value is unphysical.
         """
         from ._captum import as_captum
 
         return as_captum(self, metric, seed=seed, bounds=bounds, denoise=denoise)
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
-        """Refuse what can be refused without looking at the numbers, which a transform may hide."""
+        """Check name, type and shape, but not the values, which a torch transform may hide."""
         if name not in self._engines[0].original:
             if name in self._table:
                 raise SceneCaptumError(f"{name!r} cannot be set: {self._table[name].problem}.")
@@ -724,13 +731,13 @@ class SceneRenderer(torch.nn.Module):
 
     def _check_values(self, values: Mapping[str, torch.Tensor]) -> None:
         for name, value in values.items():
-            # The scene's own values are what Mitsuba accepted (a principled roughness of 0, say).
+            # The scene's own values were accepted by Mitsuba (e.g. a principled roughness of 0).
             if torch.equal(value, self._engines[0].original[name]):
                 continue
             low, high = (extreme.item() for extreme in value.aminmax())
             bounds = self._table[name].bounds
             if not (math.isfinite(low) and math.isfinite(high)):
-                raise SceneCaptumError(f"{name!r} holds a value that is not finite.")
+                raise SceneCaptumError(f"{name!r} contains a value that is not finite.")
             if low < bounds.low or high > bounds.high or (bounds.open_low and low == bounds.low):
                 worst = high if high > bounds.high else low
                 raise SceneCaptumError(
@@ -739,19 +746,24 @@ class SceneRenderer(torch.nn.Module):
                 )
 
     def extra_repr(self) -> str:
-        """Show the scene, the size of the picture and the number of inputs."""
+        """Show the scene, the number of inputs, the resolution and the samples per pixel."""
         width, height = self.resolution
         return f"{self.name!r}, {len(self._names)} inputs, {width}×{height}, {self.spp} spp"
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         raise SceneCaptumError(
-            "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Build it again "
-            "from its scene file, in the worker process where there are several (spawn, not fork)."
+            "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Create it again "
+            "from its scene file; with several processes, in each worker (spawn, not fork)."
         )
 
 
-def _look(maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMap]) -> SurfaceMap:
-    """Return what a sensor shows. An engine that held its renderer would keep both, and the scene, in memory."""
+def _cached_surface_map(
+    maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMap]
+) -> SurfaceMap:
+    """Return a sensor's surface map.
+
+    Not a method: an engine with a reference to its renderer would keep both, and the scene, in memory.
+    """
     key = (index, (), False)
     if key not in maps:
         maps[key] = trace()
@@ -759,16 +771,16 @@ def _look(maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMa
 
 
 def _variant_of(scene: SceneLike) -> str | None:
-    """Return the variant that a scene object was made under; what is yet to be loaded has none."""
+    """Return the variant that a scene object was loaded under; None for a path, name or dict."""
     variant: str | None = scene.variant_name() if hasattr(scene, "variant_name") else None
     if variant is not None and not variant.endswith("_rgb"):
         raise SceneCaptumError(
-            f"The mi.Scene was loaded under {variant}, and only RGB is rendered here. Load it after "
-            "scenecaptum.activate('llvm_ad_rgb'), or hand in its file or dict."
+            f"The mi.Scene was loaded under {variant}, and only RGB variants are supported. Load it after "
+            "scenecaptum.activate('llvm_ad_rgb'), or pass its file or dict."
         )
     return variant
 
 
 def _seed_of_camera(seed: int, number: int) -> int:
-    """Return the seed of one camera of several, whose noise is its own; the first has the seed itself."""
+    """Return an independent seed for each camera; the first has the seed itself."""
     return seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1)[0])

@@ -1,4 +1,4 @@
-"""Which sensors of a scene a renderer looks through, and how large their pictures are."""
+"""Select sensors of a scene and their common resolution."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..errors import SceneCaptumError, whole_number
 
 
 def choose_sensor(scene: Any, which: int | str, resolution: tuple[int, int] | None) -> Any:
-    """Return a sensor of the scene by its index, or a fisheye in the place of the first."""
+    """Return a sensor of the scene by its index, or a fisheye with the pose of the first."""
     sensors = scene.sensors()
     if isinstance(which, str):
         if which != "fisheye":
@@ -22,22 +22,22 @@ def choose_sensor(scene: Any, which: int | str, resolution: tuple[int, int] | No
     if "pixel_format = rgb," not in str(sensors[index].film()):
         raise SceneCaptumError(
             f'The film of sensor {index} does not record linear RGB. Give it pixel_format="rgb" (hdrfilm), or '
-            "hand in the scene's file or dict, which is loaded so."
+            "pass the scene's file or dict, which is loaded with an RGB film."
         )
     return sensors[index]
 
 
 def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the ``(width, height)`` of all sensors' pictures: the films' own where none is asked for."""
+    """Return the ``(width, height)`` of all sensors: ``resolution``, or that of their films."""
     if not sensors:
         raise SceneCaptumError("sensor is an empty list: name at least one sensor.")
-    found = {_resolution(sensor, resolution) for sensor in sensors}
-    if len(found) > 1:
-        sizes = ", ".join(f"{width}×{height}" for width, height in sorted(found))
+    sizes = {_resolution(sensor, resolution) for sensor in sensors}
+    if len(sizes) > 1:
+        text = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
         raise SceneCaptumError(
-            f"The sensors have pictures of different sizes ({sizes}): give resolution= for all of them."
+            f"The sensors have films of different sizes ({text}): give resolution= for all of them."
         )
-    return found.pop()
+    return sizes.pop()
 
 
 def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, int]:
@@ -47,8 +47,8 @@ def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, i
         return width, height
     if list(film.crop_size()) != list(film.size()):
         raise SceneCaptumError(
-            f"The film shows a crop of {width}×{height} pixels, so resolution= would be ambiguous: "
-            "leave it out, or take the crop out of the scene."
+            f"The film has a crop window of {width}×{height} pixels, so resolution= would be ambiguous: "
+            "leave it out, or remove the crop from the scene."
         )
     return _checked(resolution)
 

@@ -1,4 +1,4 @@
-"""The values that a live Mitsuba scene holds: reading, writing, tracking and restoring them.
+"""Parameter values of a live Mitsuba scene: reading, writing, tracking and restoring them.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -14,19 +14,19 @@ import torch
 
 
 class SceneState:
-    """Writes parameter values into a scene, and only those that differ from what it holds.
+    """Writes parameter values into a scene, but only those that differ from its current ones.
 
-    A write is not free (a rough plastic makes its tables anew, 20 to 60 ms each), so a scene keeps the last values
-    until others are asked for or ``restore`` is called.
+    Writing is expensive (a rough plastic rebuilds its tables in 20 to 60 ms), so the scene keeps the last values
+    until others are written or ``restore`` is called.
 
     Parameters
     ----------
     scene
         The live ``mi.Scene``.
     shapes
-        The parameters that may be written, and their shapes in torch. Where that has one number and the scene a
-        colour, which a material looks up as one number, it is the mean of its channels, or a bitmap's luminance,
-        as Mitsuba takes it; what is written goes to all channels alike.
+        The writable parameters and their shapes in torch. A parameter may be a number here but a colour in the
+        scene, where a material uses it as a number: then it reads as the mean of the channels, or as the luminance
+        of a bitmap, as in Mitsuba, and is written to all channels.
     """
 
     def __init__(self, scene: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -34,85 +34,89 @@ class SceneState:
         self._params.properties = {n: p for n, p in self._params.properties.items() if n in shapes}
         self._shapes = shapes
         self._types = {name: type(self._params[name]) for name in shapes}
-        self._grey = {
+        self._monochrome = {
             name
             for name, shape in shapes.items()
             if shape[2:] in ((), (1,)) and flat(self._params[name]).shape == (*shape[:2], 3)
         }
-        self._found: dict[str, Any] = {}
+        self._snapshot: dict[str, Any] = {}
         self.leaves: dict[str, Any] = {}
         self.original = {name: self._to_torch(name, self._params[name]) for name in shapes}
-        self._held = dict(self.original)
+        self._current = dict(self.original)
 
     @property
     def scalars(self) -> tuple[float, ...]:
-        """What the scene holds of the values that Mitsuba keeps as plain numbers, which it writes into kernels."""
+        """The current values that Mitsuba stores as plain numbers, which become literals in kernels."""
         return tuple(self._params[name] for name, kind in self._types.items() if kind is float)
 
-    def look(self) -> None:
-        """Take what the scene holds now for its own values: its owner may have changed them."""
-        self._found = {name: kind(self._params[name]) for name, kind in self._types.items()}
-        self.original = {name: self._to_torch(name, value) for name, value in self._found.items()}
-        self._held = dict(self.original)
+    def refresh_originals(self) -> None:
+        """Read the scene's own values again, because its owner may have changed them."""
+        self._snapshot = {name: kind(self._params[name]) for name, kind in self._types.items()}
+        self.original = {name: self._to_torch(name, value) for name, value in self._snapshot.items()}
+        self._current = dict(self.original)
 
-    def stale(self, values: Mapping[str, torch.Tensor], tracked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return what must be written so that the scene holds ``values`` and tracks ``tracked``.
+    def pending_writes(
+        self, values: Mapping[str, torch.Tensor], tracked: Collection[str]
+    ) -> dict[str, torch.Tensor]:
+        """Return the writes that give the scene these ``values`` and track ``tracked``.
 
-        Values of the caller's are copied: Dr.Jit borrows torch's memory, which the caller may change at any time.
+        The caller's tensors are copied: Dr.Jit borrows torch's memory, which the caller may change at any time.
         """
         return {
             name: self.original[name] if torch.equal(tensor, self.original[name]) else tensor.clone()
             for name, tensor in {**self.original, **values}.items()
-            if (name in tracked) != (name in self.leaves) or not self._holds(name, tensor)
+            if (name in tracked) != (name in self.leaves) or not self._is_current(name, tensor)
         }
 
     def write(
-        self, stale: Mapping[str, torch.Tensor], arrays: Sequence[Any], tracked: Collection[str]
+        self, pending: Mapping[str, torch.Tensor], arrays: Sequence[Any], tracked: Collection[str]
     ) -> None:
-        """Put ``arrays``, the ``stale`` tensors as Dr.Jit sees them, into the scene."""
-        leaves = {name: leaf for name, leaf in self.leaves.items() if name not in stale}
-        for name, array in zip(stale, arrays, strict=True):
-            # Until the write has gone through, nothing is known of what the scene holds.
-            self._held.pop(name, None)
+        """Write ``pending`` into the scene; ``arrays`` are its tensors as Dr.Jit arrays."""
+        leaves = {name: leaf for name, leaf in self.leaves.items() if name not in pending}
+        for name, array in zip(pending, arrays, strict=True):
+            # The scene's value is unknown until the update has succeeded.
+            self._current.pop(name, None)
             value = _from_tensor(self._leaf_type(name), array)
             if name in tracked:
                 dr.enable_grad(value)
-                # The scene may derive its own array from this one (a padded environment map), so the gradient
-                # is read here, not from the scene.
+                # The scene may derive another array from this one (a padded environment map), so the gradient is
+                # read from this leaf, not from the scene.
                 leaves[name] = value
             self._params[name] = self._in_scene(name, value)
-        if stale:
+        if pending:
             self._params.update()
-        self._held.update(stale)
+        self._current.update(pending)
         self.leaves = leaves
         self.forget_gradients()
 
     def forget_gradients(self) -> None:
-        """Set the gradients of all leaves to 0."""
+        """Clear the gradients of all leaves."""
         dr.clear_grad(list(self.leaves.values()))
 
     def set_tangents(self, tangents: Mapping[str, Any]) -> None:
-        """Give the leaves their tangents and carry them to the arrays that the scene derives from the leaves."""
+        """Set the tangents of leaves and propagate them to the arrays that the scene derives from these."""
         for name, tangent in tangents.items():
             leaf = self.leaves[name]
             dr.set_grad(leaf, _from_tensor(type(leaf), tangent))
             dr.enqueue(dr.ADMode.Forward, leaf)
         dr.traverse(dr.ADMode.Forward, flags=dr.ADFlag.ClearEdges)
-        # That used up the edges between leaves and scene: the next write starts afresh.
-        self._held.clear()
+        # This has cleared the edges between leaves and scene, so the next call must write everything again.
+        self._current.clear()
 
     def release(self) -> None:
-        """Stop tracking: what remains of this scene's graph must not reach another's."""
+        """Stop tracking, so that the rest of this scene's graph cannot affect another scene's derivatives."""
         self._assign({name: self._in_scene(name, dr.detach(leaf)) for name, leaf in self.leaves.items()})
 
     def restore(self) -> None:
-        """Put back what ``look`` found, where anything has changed."""
+        """Write back the values that ``refresh_originals`` found, where they have changed."""
         changed = {
-            n: v for n, v in self._found.items() if n in self.leaves or not self._holds(n, self.original[n])
+            n: v
+            for n, v in self._snapshot.items()
+            if n in self.leaves or not self._is_current(n, self.original[n])
         }
         self._assign(changed)
-        self._held = dict(self.original)
-        self._found = {}
+        self._current = dict(self.original)
+        self._snapshot = {}
 
     def _assign(self, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
@@ -123,31 +127,31 @@ class SceneState:
 
     def _to_torch(self, name: str, value: Any) -> torch.Tensor:
         tensor: torch.Tensor = flat(dr.detach(value)).torch()
-        if name in self._grey:
+        if name in self._monochrome:
             weights = torch.tensor(_LUMINANCE if self._shapes[name] else _MEAN).to(tensor)
             tensor = (tensor * weights).sum(-1, keepdim=bool(self._shapes[name]))
-        # The attributes of a mesh are rows; a texture may have got another size since it was loaded.
+        # A mesh attribute is a table of rows; a texture may have been resized since it was loaded.
         rows = (-1, *self._shapes[name][1:]) if len(self._shapes[name]) == 2 else tensor.shape
         return tensor.to(torch.float32).clone().reshape(rows)
 
     def _leaf_type(self, name: str) -> type:
-        """Return what a parameter is tracked as."""
-        if name not in self._grey:
+        """Return the Dr.Jit type of a parameter's leaf."""
+        if name not in self._monochrome:
             return self._types[name]
         kind: type = mi.TensorXf if self._shapes[name] else mi.Float
         return kind
 
     def _in_scene(self, name: str, leaf: Any) -> Any:
-        """Return what the scene is to hold for a leaf."""
-        if name not in self._grey:
+        """Return the scene's value for a leaf."""
+        if name not in self._monochrome:
             return leaf
         if dr.is_tensor_v(leaf):
             return self._types[name](dr.repeat(leaf.array, 3), shape=(*leaf.shape[:2], 3))
         return self._types[name](leaf)
 
-    def _holds(self, name: str, tensor: torch.Tensor) -> bool:
-        held = self._held.get(name)
-        return held is not None and torch.equal(held, tensor)
+    def _is_current(self, name: str, tensor: torch.Tensor) -> bool:
+        current = self._current.get(name)
+        return current is not None and torch.equal(current, tensor)
 
 
 _MEAN = (1 / 3, 1 / 3, 1 / 3)
@@ -155,7 +159,7 @@ _LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
 def flat(value: Any) -> Any:
-    """Return a scalar, colour or tensor of Dr.Jit as the tensor that stands for it in torch."""
+    """Return a Dr.Jit scalar, colour or tensor as a tensor of its shape in torch."""
     if isinstance(value, float):
         return mi.TensorXf(mi.Float(value), shape=())
     if dr.is_tensor_v(value):
@@ -167,9 +171,9 @@ def flat(value: Any) -> Any:
 
 
 def owned(value: Any) -> Any:
-    """Copy into Dr.Jit's own memory: a frozen function would go on reading memory that was borrowed."""
+    """Copy into Dr.Jit's own memory, because a frozen function would keep reading borrowed memory."""
     array = value.array if dr.is_tensor_v(value) else value
-    # Adding what Dr.Jit takes for unknown is what it cannot optimise away.
+    # Dr.Jit cannot optimise away the addition of an opaque zero.
     copied = array + dr.opaque(type(array), 0)
     dr.eval(copied)
     return type(value)(copied, shape=value.shape) if dr.is_tensor_v(value) else copied

@@ -1,4 +1,4 @@
-"""Where a texture, or a mesh, keeps what it shows at a point, in NumPy.
+"""Which texels of a texture, or rows of a mesh attribute, contribute at a point, in NumPy.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -14,35 +14,35 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import TexelMap
+from ..projection import TexelMap
 from ..scene._graph import SceneGraph
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-WRAPS = ("repeat", "clamp", "mirror")
+WRAP_MODES = ("repeat", "clamp", "mirror")
 
-# An entry whose rays meet more texels than this shows each of them briefly: there the nearest one stands for the
-# four that a bilinear filter mixes, so that an entry has few items however fine the texture is.
-MANY = 4
+# If the rays of an entry hit more texels than this, each ray counts the nearest texel instead of the four of a
+# bilinear filter. This bounds the number of items, however fine the texture is.
+MAX_BILINEAR_TEXELS = 4
 
 
 @dataclass(frozen=True)
 class Lookup:
-    """How a texture finds its texels.
+    """How a texture looks up its texels.
 
     Attributes
     ----------
     height, width
-        Of the texture.
+        Size of the texture.
     nearest
-        Whether its filter takes the nearest texel, not a bilinear mixture of four.
+        Whether the filter is nearest-neighbour, not bilinear.
     wrap_x, wrap_y
-        What lies beyond its edges: ``"repeat"``, ``"clamp"`` or ``"mirror"``.
+        Wrap modes: ``"repeat"``, ``"clamp"`` or ``"mirror"``.
     stride, first
-        Texel ``(x, y)`` is number ``y * stride + x + first`` of the parameter.
+        Texel ``(x, y)`` is element ``y * stride + x + first`` of the parameter.
     row_share
-        What part of the whole a texel of each row is.
+        For each row, the fraction of the whole texture that one of its texels covers.
     """
 
     height: int
@@ -55,48 +55,50 @@ class Lookup:
     row_share: Floats
 
     def nearest_texel(self, x: Floats, y: Floats) -> Indices:
-        """Return the texel nearest to points whose coordinates are whole at the centres of texels, ``(N,)``."""
-        return self._number(np.floor(x + 0.5).astype(np.int64), np.floor(y + 0.5).astype(np.int64))
+        """Return the nearest texel of each point, ``(N,)``; texel centres have integer coordinates."""
+        return self._index(np.floor(x + 0.5).astype(np.int64), np.floor(y + 0.5).astype(np.int64))
 
-    def mixed_texels(self, x: Floats, y: Floats) -> tuple[Indices, Floats]:
-        """Return the four texels around the points and the weight of each, ``(4, N)``."""
+    def bilinear_texels(self, x: Floats, y: Floats) -> tuple[Indices, Floats]:
+        """Return the four texels around each point and their weights, ``(4, N)``."""
         left, top = np.floor(x), np.floor(y)
-        across, down = x - left, y - top
+        fraction_x, fraction_y = x - left, y - top
         column, row = left.astype(np.int64), top.astype(np.int64)
-        index = [self._number(column + step, row + fall) for fall in (0, 1) for step in (0, 1)]
-        weight = [b * a for b in (1 - down, down) for a in (1 - across, across)]
+        index = [self._index(column + dx, row + dy) for dy in (0, 1) for dx in (0, 1)]
+        weight = [wy * wx for wy in (1 - fraction_y, fraction_y) for wx in (1 - fraction_x, fraction_x)]
         return np.stack(index), np.stack(weight).astype(np.float32)
 
-    def _number(self, column: Indices, row: Indices) -> Indices:
+    def _index(self, column: Indices, row: Indices) -> Indices:
         column = _wrap(column, self.width, self.wrap_x)
         return _wrap(row, self.height, self.wrap_y) * self.stride + column + self.first
 
-    def shown(self, entry: Indices, place: Sequence[Any], rays: Indices) -> TexelMap:
-        """Return the texels that rays show, each of which belongs to an entry that has ``rays`` of them."""
-        x, y = place
+    def shown(self, entry: Indices, coordinates: Sequence[Any], rays: Indices) -> TexelMap:
+        """Return the texels that rays hit; ``entry`` is that of each ray, ``rays`` the rays of each entry."""
+        x, y = coordinates
         texels = self.height * self.stride
         nearest = self.nearest_texel(x, y)
         if self.nearest:
             key, weight = entry * texels + nearest, np.ones(len(entry), np.float32)
         else:
-            met = np.unique(entry * texels + nearest) // texels
-            many = (np.bincount(met, minlength=len(rays)) > MANY)[entry]
-            mixed, shares = self.mixed_texels(x[~many], y[~many])
-            key = np.concatenate([(entry * texels + nearest)[many], (entry[~many] * texels + mixed).ravel()])
-            weight = np.concatenate([np.ones(many.sum(), np.float32), shares.ravel()])
-        return _gathered(key, weight, texels, rays, lambda texel: self.row_share[texel // self.stride])
+            hit_entry = np.unique(entry * texels + nearest) // texels
+            many = (np.bincount(hit_entry, minlength=len(rays)) > MAX_BILINEAR_TEXELS)[entry]
+            bilinear, weights = self.bilinear_texels(x[~many], y[~many])
+            key = np.concatenate(
+                [(entry * texels + nearest)[many], (entry[~many] * texels + bilinear).ravel()]
+            )
+            weight = np.concatenate([np.ones(many.sum(), np.float32), weights.ravel()])
+        return _sum_by_key(key, weight, texels, rays, lambda texel: self.row_share[texel // self.stride])
 
 
 @dataclass(frozen=True)
 class MeshLookup:
-    """How a mesh finds an attribute of its vertices, or of its faces.
+    """How a mesh looks up an attribute of its vertices, or of its faces.
 
     Attributes
     ----------
     rows
-        ``(faces, 3)``, the row of each corner; or ``(faces, 1)``, that of the face itself.
+        ``(faces, 3)``, the row of each corner; or ``(faces, 1)``, the row of the face.
     share
-        What part of the surface's area belongs to each row: a vertex has a third of its faces.
+        Fraction of the surface area that belongs to each row: a vertex has a third of its faces.
     """
 
     rows: Indices
@@ -104,43 +106,43 @@ class MeshLookup:
 
     @classmethod
     def of(cls, mesh: Any, attribute: str) -> MeshLookup:
-        """Look at a mesh."""
+        """Read an attribute's lookup from a mesh."""
         corners = mesh.faces_buffer().numpy().reshape(-1, 3).astype(np.int64)
         points = mesh.vertex_positions_buffer().numpy().reshape(-1, 3)[corners]
         area = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=-1)
         rows = corners if attribute.startswith("vertex_") else np.arange(len(corners))[:, None]
-        part = np.repeat(area / (area.sum() * rows.shape[1]), rows.shape[1])
-        return cls(rows, np.bincount(rows.ravel(), weights=part).astype(np.float32))
+        weights = np.repeat(area / (area.sum() * rows.shape[1]), rows.shape[1])
+        return cls(rows, np.bincount(rows.ravel(), weights=weights).astype(np.float32))
 
-    def shown(self, entry: Indices, place: Sequence[Any], rays: Indices) -> TexelMap:
-        """Return the rows that rays show, each of which belongs to an entry that has ``rays`` of them."""
-        face, second, third = place
+    def shown(self, entry: Indices, coordinates: Sequence[Any], rays: Indices) -> TexelMap:
+        """Return the rows that rays hit; ``entry`` is that of each ray, ``rays`` the rays of each entry."""
+        face, second, third = coordinates
         rows = self.rows[face]
         weight = (
             np.stack([1 - second - third, second, third]) if rows.shape[1] == 3 else np.ones((1, len(face)))
         )
         key = entry[:, None] * len(self.share) + rows
-        return _gathered(key.ravel(), weight.T.ravel(), len(self.share), rays, lambda row: self.share[row])
+        return _sum_by_key(key.ravel(), weight.T.ravel(), len(self.share), rays, lambda row: self.share[row])
 
 
-def _gathered(
+def _sum_by_key(
     key: Indices, weight: Any, texels: int, rays: Indices, share: Callable[[Indices], Floats]
 ) -> TexelMap:
-    """Add up what several rays show of the same texel; a key is an entry's number times ``texels`` plus one's."""
-    items, item = np.unique(key, return_inverse=True)
-    entry, texel = items // texels, items % texels
-    part = np.bincount(item, weights=weight, minlength=len(items)) / rays[entry]
+    """Sum the weights of rays that hit the same texel in the same entry; a key is ``entry * texels + texel``."""
+    keys, inverse = np.unique(key, return_inverse=True)
+    entry, texel = keys // texels, keys % texels
+    fraction = np.bincount(inverse, weights=weight, minlength=len(keys)) / rays[entry]
     return TexelMap(
         entry=entry.astype(np.int32),
         texel=texel.astype(np.int32),
-        weight=(part / share(texel)).astype(np.float32),
+        weight=(fraction / share(texel)).astype(np.float32),
     )
 
 
-def _wrap(index: Indices, size: int, how: str) -> Indices:
-    if how == "clamp":
+def _wrap(index: Indices, size: int, mode: str) -> Indices:
+    if mode == "clamp":
         return np.clip(index, 0, size - 1)
-    if how == "repeat":
+    if mode == "repeat":
         return index % size
     index = index % (2 * size)
     return np.where(index < size, index, 2 * size - 1 - index)
@@ -155,22 +157,22 @@ class ShownTexture:
     name
         Of the parameter that holds its texels.
     lookup
-        How it finds them.
+        How it looks them up.
     shapes
-        The numbers that Dr.Jit gives the shapes that wear it; None for an environment, seen past all shapes.
-    place
-        From a surface interaction, the preliminary one and the ray's direction to the coordinates that
-        ``lookup`` takes, all in Dr.Jit arrays.
+        Dr.Jit's indices of the shapes that use it; None for an environment, which rays that hit nothing see.
+    coordinates
+        Maps a surface interaction, the preliminary one and the ray's direction to the coordinates that
+        ``lookup.shown`` takes, all in Dr.Jit arrays.
     """
 
     name: str
     lookup: Lookup | MeshLookup
     shapes: Sequence[int] | None
-    place: Callable[[Any, Any, Any], tuple[Any, ...]]
+    coordinates: Callable[[Any, Any, Any], tuple[Any, ...]]
 
 
 def find_textures(
-    graph: SceneGraph, shapes: dict[str, tuple[int, ...]], hold: Callable[[str, Any], Any]
+    graph: SceneGraph, shapes: dict[str, tuple[int, ...]], with_texels: Callable[[str, Any], Any]
 ) -> Iterator[ShownTexture]:
     """Describe the named parameters that are texels of a bitmap or environment map, or attributes of a mesh.
 
@@ -178,55 +180,55 @@ def find_textures(
     ----------
     shapes
         Their shapes by name.
-    hold
-        Makes a texture hold other texels, while its context lasts.
+    with_texels
+        Returns a context manager that gives a texture other texels.
     """
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
     for name, shape in shapes.items():
         node = nodes[name]
         if node.class_name().startswith("BitmapTexture") and shape[-1] in (1, 3):
             texels = np.random.default_rng(0).random(shape, np.float32)
-            with hold(name, texels):
+            with with_texels(name, texels):
                 lookup = _bitmap_lookup(node, texels)
-            worn_by = [number_of(one) for one in graph.wearers(node)]
-            yield ShownTexture(name, lookup, worn_by, _on_bitmap(node, lookup))
+            users = [shape_index(shape) for shape in graph.shapes_using(node)]
+            yield ShownTexture(name, lookup, users, _on_bitmap(node, lookup))
         elif node.class_name() == "EnvironmentMapEmitter" and node is graph.scene.environment():
             lookup = _environment_lookup(*shape[:2])
             yield ShownTexture(name, lookup, None, _on_environment(node, lookup))
         elif isinstance(node, mi.Mesh):
             of_mesh = MeshLookup.of(node, name.rsplit(".", 1)[-1])
-            yield ShownTexture(name, of_mesh, [number_of(node)], _on_mesh)
+            yield ShownTexture(name, of_mesh, [shape_index(node)], _on_mesh)
 
 
-def number_of(shape: Any) -> int:
-    """Return the number that Dr.Jit gives a shape."""
+def shape_index(shape: Any) -> int:
+    """Return Dr.Jit's index of a shape."""
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
 def _bitmap_lookup(texture: Any, texels: Floats) -> Lookup:
-    """Find out how a bitmap that holds random texels filters and wraps: Mitsuba does not tell."""
+    """Infer the filter and wrap mode of a bitmap with random texels, which Mitsuba does not expose."""
     height, width, channels = texels.shape
     points = np.random.default_rng(1).uniform(-2.5, 3.5, (2, 256)).astype(np.float32)
     inverse = np.linalg.inv(_to_uv(texture))
     u, v = inverse[:2, :2] @ points + inverse[:2, 2:]
     si = dr.zeros(mi.SurfaceInteraction3f, points.shape[1])
     si.uv = mi.Point2f(u, v)
-    seen = texture.eval_1(si).numpy()[None] if channels == 1 else np.array(texture.eval_3(si))
+    expected = texture.eval_1(si).numpy()[None] if channels == 1 else np.array(texture.eval_3(si))
 
     def error(lookup: Lookup) -> float:
         x, y = points[0] * width - 0.5, points[1] * height - 0.5
         if lookup.nearest:
             found = texels.reshape(-1, channels)[lookup.nearest_texel(x, y)]
         else:
-            index, weight = lookup.mixed_texels(x, y)
+            index, weight = lookup.bilinear_texels(x, y)
             found = (texels.reshape(-1, channels)[index] * weight[..., None]).sum(0)
-        return float(np.abs(found - seen.T).mean())
+        return float(np.abs(found - expected.T).mean())
 
     share = np.full(height, 1 / (height * width), np.float32)
     candidates = [
         Lookup(height, width, nearest, wrap, wrap, width, 0, share)
         for nearest in (False, True)
-        for wrap in WRAPS
+        for wrap in WRAP_MODES
     ]
     return min(candidates, key=error)
 
@@ -242,20 +244,20 @@ def _on_mesh(_: Any, hit: Any, __: Any) -> tuple[Any, Any, Any]:
 def _on_bitmap(texture: Any, lookup: Lookup) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
     (a, b, c), (d, e, f), _ = _to_uv(texture).tolist()
 
-    def place(si: Any, _: Any, __: Any) -> tuple[Any, Any]:
+    def coordinates(si: Any, _: Any, __: Any) -> tuple[Any, Any]:
         u, v = a * si.uv.x + b * si.uv.y + c, d * si.uv.x + e * si.uv.y + f
         return u * lookup.width - 0.5, v * lookup.height - 0.5
 
-    return place
+    return coordinates
 
 
 def _environment_lookup(height: int, width: int) -> Lookup:
     """Return how Mitsuba 3.9 looks up an environment map: its first and last rows are the poles.
 
-    The parameter has one more column on either side, copies of those at the other end.
+    The parameter has one more column on either side, a copy of the one at the other end.
     """
     step = np.pi / (height - 1)
-    # The integral over a sphere of the hat function of each row, divided by 2π.
+    # The integral of each row's hat function over the sphere, divided by 2π.
     share = np.sin(step * np.arange(height)) * 2 * (1 - np.cos(step)) / step
     share[[0, -1]] = 1 - np.sin(step) / step
     share = (share / 2 / (width - 2)).astype(np.float32)
@@ -265,10 +267,10 @@ def _environment_lookup(height: int, width: int) -> Lookup:
 def _on_environment(emitter: Any, lookup: Lookup) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
     to_local = emitter.world_transform().inverse()
 
-    def place(_: Any, __: Any, direction: Any) -> tuple[Any, Any]:
+    def coordinates(_: Any, __: Any, direction: Any) -> tuple[Any, Any]:
         local = to_local @ mi.Vector3f(direction)
-        turn = dr.atan2(local.x, -local.z) / dr.two_pi
-        height = dr.safe_acos(local.y) / dr.pi
-        return (turn - dr.floor(turn)) * lookup.width - 0.5, height * (lookup.height - 1)
+        u = dr.atan2(local.x, -local.z) / dr.two_pi
+        v = dr.safe_acos(local.y) / dr.pi
+        return (u - dr.floor(u)) * lookup.width - 0.5, v * (lookup.height - 1)
 
-    return place
+    return coordinates

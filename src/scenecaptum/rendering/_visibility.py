@@ -1,4 +1,4 @@
-"""Primary rays: which objects and texels each pixel shows, and how much of the pixel each covers.
+"""Primary rays: the objects and texels that each pixel shows, with the fraction of the pixel that each covers.
 
 Imported only once a variant is active (see ``SceneRenderer``).
 """
@@ -14,19 +14,20 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import SceneParameters, SurfaceMap, TexelMap
+from ..projection import SurfaceMap, TexelMap
+from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
-from ._texels import Indices, ShownTexture, number_of
+from ._texels import Indices, ShownTexture, shape_index
 
-# Hammersley points: 16 rays a pixel, no two in one row or column, so that an edge along either axis is located to
-# within 1/16 of a pixel; and the same map at every call.
+# Rays per pixel, at Hammersley points: no two share a row or column, which locates an axis-aligned edge to
+# within 1/16 of a pixel, and the map is the same at every call.
 RAYS = 16
 
-# Rays at a time: what is kept of each takes some 100 bytes.
+# Rays traced at once: the results of each take about 100 bytes.
 BATCH = 2**20
 
-# How many mirrors and panes a ray passes at most.
-BOUNCES = 12
+# Maximum number of mirrors and panes along a ray.
+MAX_SPECULAR_BOUNCES = 12
 
 
 def trace_surfaces(
@@ -38,20 +39,20 @@ def trace_surfaces(
     *,
     through: bool = False,
 ) -> SurfaceMap:
-    """Trace primary rays through each pixel and record what they meet first.
+    """Trace primary rays through each pixel and record the first objects that they hit.
 
-    With ``through`` rays go on where a surface only mirrors or lets pass: see ``follow_specular``.
+    With ``through``, rays continue at specular surfaces: see ``follow_specular``.
     """
     shapes = graph.shapes()
     width, height = resolution
     objects = (*(name for name, _, _ in shapes), "background")
-    index_of = _index_of([shape for _, shape, _ in shapes])
+    object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
     pixels, step = width * height, BATCH // RAYS
     parts = [
         _Part.of(
             _trace(graph.scene, sensor, resolution, (first, min(step, pixels - first)), textures, through),
             first,
-            index_of,
+            object_of_shape,
             textures,
         )
         for first in range(0, pixels, step)
@@ -67,7 +68,7 @@ def trace_surfaces(
             graph, parameters, [*(below for _, _, below in shapes), graph.background()]
         ),
         texels={
-            texture.name: _joined([part.texels[i] for part in parts], offsets)
+            texture.name: _concatenated([part.texels[i] for part in parts], offsets)
             for i, texture in enumerate(textures)
         },
     )
@@ -75,17 +76,17 @@ def trace_surfaces(
 
 @dataclass
 class _Hits:
-    """What each ray meets, pixel-major: NumPy arrays with ``RAYS`` elements per pixel.
+    """The hit of each ray, pixel-major: NumPy arrays with ``RAYS`` elements per pixel.
 
-    ``seen`` and ``shape`` are numbers that Dr.Jit gives shapes, 0 for nothing; for a shape of an instance
-    ``seen`` is that of the instance. ``looks`` is whether the sensor looks anywhere: it does not outside a
-    fisheye's circle. ``places`` are points of each texture.
+    ``shape`` is Dr.Jit's index of the hit shape, 0 for none. ``visible_shape`` is the same, but the instance's
+    index for a shape in an instance. ``valid`` is False for rays without a direction, outside a fisheye's
+    circle. ``coordinates`` are lookup coordinates of each texture.
     """
 
-    seen: Indices
+    visible_shape: Indices
     shape: Indices
-    looks: NDArray[np.bool_]
-    places: list[tuple[NDArray[Any], ...]]
+    valid: NDArray[np.bool_]
+    coordinates: list[tuple[NDArray[Any], ...]]
 
 
 def _trace(
@@ -96,38 +97,42 @@ def _trace(
     textures: Sequence[ShownTexture],
     through: bool,
 ) -> _Hits:
-    """Trace the rays of ``pixels``, the first and their count."""
+    """Trace the rays of ``pixels``: the first and the number of pixels."""
     first, count = pixels
     with dr.suspend_grad():
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        met, direction, places = hit, ray.d, []
+        interaction, direction, coordinates = hit, ray.d, []
         if textures or through:
-            met = hit.compute_surface_interaction(ray)
+            interaction = hit.compute_surface_interaction(ray)
             if through:
-                met, hit, direction = follow_specular(scene, met, hit, direction, pixel, point)
-            places = [texture.place(met, hit, direction) for texture in textures]
-        shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (met.shape, met.instance))
-        shape = dr.select(met.is_valid(), shape, 0)
-        seen = dr.select(met.is_valid() & (instance != 0), instance, shape)
-        looks = dr.max(weight) > 0
-        dr.eval(seen, shape, looks, places)
+                interaction, hit, direction = follow_specular(
+                    scene, interaction, hit, direction, pixel, point
+                )
+            coordinates = [texture.coordinates(interaction, hit, direction) for texture in textures]
+        shape, instance = (
+            dr.reinterpret_array(mi.UInt32, pointer) for pointer in (interaction.shape, interaction.instance)
+        )
+        shape = dr.select(interaction.is_valid(), shape, 0)
+        visible_shape = dr.select(interaction.is_valid() & (instance != 0), instance, shape)
+        valid = dr.max(weight) > 0
+        dr.eval(visible_shape, shape, valid, coordinates)
     return _Hits(
-        seen.numpy().astype(np.int64),
+        visible_shape.numpy().astype(np.int64),
         shape.numpy().astype(np.int64),
-        np.broadcast_to(looks.numpy(), count * RAYS),
-        [tuple(one.numpy() for one in place) for place in places],
+        np.broadcast_to(valid.numpy(), count * RAYS),
+        [tuple(axis.numpy() for axis in axes) for axes in coordinates],
     )
 
 
 def camera_rays(
     sensor: Any, resolution: tuple[int, int], first: int, count: int
 ) -> tuple[Any, Any, Any, Any]:
-    """Return ``RAYS`` rays through each of ``count`` pixels, their weights, pixels and numbers in the pixel."""
+    """Return ``RAYS`` rays through each of ``count`` pixels, their weights, pixels and indices in the pixel."""
     width, height = resolution
     index = dr.arange(mi.UInt32, count * RAYS)
     pixel, point = dr.opaque(mi.UInt32, first) + index // RAYS, index % RAYS
-    # The bits of the point's number reversed, as a fraction.
+    # The point's index in reversed bit order, as a fraction.
     reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
     position = mi.Point2f(
         (mi.Float(pixel % width) + (mi.Float(point) + 0.5) / RAYS) / width,
@@ -140,40 +145,40 @@ def camera_rays(
 def follow_specular(
     scene: Any, si: Any, hit: Any, direction: Any, pixel: Any, point: Any
 ) -> tuple[Any, Any, Any]:
-    """Follow rays off mirrors and through panes, glass and the holes of masks to the first other surface.
+    """Follow rays by specular reflection and transmission to the first surface that also scatters light.
 
-    Where a surface both mirrors and lets pass, the rays of a pixel part as its light does. A light, or a surface
-    that scatters light too (varnish), ends them.
+    Where a surface reflects and transmits, the rays of a pixel are split as its light is. Emitters, and
+    surfaces with a smooth lobe too (varnish), end a ray.
     """
     context = mi.BSDFContext()
-    for number in range(BOUNCES):
-        # A number in the code would have the kernel compiled anew for each bounce.
+    for number in range(MAX_SPECULAR_BOUNCES):
+        # A literal would have the kernel compiled again for each bounce.
         bounce = dr.opaque(mi.UInt32, number)
         bsdf = si.bsdf()
-        # One ray in each sixteenth of the lobes' probabilities, at a random point of it; in another order at each
-        # surface, so that how a ray fared at one does not tell how it fares at the next.
+        # Stratified lobe selection: one ray of the pixel in each sixteenth. The strata are permuted at each
+        # bounce, so that the lobes of successive surfaces are uncorrelated.
         stratum = ((2 * bounce + 7) * point + 5 * bounce) % RAYS
         lobe = (mi.Float(stratum) + mi.sample_tea_float32(pixel, bounce)) / RAYS
-        onwards = si.is_valid() & ~si.shape.is_emitter()
-        clear = ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        sample, value = bsdf.sample(context, si, lobe, mi.Point2f(0.5), onwards)
-        passes = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
-        mirrors = clear & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        onwards &= (passes | mirrors) & (dr.max(value) > 0)
-        if not dr.any(onwards):
+        active = si.is_valid() & ~si.shape.is_emitter()
+        purely_specular = ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        sample, value = bsdf.sample(context, si, lobe, mi.Point2f(0.5), active)
+        is_null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        is_delta = purely_specular & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        active &= (is_null | is_delta) & (dr.max(value) > 0)
+        if not dr.any(active):
             break
         ray = si.spawn_ray(si.to_world(sample.wo))
-        direction = dr.select(onwards, ray.d, direction)
-        next_hit = scene.ray_intersect_preliminary(ray, active=onwards)
-        si = dr.select(onwards, next_hit.compute_surface_interaction(ray, active=onwards), si)
-        hit = dr.select(onwards, next_hit, hit)
+        direction = dr.select(active, ray.d, direction)
+        next_hit = scene.ray_intersect_preliminary(ray, active=active)
+        si = dr.select(active, next_hit.compute_surface_interaction(ray, active=active), si)
+        hit = dr.select(active, next_hit, hit)
         dr.eval(si, hit, direction)
     return si, hit, direction
 
 
 @dataclass
 class _Part:
-    """The entries of a map for some of its pixels."""
+    """The entries of a surface map for some of its pixels."""
 
     pixel: NDArray[np.int32]
     object_index: NDArray[np.int32]
@@ -181,32 +186,32 @@ class _Part:
     texels: list[TexelMap]
 
     @staticmethod
-    def of(hits: _Hits, first: int, index_of: Indices, textures: Sequence[ShownTexture]) -> _Part:
-        """Count what rays have met; ``index_of`` are the objects by the number that Dr.Jit gives them."""
-        count = int(index_of.max()) + 1
-        pixel = first + np.arange(len(hits.seen)) // RAYS
-        looks = hits.looks
-        key = (pixel * count + index_of[hits.seen])[looks]
+    def of(hits: _Hits, first: int, object_of_shape: Indices, textures: Sequence[ShownTexture]) -> _Part:
+        """Count the rays of each pixel that hit each object."""
+        count = int(object_of_shape.max()) + 1
+        pixel = first + np.arange(len(hits.visible_shape)) // RAYS
+        valid = hits.valid
+        key = (pixel * count + object_of_shape[hits.visible_shape])[valid]
         entries, entry, rays = np.unique(key, return_inverse=True, return_counts=True)
         return _Part(
             pixel=(entries // count).astype(np.int32),
             object_index=(entries % count).astype(np.int32),
             fraction=(rays / RAYS).astype(np.float32),
             texels=[
-                _texels(texture, hits.shape[looks], [one[looks] for one in place], entry, rays)
-                for texture, place in zip(textures, hits.places, strict=True)
+                _texels(texture, hits.shape[valid], [axis[valid] for axis in axes], entry, rays)
+                for texture, axes in zip(textures, hits.coordinates, strict=True)
             ],
         )
 
 
 def _texels(
-    texture: ShownTexture, shape: Indices, place: Sequence[NDArray[Any]], entry: Indices, rays: Indices
+    texture: ShownTexture, shape: Indices, coordinates: Sequence[NDArray[Any]], entry: Indices, rays: Indices
 ) -> TexelMap:
-    showing = np.isin(shape, [0] if texture.shapes is None else texture.shapes)
-    return texture.lookup.shown(entry[showing], [one[showing] for one in place], rays)
+    uses = np.isin(shape, [0] if texture.shapes is None else texture.shapes)
+    return texture.lookup.shown(entry[uses], [axis[uses] for axis in coordinates], rays)
 
 
-def _joined(parts: Sequence[TexelMap], offsets: Indices) -> TexelMap:
+def _concatenated(parts: Sequence[TexelMap], offsets: Indices) -> TexelMap:
     return TexelMap(
         entry=np.concatenate(
             [part.entry + np.int32(offset) for part, offset in zip(parts, offsets, strict=False)]
@@ -216,22 +221,22 @@ def _joined(parts: Sequence[TexelMap], offsets: Indices) -> TexelMap:
     )
 
 
-def _index_of(shapes: list[Any]) -> Indices:
-    """Index into ``shapes`` by the number that Dr.Jit gives a shape, ``len(shapes)`` for any other and nothing.
+def _object_of_shape(shapes: list[Any]) -> Indices:
+    """Map Dr.Jit's shape indices to indices into ``shapes``; ``len(shapes)`` for any other shape and none.
 
-    Dr.Jit numbers the shapes of the whole process from 1; 0 is nothing.
+    Dr.Jit counts the shapes of the whole process from 1; 0 is none.
     """
-    numbers = [number_of(shape) for shape in shapes]
-    index = np.full(max(numbers, default=0) + 1, len(shapes), dtype=np.int64)
-    index[numbers] = np.arange(len(shapes))
-    return index
+    jit_indices = [shape_index(shape) for shape in shapes]
+    objects = np.full(max(jit_indices, default=0) + 1, len(shapes), dtype=np.int64)
+    objects[jit_indices] = np.arange(len(shapes))
+    return objects
 
 
 def _shown_parameters(
-    graph: SceneGraph, parameters: SceneParameters, held: list[set[Any]]
+    graph: SceneGraph, parameters: SceneParameters, nodes_by_object: list[set[Any]]
 ) -> tuple[tuple[str, ...], ...]:
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
     return tuple(
         tuple(name for name, node in nodes.items() if node in below and not parameters[name].problem)
-        for below in held
+        for below in nodes_by_object
     )

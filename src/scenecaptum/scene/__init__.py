@@ -4,7 +4,7 @@ from ._loading import load_scene as load_scene
 from ._parameters import Parameter as Parameter
 from ._parameters import SceneParameters as SceneParameters
 from ._parameters import discover as discover
+from ._reflection import OPEN_MARGIN as OPEN_MARGIN
+from ._reflection import reflect as reflect
 from ._selection import select as select
-from ._surfaces import SurfaceMap as SurfaceMap
-from ._surfaces import TexelMap as TexelMap
 from .bundled import BUNDLED as BUNDLED

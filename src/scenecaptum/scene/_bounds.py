@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Bounds:
-    """The physically meaningful interval of a parameter; ``open_low`` leaves its lower end out."""
+    """The physically meaningful interval of a parameter; ``open_low`` excludes the lower bound."""
 
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
 
     def __str__(self) -> str:
-        """Write the interval as mathematics does: ``(0, 1]``."""
+        """Return interval notation, such as ``(0, 1]``."""
         left = "(" if self.open_low or math.isinf(self.low) else "["
         right = ")" if math.isinf(self.high) else "]"
         return f"{left}{_number(self.low)}, {_number(self.high)}{right}"

@@ -1,6 +1,6 @@
-"""What is looked at before Mitsuba reads a file: faults at which it would end the process, hang or read anything.
+"""Checks before Mitsuba reads a file, for faults that make it crash, hang or read out of bounds.
 
-Mitsuba recognises most damage and says so. Here is the rest, each as the fuzzer found it.
+Mitsuba detects and reports most damage. These are the cases that it does not, found by the fuzzer.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 
 from ..errors import SceneCaptumError
 
-DEEPEST = 200  # nested tags or dicts; Mitsuba descends by recursion, and overflows its stack
-LONGEST = 100_000  # characters of a <default>; each may double what the one before it holds
-LONGEST_RUN = 64  # bytes of a Radiance picture that one of its file may stand for
-DENSEST = 2.0**24  # beyond it a mean free path is shorter than float32 can step through a scene of size 1
+MAX_DEPTH = 200  # of nested tags or dicts; Mitsuba parses recursively and overflows its stack
+MAX_DEFAULT_LENGTH = 100_000  # characters of a <default>, which can double with each reference to another
+MAX_RLE_RATIO = 64  # decoded bytes of a Radiance image per byte of its file
+MAX_DENSITY = 2.0**24  # above it the mean free path is below float32 resolution in a scene of size 1
 
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _TAG = re.compile(r"</|/>|<(?=\w)")
@@ -31,14 +31,14 @@ _FILE_NAME = re.compile(r'filename="([^"]*)"')
 
 
 def check_xml(path: Path, values: Mapping[str, str]) -> None:
-    """Raise where a scene file, or one that it includes, is nested too deep or grows without end.
+    """Raise if a scene file, or one that it includes, is nested too deeply or has exponentially growing defaults.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     values
-        Those of its ``$names``.
+        Values of its ``$name`` placeholders.
 
     Raises
     ------
@@ -50,10 +50,10 @@ def check_xml(path: Path, values: Mapping[str, str]) -> None:
         for tag in _TAG.finditer(text):
             depth += 1 if tag.group() == "<" else -1
             deepest = max(deepest, depth)
-        if deepest > DEEPEST:
+        if deepest > MAX_DEPTH:
             raise SceneCaptumError(
-                f"{file} cannot be loaded: its tags are nested {deepest} deep; {DEEPEST} is the most that is "
-                "read. Close each tag, or take out what holds only one thing."
+                f"{file} cannot be loaded: its tags are nested {deepest} levels deep; the maximum is {MAX_DEPTH}. "
+                "Check that each tag is closed, or remove unnecessary nesting."
             )
         _check_defaults(file, text)
 
@@ -61,7 +61,7 @@ def check_xml(path: Path, values: Mapping[str, str]) -> None:
 def _texts(
     path: Path, values: Mapping[str, str], seen: frozenset[Path] = frozenset()
 ) -> Iterator[tuple[Path, str]]:
-    """Read a scene file and those that it includes, without their comments."""
+    """Yield the path and text of a scene file and of those that it includes, without comments."""
     text = _COMMENT.sub("", path.read_text(encoding="utf-8", errors="replace"))
     yield path, text
     values = {**dict(_DEFAULT.findall(text)), **values}
@@ -74,14 +74,14 @@ def _texts(
 
 @dataclass(frozen=True)
 class Placeholders:
-    """The ``$names`` of a scene file and of those that it includes: all, and those with a ``<default>``."""
+    """The ``$name`` placeholders of a scene file and its includes: all, and those with a ``<default>``."""
 
     used: frozenset[str]
     defaults: frozenset[str]
 
     @classmethod
-    def of(cls, path: Path, values: Mapping[str, str]) -> Placeholders:
-        """Look for them, where some have got values."""
+    def find(cls, path: Path, values: Mapping[str, str]) -> Placeholders:
+        """Find them in a file; ``values`` resolves placeholders in the paths of included files."""
         texts = [text for _, text in _texts(path, values)]
         used = (name for text in texts for name in _PLACEHOLDER.findall(text))
         defaults = (name for text in texts for name, _ in _DEFAULT.findall(text))
@@ -92,35 +92,35 @@ def _check_defaults(path: Path, text: str) -> None:
     known: dict[str, str] = {}
     for name, value in _DEFAULT.findall(text):
         known[name] = re.sub(r"\$(\w+)", lambda found: known.get(found.group(1), ""), value)
-        if len(known[name]) > LONGEST:
+        if len(known[name]) > MAX_DEFAULT_LENGTH:
             raise SceneCaptumError(
-                f"{path} cannot be loaded: <default name={name!r}> grows beyond {LONGEST} characters by naming "
-                "others. Write its value out."
+                f"{path} cannot be loaded: <default name={name!r}> grows beyond {MAX_DEFAULT_LENGTH} characters "
+                "by referencing other defaults. Write out its value."
             )
 
 
 def check_dict(config: Mapping[str, Any]) -> None:
-    """Raise where a scene dict is nested too deep, or has a value or key at which Mitsuba ends the process."""
+    """Raise if a scene dict is nested too deeply, or contains a value or key that crashes Mitsuba."""
     pending: list[tuple[Any, tuple[Any, ...]]] = [(config, ())]
     while pending:
-        one, trail = pending.pop()
-        if len(trail) > DEEPEST:
+        current, parents = pending.pop()
+        if len(parents) > MAX_DEPTH:
             raise SceneCaptumError(
-                f"The scene dict is nested more than {DEEPEST} deep, or holds itself. Name a shared object with "
-                '{"type": "ref", "id": …} instead.'
+                f"The scene dict is nested more than {MAX_DEPTH} levels deep, or contains itself. Reference a "
+                'shared object with {"type": "ref", "id": …} instead.'
             )
-        for key, value in one.items():
-            place = ".".join(map(str, (*trail, key)))
+        for key, value in current.items():
+            key_path = ".".join(map(str, (*parents, key)))
             if not isinstance(key, str):
-                raise SceneCaptumError(f"The scene dict has a key that is no string: {place}.")
+                raise SceneCaptumError(f"The scene dict has a key that is not a string: {key_path}.")
             if value is None:
-                raise SceneCaptumError(f"The scene dict has None at {place!r}. Leave the key out.")
+                raise SceneCaptumError(f"The scene dict has None at {key_path!r}. Leave the key out.")
             if isinstance(value, dict):
-                pending.append((value, (*trail, key)))
+                pending.append((value, (*parents, key)))
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; there is none of a name that no file can have."""
+    """Whether a file exists; False for invalid file names."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -128,7 +128,7 @@ def is_file(path: Path) -> bool:
 
 
 def check_file(path: Path) -> None:
-    """Raise where a picture, mesh or volume would make Mitsuba corrupt its memory or never end."""
+    """Raise if an image, mesh or volume would make Mitsuba corrupt memory or hang."""
     check_kind(path)
     if not is_file(path):
         return
@@ -140,95 +140,95 @@ def check_file(path: Path) -> None:
 
 
 def check_kind(path: Path) -> None:
-    """Raise where a path leads to a folder or a device, which has no end to read to."""
+    """Raise if a path is a folder or a device, which may be endless."""
     if not is_file(path) and os.path.exists(path):
         raise SceneCaptumError(
-            f"{path} is {'a folder' if path.is_dir() else 'a device'}, not a file to read."
+            f"{path} is {'a folder' if path.is_dir() else 'a device'}, not a regular file."
         )
 
 
 def _check_hdr(path: Path) -> None:
-    """Follow a Radiance picture's run lengths: after a line without them, Mitsuba writes beyond the picture."""
+    """Check a Radiance image's run-length encoding: after a scanline without it, Mitsuba writes out of bounds."""
     data = path.read_bytes()
     size = re.search(rb"\n-Y (\d+) \+X (\d+)\n", data)
     if size is None:
         raise _damaged(path, "its header has no line with its size, such as -Y 512 +X 1024")
     height, width = map(int, size.groups())
-    if not 0 < 4 * height * width <= LONGEST_RUN * len(data):
-        raise _damaged(path, f"{width}×{height} pixels are not in {len(data)} bytes")
-    at = size.end()
-    if not 8 <= width < 0x8000 or not _is_coded(data, at):
-        return  # flat from the first line on, which Mitsuba reads rightly
+    if not 0 < 4 * height * width <= MAX_RLE_RATIO * len(data):
+        raise _damaged(path, f"{width}×{height} pixels do not fit in {len(data)} bytes")
+    offset = size.end()
+    if not 8 <= width < 0x8000 or not _is_run_length_encoded(data, offset):
+        return  # flat from the first scanline on, which Mitsuba reads correctly
     for line in range(height):
-        if at >= len(data):
-            return  # cut off, and Mitsuba says so
-        if not _is_coded(data, at):
-            raise _damaged(path, f"line {line + 1} of {height} has no run lengths, unlike the first")
-        at = _after_runs(data, at + 4, 4 * width)
+        if offset >= len(data):
+            return  # truncated, which Mitsuba reports
+        if not _is_run_length_encoded(data, offset):
+            raise _damaged(path, f"line {line + 1} of {height} is not run-length encoded, unlike the first")
+        offset = _end_of_runs(data, offset + 4, 4 * width)
 
 
-def _is_coded(data: bytes, at: int) -> bool:
-    return data[at : at + 2] == b"\2\2" and data[at + 2 : at + 3] < b"\x80"
+def _is_run_length_encoded(data: bytes, offset: int) -> bool:
+    return data[offset : offset + 2] == b"\2\2" and data[offset + 2 : offset + 3] < b"\x80"
 
 
-def _after_runs(data: bytes, at: int, count: int) -> int:
-    """Return where the run lengths of ``count`` bytes end."""
+def _end_of_runs(data: bytes, offset: int, count: int) -> int:
+    """Return the offset behind the runs that decode to ``count`` bytes."""
     while count > 0:
-        length = data[at] if at < len(data) else 1
+        length = data[offset] if offset < len(data) else 1
         run = length - 128 if length > 128 else length
-        at += 2 if length > 128 else 1 + length
+        offset += 2 if length > 128 else 1 + length
         count -= max(run, 1)
-    return at
+    return offset
 
 
 def _check_volume(path: Path) -> None:
-    """Compare a grid's size with its file's; Mitsuba takes negative sizes and endless densities as they come."""
+    """Check a grid's size and values: Mitsuba accepts negative sizes and infinite densities."""
     data = path.read_bytes()
     if len(data) < 48:
-        raise _damaged(path, f"{len(data)} bytes hold no grid")
+        raise _damaged(path, f"{len(data)} bytes are too few for a grid")
     kind, *size = struct.unpack("<5i", data[4:24])
     count = int(np.prod(size, dtype=object))
     if kind != 1 or min(size) < 1 or len(data) - 48 != 4 * count:
-        raise _damaged(path, f"a grid of {'×'.join(map(str, size))} numbers is not in {len(data)} bytes")
+        raise _damaged(path, f"a grid of {'×'.join(map(str, size))} numbers does not match {len(data)} bytes")
     values = np.frombuffer(data, "<f4", offset=24)
-    if not np.isfinite(values).all() or np.abs(values).max() > DENSEST:
-        raise _damaged(path, f"it holds numbers that are not finite or beyond {DENSEST:.0f}")
+    if not np.isfinite(values).all() or np.abs(values).max() > MAX_DENSITY:
+        raise _damaged(path, f"it contains numbers that are not finite or exceed {MAX_DENSITY:.0f}")
 
 
 def _check_serialized(path: Path) -> None:
-    """Unpack ``.serialized`` meshes: Mitsuba goes wherever the dictionary at the end and the faces point."""
+    """Check ``.serialized`` meshes: Mitsuba follows mesh offsets and vertex indices without a bounds check."""
     data = path.read_bytes()
     (version,) = struct.unpack_from("<H", data, 2) if len(data) > 4 else (0,)
     size, letter = (8, "Q") if version >= 4 else (4, "I")
     (count,) = struct.unpack("<I", data[-4:])
     start = len(data) - 4 - size * count
     if version not in (3, 4) or not count or start < 4:
-        raise _damaged(path, f"there is no room for {count} meshes in {len(data)} bytes")
+        raise _damaged(path, f"{count} meshes do not fit in {len(data)} bytes")
     offsets = struct.unpack_from(f"<{count}{letter}", data, start)
     for number, (offset, end) in enumerate(zip(offsets, [*offsets[1:], start], strict=True)):
         try:
-            fault = _fault_of_mesh(zlib.decompress(data[offset + 4 : end]), version)
+            fault = _find_mesh_fault(zlib.decompress(data[offset + 4 : end]), version)
         except (zlib.error, struct.error, ValueError) as error:
             fault = str(error)
         if fault:
             raise _damaged(path, f"mesh {number}: {fault}")
 
 
-def _fault_of_mesh(data: bytes, version: int) -> str | None:
-    """Compare the counts, sizes and indices of an unpacked mesh."""
+def _find_mesh_fault(data: bytes, version: int) -> str | None:
+    """Check the counts, sizes and indices of a decompressed mesh."""
     (flags,) = struct.unpack_from("<I", data)
-    at = 4 if version == 3 else data.index(b"\0", 4) + 1
-    vertices, faces = struct.unpack_from("<QQ", data, at)
+    offset = 4 if version == 3 else data.index(b"\0", 4) + 1
+    vertices, faces = struct.unpack_from("<QQ", data, offset)
     floats = 3 + 3 * bool(flags & 1) + 2 * bool(flags & 2) + 3 * bool(flags & 8)
-    places = at + 16 + vertices * floats * (8 if flags & 0x2000 else 4)
-    if places + 12 * faces != len(data):
-        return f"{vertices} vertices and {faces} faces are not in {len(data)} bytes"
-    corners = np.frombuffer(data, "<u4", offset=places)
-    return "a face has a vertex that is not there" if faces and corners.max() >= vertices else None
+    indices_offset = offset + 16 + vertices * floats * (8 if flags & 0x2000 else 4)
+    if indices_offset + 12 * faces != len(data):
+        return f"{vertices} vertices and {faces} faces do not match {len(data)} bytes"
+    indices = np.frombuffer(data, "<u4", offset=indices_offset)
+    return "a face has a vertex that does not exist" if faces and indices.max() >= vertices else None
 
 
 def _check_ply(path: Path) -> None:
-    """Look for faces with vertices that are not there: Mitsuba builds its tree of what lies beyond."""
+    """Check vertex indices: Mitsuba builds its acceleration structure from out-of-bounds memory."""
     data = path.read_bytes()
     end = re.search(rb"end_header\r?\n", data)
     if end is None:
@@ -243,15 +243,15 @@ def _check_ply(path: Path) -> None:
         if order:
             vertices = counts["vertex"] * np.dtype(rows["vertex"]).itemsize
             faces = np.frombuffer(body, rows["face"], counts["face"], vertices)
-            corners = faces["corners"][faces["count"] == 3]
+            indices = faces["indices"][faces["count"] == 3]
         else:
             words = body.split()[counts["vertex"] * len(rows["vertex"]) :]
             width = len(words) // counts["face"]
-            corners = np.array(words[: width * counts["face"]], float).reshape(-1, width)[:, 1:4]
+            indices = np.array(words[: width * counts["face"]], float).reshape(-1, width)[:, 1:4]
     except (KeyError, ValueError, TypeError, IndexError, ArithmeticError):
-        return  # no triangles as Mitsuba reads them, and it says so
-    if corners.size and corners.max() >= counts["vertex"]:
-        raise _damaged(path, f"a face has vertex {corners.max():.0f} of {counts['vertex']}")
+        return  # no triangles in a form that Mitsuba accepts, which it reports
+    if indices.size and indices.max() >= counts["vertex"]:
+        raise _damaged(path, f"a face has vertex {indices.max():.0f} of {counts['vertex']}")
 
 
 def _ply_format(lines: list[list[str]]) -> str:
@@ -259,7 +259,7 @@ def _ply_format(lines: list[list[str]]) -> str:
 
 
 def _ply_rows(lines: list[list[str]], order: str) -> tuple[dict[str, int], dict[str, list[Any]]]:
-    """Return how many rows each element has, and the fields of a row; a list is that of a triangle."""
+    """Return the number of rows of each element, and the fields of a row; lists are read as triangles."""
     counts: dict[str, int] = {}
     rows: dict[str, list[Any]] = {}
     name = ""
@@ -270,7 +270,7 @@ def _ply_rows(lines: list[list[str]], order: str) -> tuple[dict[str, int], dict[
         elif kind == "property" and words[0] == "list":
             rows[name] += [
                 ("count", order + _PLY_TYPES[words[1]]),
-                ("corners", order + _PLY_TYPES[words[2]], 3),
+                ("indices", order + _PLY_TYPES[words[2]], 3),
             ]
         elif kind == "property":
             rows[name].append((words[1], order + _PLY_TYPES[words[0]]))
@@ -293,22 +293,22 @@ _CHECKS: dict[bytes, Callable[[Path], None]] = {
 
 
 def _damaged(path: Path, fault: str) -> SceneCaptumError:
-    return SceneCaptumError(f"{path} is damaged: {fault}. Save it again, or take a copy that is whole.")
+    return SceneCaptumError(f"{path} is damaged: {fault}. Save it again, or use an intact copy.")
 
 
-def check_named(resolve: Callable[[str], Any], nodes: Iterable[Any]) -> None:
-    """Look at every file that the parsed nodes of a scene name."""
+def check_referenced_files(resolve: Callable[[str], Any], nodes: Iterable[Any]) -> None:
+    """Check every file that the parsed nodes of a scene reference."""
     for node in nodes:
         props = node.props
-        pictures = _PICTURES.get(props.plugin_name(), ())
-        if pictures and not any(key in props for key in pictures):
+        sources = _IMAGE_SOURCES.get(props.plugin_name(), ())
+        if sources and not any(key in props for key in sources):
             raise SceneCaptumError(
-                f"A {props.plugin_name()} of the scene has no picture. Give it one of: {', '.join(pictures)}."
+                f"A {props.plugin_name()} of the scene has no image. Give it one of: {', '.join(sources)}."
             )
         name = props.get("filename", "") if "filename" in props else ""
         if isinstance(name, str) and name:
             check_file(Path(str(resolve(name))))
 
 
-# What these take their pictures from; with none of it they end the process.
-_PICTURES = {"bitmap": ("filename", "bitmap", "data"), "envmap": ("filename", "bitmap")}
+# Properties that define the image of a plugin, which crashes without any of them.
+_IMAGE_SOURCES = {"bitmap": ("filename", "bitmap", "data"), "envmap": ("filename", "bitmap")}

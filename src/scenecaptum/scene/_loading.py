@@ -1,4 +1,4 @@
-"""From a path, a Mitsuba dict, a bundled name or an ``mi.Scene`` to a scene that can be differentiated."""
+"""Load a differentiable scene from a path, a Mitsuba dict, a bundled name or an ``mi.Scene``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..backend import activate
 from ..errors import SceneCaptumError, near_misses
-from ._files import Placeholders, check_dict, check_named, check_xml, is_file
+from ._files import Placeholders, check_dict, check_referenced_files, check_xml, is_file
 from ._naming import name_nodes, name_objects, without_addresses
 from .bundled import BUNDLED
 
@@ -23,27 +23,28 @@ XmlParameters: TypeAlias = "Mapping[str, str | float]"
 
 
 def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any:
-    """Return an ``mi.Scene`` in which every object has a name of its own and every bitmap carries derivatives.
+    """Return an ``mi.Scene`` in which every object has a unique name and every bitmap is differentiable.
 
     Parameters
     ----------
     scene
         A path to a Mitsuba XML file, a Mitsuba scene dict, the name of a bundled scene (``"office"``,
-        ``"cornell-box"``) or an ``mi.Scene``, which is returned as it is, but that its objects without an id
-        have got one.
+        ``"cornell-box"``) or an ``mi.Scene``. An ``mi.Scene`` is returned unchanged, except that objects without
+        an id get one.
     parameters
         Values for the ``$name`` placeholders of an XML file.
 
     Raises
     ------
     SceneCaptumError
-        Where the file is missing or cannot be parsed, a plugin refuses its properties, there is no sensor, or
-        ``parameters`` are not those of the file.
+        If the file is missing or cannot be parsed, a plugin rejects its properties, there is no sensor, or
+        ``parameters`` do not match the file's placeholders.
     """
     mi = activate()
     if parameters and (not isinstance(scene, (str, os.PathLike)) or _is_bundled(scene)):
         raise SceneCaptumError(
-            f"parameters= gives values to the $names of an XML file, and {describe(scene)} is none. Leave it out."
+            f"parameters= gives values to the $names of an XML file, but {scene_name(scene)} is not an XML file. "
+            "Leave it out."
         )
     if isinstance(scene, mi.Scene):
         loaded = scene
@@ -51,7 +52,7 @@ def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any
         check_dict(scene)
         loaded = _instantiate("the scene dict", lambda config: mi.parser.parse_dict(config, dict(scene)))
     elif isinstance(scene, (str, os.PathLike)):
-        loaded = _load_named(scene, as_text(parameters))
+        loaded = _load_path_or_bundled(scene, format_parameters(parameters))
     else:
         raise SceneCaptumError(
             f"scene must be a path, a Mitsuba scene dict, the name of a bundled scene or an mi.Scene, "
@@ -60,48 +61,48 @@ def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any
     name_objects(loaded)
     if not loaded.sensors():
         raise SceneCaptumError(
-            f"{describe(scene)} has no sensor, so there is nothing to render it with. "
+            f"{scene_name(scene)} has no sensor, so it cannot be rendered. "
             'Add one, for example <sensor type="perspective">…</sensor>.'
         )
     return loaded
 
 
-def describe(scene: SceneLike) -> str:
-    """Name a scene in an error message or a result: its file or bundled name, else what it is."""
+def scene_name(scene: SceneLike) -> str:
+    """Return the name of a scene for messages and results: its path or bundled name, otherwise its type."""
     if isinstance(scene, (str, os.PathLike)):
         return os.fspath(scene)
     return "the scene dict" if isinstance(scene, Mapping) else "the mi.Scene"
 
 
-def source_of(scene: SceneLike) -> Any:
-    """Return what a scene was described by, in strings and arrays, of which Mitsuba prints only a part later.
+def hashable_source(scene: SceneLike) -> Any:
+    """Return the description of a scene as strings and arrays to be hashed; ``str(mi.Scene)`` omits some of it.
 
-    None for an ``mi.Scene``; what XML files include is not part of it.
+    None for an ``mi.Scene``. Files included by an XML file are not part of it.
     """
     if isinstance(scene, (str, os.PathLike)):
         return Path(scene).read_bytes().hex() if Path(scene).is_file() else os.fspath(scene)
-    return _plain(scene) if isinstance(scene, Mapping) else None
+    return _hashable(scene) if isinstance(scene, Mapping) else None
 
 
-def _plain(value: Any) -> Any:
+def _hashable(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(name): _plain(one) for name, one in value.items()}
+        return {str(name): _hashable(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
+        return [_hashable(item) for item in value]
     if isinstance(value, np.ndarray):
         return value
     try:
         return without_addresses(str(value))
-    except RuntimeError:  # Dr.Jit cannot print an array that does not have the shape it claims
+    except RuntimeError:  # Dr.Jit cannot print an array with an inconsistent shape
         return type(value).__name__
 
 
-def _load_named(scene: str | os.PathLike[str], parameters: Mapping[str, str]) -> Any:
+def _load_path_or_bundled(scene: str | os.PathLike[str], parameters: Mapping[str, str]) -> Any:
     mi = activate()
     path = Path(scene)
     if is_file(path):
         check_xml(path, parameters)
-        # Textures and meshes are named relative to the file.
+        # Paths of textures and meshes are relative to the scene file.
         with _search_path(path.resolve().parent):
             return _instantiate(str(path), lambda config: _parse_file(config, path, parameters))
     name = os.fspath(scene)
@@ -115,13 +116,13 @@ def _load_named(scene: str | os.PathLike[str], parameters: Mapping[str, str]) ->
     )
 
 
-def as_text(parameters: XmlParameters | None) -> dict[str, str]:
-    """Return the values of ``$names`` as they are to stand in the file.
+def format_parameters(parameters: XmlParameters | None) -> dict[str, str]:
+    """Convert the values of XML placeholders to strings.
 
     Raises
     ------
     SceneCaptumError
-        Where a name or a value is none.
+        If a name or a value is invalid.
     """
     if parameters is not None and not isinstance(parameters, Mapping):
         raise SceneCaptumError(
@@ -133,43 +134,45 @@ def as_text(parameters: XmlParameters | None) -> dict[str, str]:
                 f"parameters= has the key {name!r}; keys are the $names of the file without $, such as 'spp'."
             )
         if name in ("config", "filename"):
-            raise SceneCaptumError(f"Mitsuba's parser keeps the name {name!r} to itself: rename ${name}.")
+            raise SceneCaptumError(f"Mitsuba's parser reserves the name {name!r}: rename ${name}.")
         if not isinstance(value, (str, Real)):
             raise SceneCaptumError(
                 f"parameters= gives ${name} a {type(value).__name__}; values are numbers and strings."
             )
-    # XML writes true and false in small letters.
+    # Booleans are lowercase in XML.
     return {n: str(v).lower() if isinstance(v, bool) else str(v) for n, v in (parameters or {}).items()}
 
 
 def _parse_file(config: Any, path: Path, parameters: Mapping[str, str]) -> Any:
-    """Parse an XML file, or say which of its ``$names`` has no value, or which value has no ``$name``."""
+    """Parse an XML file; raise if a placeholder has no value, or a value has no placeholder."""
     try:
         return activate().parser.parse_file(config, str(path), **parameters)
     except RuntimeError as error:
         missing = re.search(r"undefined parameter: \$(\w*)", str(error))
         unknown = re.search(r"unused parameters:\s+- \$(\w+)=", str(error))
         if missing:
-            raise SceneCaptumError(_missing(path, missing[1], parameters)) from error
+            raise SceneCaptumError(_missing_value(path, missing[1], parameters)) from error
         if unknown:
-            raise SceneCaptumError(_unknown(path, unknown[1], parameters)) from error
+            raise SceneCaptumError(_unknown_placeholder(path, unknown[1], parameters)) from error
         raise
 
 
-def _missing(path: Path, name: str, parameters: Mapping[str, str]) -> str:
-    found = Placeholders.of(path, parameters)
+def _missing_value(path: Path, name: str, parameters: Mapping[str, str]) -> str:
+    found = Placeholders.find(path, parameters)
     names = sorted({name, *(found.used - found.defaults - parameters.keys())})
+    placeholders = ", ".join(f"${n}" for n in names)
+    argument = ", ".join(f"{n!r}: …" for n in names)
+    options = " ".join(f"-D {n}=…" for n in names)
     return (
-        f"{path} has no value for {', '.join(f'${one}' for one in names)}: give parameters="
-        f"{{{', '.join(f'{one!r}: …' for one in names)}}}, or {' '.join(f'-D {one}=…' for one in names)} on the "
+        f"{path} has no value for {placeholders}: give parameters={{{argument}}}, or {options} on the "
         "command line."
     )
 
 
-def _unknown(path: Path, name: str, parameters: Mapping[str, str]) -> str:
-    known = sorted(Placeholders.of(path, parameters).used)
-    listed = f"It has {', '.join(f'${one}' for one in known)}." if known else "It has no $name at all."
-    return f"{path} has no ${name} that a value could be given to.{near_misses(name, known)} {listed}"
+def _unknown_placeholder(path: Path, name: str, parameters: Mapping[str, str]) -> str:
+    known = sorted(Placeholders.find(path, parameters).used)
+    listed = f"It has {', '.join(f'${n}' for n in known)}." if known else "It has no placeholders."
+    return f"{path} has no placeholder ${name}.{near_misses(name, known)} {listed}"
 
 
 def _is_bundled(scene: str | os.PathLike[str]) -> bool:
@@ -178,12 +181,12 @@ def _is_bundled(scene: str | os.PathLike[str]) -> bool:
 
 def _xml_inside(folder: Path) -> str:
     inside = sorted(folder.glob("*.xml"))
-    return f" Did you mean {inside[0]}?" if inside else " It holds no .xml file either."
+    return f" Did you mean {inside[0]}?" if inside else " It contains no .xml file either."
 
 
 @contextlib.contextmanager
 def _search_path(folder: Path) -> Iterator[None]:
-    """Let Mitsuba find the files a scene names beside ``folder``, and forget the folder afterwards."""
+    """Add ``folder`` to Mitsuba's search path for the duration of the context."""
     mi = activate()
     previous = mi.file_resolver()
     resolver = mi.FileResolver(previous)
@@ -198,24 +201,24 @@ def _search_path(folder: Path) -> Iterator[None]:
 def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
     mi = activate()
     config = mi.parser.ParserConfig(mi.variant())
-    # Merging would rename shapes to object_<address> and fuse materials that the user tells apart.
+    # Merging would rename shapes to object_<address> and merge materials that have different names.
     config.merge_equivalent = False
     config.merge_meshes = False
-    # An error in a thread of its own, such as that of a damaged picture, would end the process.
+    # An exception in a worker thread, for example for a damaged image, would terminate the process.
     config.parallel = False
     state = None
     try:
         state = parse(config)
         mi.parser.transform_all(config, state)
-        check_named(mi.file_resolver().resolve, state.nodes)
+        check_referenced_files(mi.file_resolver().resolve, state.nodes)
         name_nodes(state.nodes)
         _make_differentiable(state)
         loaded = mi.parser.instantiate(config, state)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise SceneCaptumError(f"{name} cannot be loaded: {_reason(error)}") from error
+        raise SceneCaptumError(f"{name} cannot be loaded: {_clean_message(error)}") from error
     finally:
-        # A traceback would keep what was made before the error: a lamp without its shape, which the next render
-        # of any scene reaches, and that ends the process.
+        # The traceback would keep partially built objects alive: an emitter without its shape, which the next
+        # render of any scene would access, terminating the process.
         state = None
     if isinstance(loaded, list) and len(loaded) == 1:
         loaded = loaded[0]
@@ -229,7 +232,7 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
 
 
 def _check_meshes(name: str, scene: Any) -> None:
-    """Raise where a mesh has no faces, or faces without their vertices: tracing it reads foreign memory."""
+    """Raise if a mesh has no faces, or invalid vertex indices: tracing it would read out of bounds."""
     import drjit as dr
 
     for mesh in (shape for shape in scene.shapes() if shape.is_mesh()):
@@ -237,14 +240,14 @@ def _check_meshes(name: str, scene: Any) -> None:
         if not mesh.face_count() or not mesh.vertex_count():
             fault = "has no faces"
         elif dr.max(faces)[0] >= mesh.vertex_count():
-            fault = f"has {mesh.vertex_count()} vertices, and faces with vertex {dr.max(faces)[0]}"
+            fault = f"has {mesh.vertex_count()} vertices, but a face with vertex {dr.max(faces)[0]}"
         else:
             continue
         raise SceneCaptumError(f"{name} cannot be loaded: the mesh {mesh.id()!r} {fault}. Export it again.")
 
 
 def _make_differentiable(state: Any) -> None:
-    """Store texels as floats, since 8 bits carry no derivatives, record linear RGB, and take our own plastics."""
+    """Store texels as floats, since 8-bit texels are not differentiable; use RGB films and our plastic plugins."""
     for props in (node.props for node in state.nodes):
         if props.plugin_name() == "bitmap" and props.get("format", "auto") == "auto":
             props["format"] = "variant"
@@ -256,8 +259,8 @@ def _make_differentiable(state: Any) -> None:
             props.set_plugin_name(f"scenecaptum_{props.plugin_name()}")
 
 
-def _reason(error: Exception) -> str:
-    """Mitsuba's message on one line, without positions in source code, about the plugin that the user named."""
+def _clean_message(error: Exception) -> str:
+    """Return Mitsuba's message on one line, without source locations and internal plugin names."""
     text = " ".join(str(error).split()).replace('type "scenecaptum_', 'type "')
     text = re.sub(r"Traceback \(most recent call last\):.*?\w+Error: ", "", text)
     return text.split("] ", 1)[1] if text.startswith("[") and "] " in text else text

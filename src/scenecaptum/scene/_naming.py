@@ -1,6 +1,6 @@
-"""Names for the objects of a scene that have none: readable, and the same in every process.
+"""Readable names for objects without an id, the same in every process.
 
-Mitsuba names an object without an id after its address in memory, which is another in every process.
+Mitsuba names an object without an id after its memory address, which differs between processes.
 """
 
 from __future__ import annotations
@@ -12,58 +12,58 @@ from pathlib import PurePath
 from typing import Any
 
 from ..backend import activate
-from ._graph import children, is_nameless
+from ._graph import children, is_unnamed
 
-# What a scene holds goes by its id; what anything else holds, by what it is held as ("bsdf", "emitter"). A merge
-# leaves to the scene what cannot be merged.
+# mi.traverse names the children of these plugins by their id, and those of other plugins by their role ("bsdf",
+# "emitter"). A "merge" passes on what cannot be merged to the scene.
 _COLLECTIONS = ("scene", "merge")
 
-# What Mitsuba adds to a plugin's name to make that of its class.
-_ADDED = r"^Smooth|(Camera|Sensor|Background|Emitter|Light|Integrator|Plugin|Mesh|BRDF|BSDF)+$"
+# Parts of Mitsuba's class names that are not in the plugin names.
+_CLASS_AFFIXES = r"^Smooth|(Camera|Sensor|Background|Emitter|Light|Integrator|Plugin|Mesh|BRDF|BSDF)+$"
 
 
-def lamp_on(shape: str) -> str:
-    """Return the id of a light on a shape that is named here."""
+def area_emitter_id(shape: str) -> str:
+    """Return the id given to an unnamed emitter on a shape."""
     return f"lamp on {shape}"
 
 
 def name_nodes(nodes: Sequence[Any]) -> None:
-    """Give ids to the parsed objects that ``mi.traverse`` would name after addresses; ids of the file stay.
+    """Assign ids to the parsed objects that ``mi.traverse`` would name after addresses; existing ids stay.
 
-    A shape goes by its file (``Mesh090``), else by its material and its kind (``Walls_rectangle``), anything else
-    by its kind (``constant``); from the second of a name on they are numbered, in the order of the file.
+    A shape is named after its file (``Mesh090``), otherwise after its material and plugin (``Walls_rectangle``),
+    any other object after its plugin (``constant``). Duplicates are numbered from 2 in the order of the file.
 
     Parameters
     ----------
     nodes
-        The nodes of a ``mi.parser.ParserState`` whose references are resolved.
+        The nodes of a ``mi.parser.ParserState`` with resolved references.
     """
     kinds = activate().ObjectType
-    unused = _numbering(node.props.id() for node in nodes)
+    unique = _unique_names(node.props.id() for node in nodes)
 
-    def held(node: Any, kind: Any = None) -> Iterator[Any]:
-        return (one for one in _held(nodes, node) if kind is None or one.type == kind)
+    def referenced(node: Any, kind: Any = None) -> Iterator[Any]:
+        return (child for child in _referenced(nodes, node) if kind is None or child.type == kind)
 
     for collection in (node for node in nodes if node.props.plugin_name() in _COLLECTIONS):
-        for node in held(collection):
+        for node in referenced(collection):
             props = node.props
-            if not is_nameless(props.id()):
+            if not is_unnamed(props.id()):
                 continue
             name = props.plugin_name()
             if node.type == kinds.Shape:
-                material = next((one.props.id() for one in held(node, kinds.BSDF)), "")
+                material = next((child.props.id() for child in referenced(node, kinds.BSDF)), "")
                 name = _shape_name(str(props.get("filename", "")), material, name)
-            props.set_id(unused(name))
-            for light in held(node, kinds.Emitter):
-                if is_nameless(light.props.id()):
-                    light.props.set_id(lamp_on(props.id()))
+            props.set_id(unique(name))
+            for emitter in referenced(node, kinds.Emitter):
+                if is_unnamed(emitter.props.id()):
+                    emitter.props.set_id(area_emitter_id(props.id()))
 
 
 def name_objects(scene: Any) -> None:
-    """Give ids to those objects of a loaded scene that ``mi.traverse`` would name after addresses.
+    """Assign ids to those objects of a loaded scene that ``mi.traverse`` would name after addresses.
 
-    As ``name_nodes`` does, from what is left to see. Meshes of one name are numbered by their place in space:
-    those that Mitsuba has merged come in another order in every process.
+    Like ``name_nodes``, as far as a loaded scene has the information. Meshes with the same name are numbered by
+    their bounding box, because the order of meshes that Mitsuba has merged differs between processes.
 
     Parameters
     ----------
@@ -71,18 +71,18 @@ def name_objects(scene: Any) -> None:
         An ``mi.Scene``.
     """
     mi = activate()
-    objects = [one for _, one in children(scene)]
-    unused = _numbering(one.id() for one in objects)
-    for one in sorted((one for one in objects if is_nameless(one.id())), key=_place):
-        is_shape = isinstance(one, mi.Shape)
-        one.set_id(unused(_name_of_loaded(one) if is_shape else _kind(one)))
-        light = one.emitter() if is_shape else None
-        if light is not None and is_nameless(light.id()):
-            light.set_id(lamp_on(one.id()))
+    objects = [child for _, child in children(scene)]
+    unique = _unique_names(child.id() for child in objects)
+    for unnamed in sorted((child for child in objects if is_unnamed(child.id())), key=_mesh_bounds):
+        is_shape = isinstance(unnamed, mi.Shape)
+        unnamed.set_id(unique(_loaded_shape_name(unnamed) if is_shape else _plugin_name(unnamed)))
+        emitter = unnamed.emitter() if is_shape else None
+        if emitter is not None and is_unnamed(emitter.id()):
+            emitter.set_id(area_emitter_id(unnamed.id()))
 
 
 def without_addresses(text: str) -> str:
-    """Take the addresses out of a description: Mitsuba prints one where a plugin has nothing else to say.
+    """Remove memory addresses from a description; Mitsuba prints them for plugins without their own description.
 
     Example
     -------
@@ -92,48 +92,49 @@ def without_addresses(text: str) -> str:
     return re.sub(r"\b0x[0-9a-f]{6,}\b", "0x…", text)
 
 
-def _held(nodes: Sequence[Any], node: Any) -> Iterator[Any]:
-    """Return the nodes that a node refers to, in its order."""
+def _referenced(nodes: Sequence[Any], node: Any) -> Iterator[Any]:
+    """Yield the nodes that a node references, in its order."""
     reference = activate().Properties.ResolvedReference
     values = (node.props[key] for key in node.props.keys())  # noqa: SIM118 -- not a dict
     return (nodes[value.index()] for value in values if isinstance(value, reference))
 
 
-def _numbering(taken: Iterable[str]) -> Callable[[str], str]:
-    """Return what makes names that are not taken yet: ``lamp``, ``lamp_2``, ``lamp_3``."""
-    known = set(taken)
+def _unique_names(taken: Iterable[str]) -> Callable[[str], str]:
+    """Return a function that makes names unique by a number: ``lamp``, ``lamp_2``, ``lamp_3``."""
+    used = set(taken)
 
-    def unused(name: str) -> str:
-        numbered = (name if number == 1 else f"{name}_{number}" for number in count(1))
-        known.add(found := next(one for one in numbered if one not in known))
+    def unique(name: str) -> str:
+        candidates = (name if number == 1 else f"{name}_{number}" for number in count(1))
+        used.add(found := next(candidate for candidate in candidates if candidate not in used))
         return found
 
-    return unused
+    return unique
 
 
-def _shape_name(file: str, material: str, kind: str) -> str:
-    # A dot would read as the one before a property.
-    words = PurePath(file).stem if file else material and f"{material}_{kind}"
-    return re.sub(r"[^\w-]+", "_", words).strip("_") or kind
+def _shape_name(file: str, material: str, plugin: str) -> str:
+    # A dot separates an object from its property.
+    name = PurePath(file).stem if file else material and f"{material}_{plugin}"
+    return re.sub(r"[^\w-]+", "_", name).strip("_") or plugin
 
 
-def _name_of_loaded(shape: Any) -> str:
-    """Name a shape by the file or files that its description tells, else by its material and class."""
+def _loaded_shape_name(shape: Any) -> str:
+    """Return a name from the file names in a shape's description, otherwise from its material and class."""
     found = re.search(r'name = "([^"]*)"', str(shape)) if shape.is_mesh() else None
     files = [part for part in (found[1].split(" + ") if found else ()) if PurePath(part).suffix]
     material = shape.bsdf().id() if shape.bsdf() is not None else ""
-    name = _shape_name(files[0] if files else "", "" if material == "bsdf" else material, _kind(shape))
+    name = _shape_name(files[0] if files else "", "" if material == "bsdf" else material, _plugin_name(shape))
     return name if len(files) < 2 else f"{name}_and_{len(files) - 1}_more"
 
 
-def _kind(one: Any) -> str:
-    """Return the plugin that an object is made by, as far as its class tells: ``constant``, ``rectangle``."""
-    name = str(one.class_name()).replace("EnvironmentMap", "Envmap")
-    return re.sub(_ADDED, "", name).lower() or "mesh"
+def _plugin_name(scene_object: Any) -> str:
+    """Guess the plugin name of an object from its class name: ``constant``, ``rectangle``."""
+    name = str(scene_object.class_name()).replace("EnvironmentMap", "Envmap")
+    return re.sub(_CLASS_AFFIXES, "", name).lower() or "mesh"
 
 
-def _place(one: Any) -> tuple[float, ...]:
-    if not (isinstance(one, activate().Shape) and one.is_mesh()):
+def _mesh_bounds(scene_object: Any) -> tuple[float, ...]:
+    """Return the bounding box of a mesh, and an empty tuple for other objects."""
+    if not (isinstance(scene_object, activate().Shape) and scene_object.is_mesh()):
         return ()
-    box = one.bbox()
+    box = scene_object.bbox()
     return tuple(float(x) for corner in (box.min, box.max) for x in corner)

@@ -1,4 +1,4 @@
-"""Every parameter of a scene: its kind, shape, physical bounds, owner, and whether it can be differentiated."""
+"""The parameters of a scene: kind, shape, physical bounds, owners, and whether they can be differentiated."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import torch
 from ..backend import activate
 from ..errors import UnknownNameError, near_misses
 from ._bounds import Bounds
-from ._extremes import fault_of
-from ._graph import SceneGraph, mesh_places
-from ._naming import lamp_on
+from ._checks import find_fault
+from ._graph import SceneGraph, mesh_attribute_size
+from ._naming import area_emitter_id
 
 
 @dataclass(frozen=True)
@@ -25,33 +25,33 @@ class Parameter:
     Attributes
     ----------
     name
-        Its ``mi.traverse`` key under ``optimize=False``, which is its name everywhere.
+        Its ``mi.traverse`` key under ``optimize=False``, used everywhere.
     label
         A readable name for tables and figures.
     kind
         ``"reflectance"``, ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"`` (any other property of a
         material), ``"emitters"``, ``"media"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
     plugin
-        The Mitsuba class of the material, light, medium, shape or sensor that uses it.
+        The Mitsuba class of the material, emitter, medium, shape or sensor that uses it.
     role
-        What that uses it as, in Mitsuba's words: ``"diffuse_reflectance"``, ``"eta"``, …
+        The Mitsuba property that it is used for: ``"diffuse_reflectance"``, ``"eta"``, …
     shape
-        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture. A colour that
-        is looked up as one number, such as an opacity, is a scalar, and a texture of such ``(H, W, 1)``.
+        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture. Where Mitsuba
+        reads a colour as one number, such as an opacity, ``()`` for a colour and ``(H, W, 1)`` for a texture.
     bounds
-        The values that are physically meaningful.
+        The physically meaningful interval.
     owners
-        The materials, lights or media that it belongs to.
+        The materials, emitters or media that it belongs to.
     tracked
-        Whether Mitsuba lets Dr.Jit track it; where not, a finite difference still can be taken.
+        Whether Dr.Jit can track its derivative; otherwise finite differences are used.
     specular_inside
         Whether it belongs to a material with a perfectly specular lobe.
     fault
-        What is wrong with the scene's own value, where it is not finite or physically impossible, or None.
+        Why the scene's own value is invalid (not finite or physically impossible), or None.
     problem
         Why it cannot be differentiated, or None.
     caution
-        What is known to be wrong with its derivative, or None.
+        A known error of its derivative, or None.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Parameter:
 
     @property
     def status(self) -> str:
-        """One line: differentiable, differentiable with a caution, or why not."""
+        """One line: differentiable, differentiable with a caution, or the reason why not."""
         if self.problem:
             return f"not differentiable: {self.problem}"
         return f"differentiable, but {self.caution}" if self.caution else "differentiable"
@@ -87,7 +87,7 @@ class SceneParameters(Mapping[str, Parameter]):
     Parameters
     ----------
     parameters
-        What to list, each with a name of its own.
+        The parameters, with unique names.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
@@ -111,7 +111,7 @@ class SceneParameters(Mapping[str, Parameter]):
         return len(self._by_name)
 
     def __str__(self) -> str:
-        """Lay out name, kind, shape, bounds, owner and status in columns."""
+        """Return a table with name, kind, shape, bounds, owner and status."""
         from ..visualization import parameters_text
 
         return parameters_text(self)
@@ -131,7 +131,7 @@ _POSITIVE_UNIT = Bounds(0.0, 1.0, open_low=True)
 _NON_NEGATIVE = Bounds(0.0)
 _POSITIVE = Bounds(0.0, open_low=True)
 
-# What a property of a material means, by its name in Mitsuba's plugins.
+# Kind and bounds of material properties, by their name in Mitsuba's plugins.
 _SURFACE_ROLES: dict[str, tuple[str, Bounds]] = {
     **dict.fromkeys(
         (
@@ -172,27 +172,25 @@ _SURFACE_ROLES: dict[str, tuple[str, Bounds]] = {
     ),
 }
 
-# Properties that Mitsuba's materials look up as one number, whatever they are given as: of a colour they take the
-# mean of its channels, of a bitmap the luminance.
-_ONE_NUMBER = {"opacity", "weight", "alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic"}
-_ONE_NUMBER |= {"sheen", "sheen_tint", "spec_tint", "clearcoat", "clearcoat_gloss", "spec_trans", "flatness"}
-_ONE_NUMBER |= {"diff_trans"}
+# Properties that Mitsuba's materials read as one number: the mean of a colour's channels, or a bitmap's luminance.
+_SCALAR_ROLES = {"opacity", "weight", "alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic"}
+_SCALAR_ROLES |= {"sheen", "sheen_tint", "spec_tint", "clearcoat", "clearcoat_gloss"}
+_SCALAR_ROLES |= {"spec_trans", "flatness", "diff_trans"}
 
 _EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width"), Bounds(0.0, 180.0))
 
 _MEDIUM_ROLES: dict[str, Bounds] = {"albedo": _UNIT, "g": Bounds(-1.0, 1.0)}
 
-# What places a light in the scene or in time: like a pose, it moves the shadows.
-_POSES = {"position", "direction", "sun_direction", "latitude", "longitude", "timezone"}
-_POSES |= {"year", "month", "day", "hour", "minute", "second"}
+# Position of an emitter in space or time: changing it moves shadows.
+_EMITTER_POSES = {"position", "direction", "sun_direction", "latitude", "longitude", "timezone"}
+_EMITTER_POSES |= {"year", "month", "day", "hour", "minute", "second"}
 
-_DROPPED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
+# Parts of a parameter's name that its label leaves out.
+_OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
 
 
 def discover(graph: SceneGraph) -> SceneParameters:
-    """Return every parameter that ``mi.traverse`` finds in a scene, described.
-
-    It is what ``SceneRenderer.parameters_table`` returns.
+    """Return every parameter that ``mi.traverse`` finds in a scene, as ``SceneRenderer.parameters_table`` does.
 
     Example
     -------
@@ -203,12 +201,12 @@ def discover(graph: SceneGraph) -> SceneParameters:
     Parameters
     ----------
     graph
-        The objects of a loaded scene and what refers to what.
+        The objects of a loaded scene.
     """
     mi = activate()
-    # Writing is none of its business, but reading through mi.traverse is what fixes the names.
+    # Only read here; mi.traverse defines the names.
     properties = mi.traverse(graph.scene).properties
-    labels = _labels({name: _label(graph, name, node) for name, (_, _, node, _) in properties.items()})
+    labels = _unique_labels({name: _label(graph, name, node) for name, (_, _, node, _) in properties.items()})
     return SceneParameters(
         _describe(graph, name, labels[name], node, _value(pointer, cpptype, node), flags)
         for name, (pointer, cpptype, node, flags) in properties.items()
@@ -222,103 +220,105 @@ def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
 
 def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int) -> Parameter:
     own_name = name.rsplit(".", 1)[-1]
-    holder, role = graph.role(node, own_name)
-    kind, bounds = _kind_and_bounds(holder, role)
-    found = _shape(value, mesh_places(node, own_name))
-    shape = _grey(found) if _is_one_number(graph, node, found) else found
-    tracked = _is_array(value) and not flags & _untracked_flags() and not _leaves_tables(holder, role)
-    problem = _problem(kind, role, holder, shape, value, tracked)
-    fault = None if problem else fault_of(_numbers(value, found), kind, bounds)
+    user, role = graph.role(node, own_name)
+    kind, bounds = _kind_and_bounds(user, role)
+    stored_shape = _shape(value, mesh_attribute_size(node, own_name))
+    shape = _scalar_shape(stored_shape) if _is_scalar(graph, node, stored_shape) else stored_shape
+    tracked = _is_array(value) and not flags & _untracked_flags() and not _has_untracked_tables(user, role)
+    problem = _problem(kind, role, user, shape, value, tracked)
+    fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
     return Parameter(
         name=name,
         label=label,
         kind=kind,
-        plugin=holder.class_name(),
+        plugin=user.class_name(),
         role=role,
         shape=shape,
         bounds=bounds,
         owners=graph.owners(node),
         tracked=tracked,
-        specular_inside=_is_specular(holder),
+        specular_inside=_is_specular(user),
         fault=fault,
         problem=problem or fault,
-        caution=None if problem else _caution(role, holder, shape, value),
+        caution=None if problem else _caution(role, user, shape, value),
     )
 
 
-def _kind_and_bounds(holder: Any, role: str) -> tuple[str, Bounds]:
+def _kind_and_bounds(user: Any, role: str) -> tuple[str, Bounds]:
     mi = activate()
-    if isinstance(holder, mi.BSDF):
+    if isinstance(user, mi.BSDF):
         # A perfect mirror without a named metal has eta = 0, k = 1.
-        if role == "eta" and "Conductor" in holder.class_name():
+        if role == "eta" and "Conductor" in user.class_name():
             return "ior", _NON_NEGATIVE
         return _SURFACE_ROLES.get(role, ("surface", Bounds()))
-    if isinstance(holder, mi.Emitter):
+    if isinstance(user, mi.Emitter):
         return "emitters", _EMITTER_ROLES.get(role, _NON_NEGATIVE)
-    if isinstance(holder, (mi.Medium, mi.PhaseFunction)):
+    if isinstance(user, (mi.Medium, mi.PhaseFunction)):
         return "media", _MEDIUM_ROLES.get(role, _NON_NEGATIVE)
-    if isinstance(holder, mi.Shape):
-        # Attributes that no material looks up.
-        return ("surface", Bounds()) if mesh_places(holder, role) else ("geometry", Bounds())
-    if isinstance(holder, (mi.Sensor, mi.Film, mi.Sampler)):
+    if isinstance(user, mi.Shape):
+        # A mesh attribute that no material reads.
+        return ("surface", Bounds()) if mesh_attribute_size(user, role) else ("geometry", Bounds())
+    if isinstance(user, (mi.Sensor, mi.Film, mi.Sampler)):
         return "camera", Bounds()
     return "scene", Bounds()
 
 
 def _problem(
-    kind: str, role: str, holder: Any, shape: tuple[int, ...], value: Any, tracked: bool
+    kind: str, role: str, user: Any, shape: tuple[int, ...], value: Any, tracked: bool
 ) -> str | None:
-    """Why the parameter cannot be differentiated, or None where it can."""
+    """Return the reason why the parameter cannot be differentiated, or None."""
     type_name = type(value).__name__
     if kind == "geometry" and ("position" in role or "to_world" in role):
-        return "it moves visibility, and a gradient without the boundary term would be silently wrong"
+        return "it changes visibility, and a gradient without the boundary term would be wrong"
     if kind == "geometry":
-        return "it belongs to the geometry, whose derivatives have no verified route"
+        return "it belongs to the geometry, which cannot be differentiated yet"
     if kind == "camera":
         return "it belongs to the camera, which Mitsuba does not differentiate"
     if type_name == "TensorXu8":
         return (
-            "its texels are stored in 8 bits, which carry no derivatives; load the scene from its file or "
-            'dict, or give the bitmap format="variant"'
+            "its texels are stored in 8 bits and have no derivatives; load the scene from its file or dict, or "
+            'give the bitmap format="variant"'
         )
     if role == "sampling_weight" or role.endswith("_sampling_rate"):
         return "it changes how samples are drawn, not what is rendered"
     if "Transform" in type_name:
         return "it is a transformation; only materials, lights and media are differentiated"
-    if kind == "emitters" and role in _POSES:
-        return "it places a light, which moves shadows as a pose does"
+    if kind == "emitters" and role in _EMITTER_POSES:
+        return "it positions a light, which moves its shadows"
     if not (_is_array(value) or isinstance(value, float)):
         return f"it is a {type_name}, not a continuous quantity"
-    if role == "S" and holder.class_name().startswith("SGGX"):
-        return "Mitsuba's SGGX samples other directions than its own density describes"
-    if role in ("normalmap", "nested_texture") and _is_specular(holder):
-        return "it turns perfectly specular reflections, and path replay does not follow where they go"
+    if role == "S" and user.class_name().startswith("SGGX"):
+        return "Mitsuba's SGGX sampling does not match its own density"
+    if role in ("normalmap", "nested_texture") and _is_specular(user):
+        return (
+            "it rotates perfectly specular reflections, whose directions path replay does not differentiate"
+        )
     if not tracked and math.prod(shape) > 3:
-        return "Mitsuba keeps it outside the derivative graph, and it has too many numbers for differences"
+        return "Mitsuba keeps it outside the derivative graph, and it has too many entries for finite differences"
     return None
 
 
-def _caution(role: str, holder: Any, shape: tuple[int, ...], value: Any) -> str | None:
-    """Tell what is known to be wrong with a texture's derivative, which no difference can stand in for."""
-    if _is_array(value) and len(shape) > 1 and _is_specular(holder) and role in ("opacity", "weight"):
-        return "it weighs a perfectly specular lobe against others: its size is off"
+def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | None:
+    """Return a known error in a texture's derivative; a texture is too large for finite differences."""
+    if _is_array(value) and len(shape) > 1 and _is_specular(user) and role in ("opacity", "weight"):
+        return "it blends a perfectly specular lobe with others, so the magnitude of its derivative is biased"
     return None
 
 
-def _is_specular(holder: Any) -> bool:
-    """Whether a material has a perfectly specular lobe, beside what a mask lets pass."""
+def _is_specular(user: Any) -> bool:
+    """Whether a material has a perfectly specular lobe, not counting the null transmission of a mask."""
     mi = activate()
-    if not isinstance(holder, mi.BSDF):
+    if not isinstance(user, mi.BSDF):
         return False
-    lobes = (holder.flags(component) for component in range(holder.component_count()))
+    lobes = (user.flags(component) for component in range(user.component_count()))
     specular = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission
     return any(lobe & specular for lobe in lobes)
 
 
-def _leaves_tables(holder: Any, role: str) -> bool:
-    """Whether Mitsuba's plugin derives tables from it outside the derivative graph, as our own does not."""
-    own = type(holder).__module__.startswith(__package__)
-    return holder.class_name() == "RoughPlastic" and role in ("alpha", "eta") and not own
+def _has_untracked_tables(user: Any, role: str) -> bool:
+    """Whether the plugin derives tables from it outside the derivative graph; our own plugin does not."""
+    ours = type(user).__module__.startswith(__package__)
+    return user.class_name() == "RoughPlastic" and role in ("alpha", "eta") and not ours
 
 
 def _untracked_flags() -> int:
@@ -327,28 +327,27 @@ def _untracked_flags() -> int:
 
 
 def _is_array(value: Any) -> bool:
-    """Whether it is an array, colour, vector or tensor of floats that Dr.Jit can track."""
+    """Whether ``value`` is an array, colour, vector or tensor of floats that Dr.Jit can track."""
     import drjit as dr
 
     return value is not None and bool(dr.is_jit_v(value) and dr.is_float_v(value))
 
 
-def _is_one_number(graph: SceneGraph, node: Any, shape: tuple[int, ...]) -> bool:
-    """Whether a colour, or a coloured picture, is looked up as one number by every material that uses it."""
+def _is_scalar(graph: SceneGraph, node: Any, shape: tuple[int, ...]) -> bool:
+    """Whether every material that uses a colour or colour bitmap reads it as one number."""
     mi = activate()
     if not isinstance(node, mi.Texture) or len(shape) not in (1, 3) or shape[-1] != 3:
         return False
     uses = graph.uses(node)
-    return bool(uses) and all(isinstance(one, mi.BSDF) and role in _ONE_NUMBER for one, role in uses)
+    return bool(uses) and all(isinstance(user, mi.BSDF) and role in _SCALAR_ROLES for user, role in uses)
 
 
-def _grey(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the shape of a colour, or of a coloured picture, that counts as one number."""
+def _scalar_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return (*shape[:-1], 1) if len(shape) > 1 else ()
 
 
-def _numbers(value: Any, shape: tuple[int, ...]) -> torch.Tensor:
-    """Return a float, or an array of Dr.Jit, as a tensor of that shape."""
+def _to_tensor(value: Any, shape: tuple[int, ...]) -> torch.Tensor:
+    """Convert a float or a Dr.Jit array to a CPU tensor."""
     import drjit as dr
 
     if isinstance(value, float):
@@ -358,39 +357,39 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> torch.Tensor:
     return flat.cpu().reshape(shape)
 
 
-def _shape(value: Any, places: int | None) -> tuple[int, ...]:
-    """Shape as a torch tensor: Dr.Jit gives a scalar shape (1,) and a uniform colour (3, 1).
+def _shape(value: Any, mesh_size: int | None) -> tuple[int, ...]:
+    """Return the shape as a torch tensor: Dr.Jit gives a scalar shape (1,) and a uniform colour (3, 1).
 
-    What a mesh has at so many ``places`` lies there one after the other; here these are rows.
+    A mesh attribute of ``mesh_size`` vertices or faces, which Mitsuba stores flat, gets ``(mesh_size, C)``.
     """
     if not hasattr(value, "shape"):
         return ()
     shape = tuple(int(n) for n in value.shape)
-    if places:
-        return places, shape[0] // places
+    if mesh_size:
+        return mesh_size, shape[0] // mesh_size
     return shape if "Tensor" in type(value).__name__ or shape[-1:] != (1,) else shape[:-1]
 
 
-def _labels(labels: Mapping[str, str]) -> dict[str, str]:
-    """Keep the labels that are the only ones of their kind; of others the full name tells more."""
+def _unique_labels(labels: Mapping[str, str]) -> dict[str, str]:
+    """Replace labels that occur more than once by the full names."""
     counts = Counter(labels.values())
     return {name: label if counts[label] == 1 else name for name, label in labels.items()}
 
 
 def _label(graph: SceneGraph, name: str, node: Any) -> str:
-    """Return a readable name: the object that a parameter belongs to, whose id may have dots, and what it is."""
+    """Return a readable name: the id of the object that a parameter belongs to, and the property."""
     path = graph.path(node)
     if not path:
         return name
     segments, rest = [], name
-    for held_as, _ in path:
-        # Mitsuba numbers what is held under one name: this is "" or "_1".
-        number, _, rest = rest.removeprefix(held_as).partition(".")
-        segments.append(held_as + number)
+    for child_name, _ in path:  # an id may contain dots
+        # The suffix with which Mitsuba makes repeated child names unique: "" or "_1".
+        suffix, _, rest = rest.removeprefix(child_name).partition(".")
+        segments.append(child_name + suffix)
     owner, *inner = [*segments, rest]
-    if lamp_on(owner) in (one.id() for _, one in path):
-        owner = lamp_on(owner)
-    words = [segment.replace("_", " ") for segment in inner if segment not in _DROPPED_SEGMENTS]
+    if area_emitter_id(owner) in (scene_object.id() for _, scene_object in path):
+        owner = area_emitter_id(owner)
+    words = [segment.replace("_", " ") for segment in inner if segment not in _OMITTED_SEGMENTS]
     if inner[-1] == "data":
         words.append("texture" if words else "map")
     return f"{owner}: {' '.join(words)}" if words else owner

@@ -1,12 +1,12 @@
-"""Smooth and rough plastic, with derivatives with respect to every parameter.
+"""Smooth and rough plastic that are differentiable with respect to every parameter.
 
 Imported only once a variant is active (see ``load_scene``).
 
-Plastic is a diffuse ground under a dielectric surface. How much light the surface lets in (a table over
-directions, where it is rough) and how much it keeps inside depend on its index and roughness. Mitsuba's
-``plastic`` and ``roughplastic`` compute both outside the derivative graph. The plugins here do the same arithmetic
-with the same random numbers, so that pictures are the same, and track all of it but the probabilities: which lobe
-is sampled is a choice, and the value carries the whole derivative where the density it is divided by has none.
+Plastic is a diffuse base under a dielectric coating. The coating's external transmittance (a table over incident
+cosines if it is rough) and internal reflectance depend on its index of refraction and roughness. Mitsuba's
+``plastic`` and ``roughplastic`` compute both outside the derivative graph. These plugins do the same arithmetic
+with the same random numbers, so images are identical, and track everything except the sampling densities: lobe
+selection is discrete, and with a detached density the value carries the whole derivative.
 
 References
 ----------
@@ -26,17 +26,17 @@ from numpy.typing import NDArray
 
 Table: TypeAlias = "NDArray[np.float64]"
 
-# Directions for which the transmittance of a rough surface is tabulated.
+# Incident cosines at which the transmittance of a rough coating is tabulated.
 COSINES = np.maximum(1e-6, np.linspace(0, 1, 64))
 
-TINY = 1e-30
+EPSILON = 1e-30
 
 
 class Plastic(mi.BSDF):
-    """A diffuse ground under a dielectric surface; subclasses say how that reflects and what it lets through."""
+    """A diffuse base under a dielectric coating; subclasses define the coating's reflection and transmission."""
 
     specular_lobe: str
-    reported: tuple[str, ...]  # what Mitsuba's plugin reports to mi.traverse, in its order
+    parameter_names: tuple[str, ...]  # in the order in which Mitsuba's plugin reports them to mi.traverse
 
     def __init__(self, props: Any) -> None:
         super().__init__(props)
@@ -56,33 +56,33 @@ class Plastic(mi.BSDF):
         self.m_flags = self.m_components[0] | self.m_components[1]
 
     def class_name(self) -> str:
-        """Return the name of the Mitsuba class that this one stands for."""
+        """Return the name of the Mitsuba class that this one replaces."""
         return type(self).__name__
 
     def to_string(self) -> str:
-        """List what can be set."""
-        lines = (f"  {name} = {getattr(self, name)}" for name in self.reported)
+        """List the parameters."""
+        lines = (f"  {name} = {getattr(self, name)}" for name in self.parameter_names)
         return "\n".join((f"{self.class_name()}[", *lines, "]"))
 
     def traverse(self, callback: Any) -> None:
         """Report textures and parameters under Mitsuba's names."""
-        for name in self.reported:
+        for name in self.parameter_names:
             value = getattr(self, name)
             if value is not None:
                 callback.put(name, value, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: Any = ()) -> None:
-        """Bring up to date what is derived from the parameters; subclasses first derive what is theirs."""
+        """Update derived values; subclasses update theirs first."""
         diffuse = self.diffuse_reflectance.mean()
         specular = 1 if self.specular_reflectance is None else self.specular_reflectance.mean()
-        self.specular_weight = dr.detach(specular / dr.maximum(diffuse + specular, TINY))
-        # A number written into the code would give each material a kernel of its own.
+        self.specular_weight = dr.detach(specular / dr.maximum(diffuse + specular, EPSILON))
+        # Literals would be compiled into the code, with a separate kernel for each material.
         dr.make_opaque(self.eta, self.internal_reflectance, self.specular_weight)
 
     def sample(
         self, context: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
     ) -> tuple[Any, Any]:
-        """Draw a direction from either lobe; return it with the value divided by its density."""
+        """Sample a direction; return it with the BSDF value times cosine, divided by the density."""
         active &= mi.Frame3f.cos_theta(si.wi) > 0
         specular = active & (sample1 < self._specular_probability(context, si.wi))
         sampled = dr.zeros(mi.BSDFSample3f)
@@ -93,22 +93,22 @@ class Plastic(mi.BSDF):
         sampled.sampled_component = dr.select(specular, mi.UInt32(0), mi.UInt32(1))
         sampled.sampled_type = dr.select(specular, *(mi.UInt32(lobe) for lobe in self.lobes))
         value, sampled.pdf = self.eval_pdf(context, si, sampled.wo, active)
-        return sampled, value / dr.maximum(sampled.pdf, TINY)
+        return sampled, value / dr.maximum(sampled.pdf, EPSILON)
 
     def eval(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """Return the value times the cosine of the outgoing direction."""
+        """Return the BSDF value times the cosine of the outgoing direction."""
         return self.eval_pdf(context, si, wo, active)[0]
 
     def pdf(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """Return the density with which ``sample`` draws a direction."""
+        """Return the density of ``sample``."""
         return self.eval_pdf(context, si, wo, active)[1]
 
     def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
-        """Return the reflectance of the ground."""
+        """Return the diffuse reflectance of the base."""
         return self.diffuse_reflectance.eval(si, active)
 
     def _enabled(self, context: Any) -> tuple[bool, bool]:
-        """Whether the specular and the diffuse lobe are asked for."""
+        """Whether the specular and the diffuse lobe are enabled."""
         specular, diffuse = (context.is_enabled(lobe, index) for index, lobe in enumerate(self.lobes))
         return specular, diffuse
 
@@ -116,58 +116,57 @@ class Plastic(mi.BSDF):
         specular, diffuse = self._enabled(context)
         if specular != diffuse:
             return mi.Float(specular)
-        let_in = dr.detach(self._transmittance(mi.Frame3f.cos_theta(wi)))
-        for_specular = (1 - let_in) * self.specular_weight
-        for_diffuse = let_in * (1 - self.specular_weight)
-        return for_specular / dr.maximum(for_specular + for_diffuse, TINY)
+        transmittance = dr.detach(self._transmittance(mi.Frame3f.cos_theta(wi)))
+        specular_part = (1 - transmittance) * self.specular_weight
+        diffuse_part = transmittance * (1 - self.specular_weight)
+        return specular_part / dr.maximum(specular_part + diffuse_part, EPSILON)
 
-    def _tint(self, si: Any, active: Any) -> Any:
-        """Return the factor on what the surface reflects."""
+    def _eval_specular_reflectance(self, si: Any, active: Any) -> Any:
         return 1 if self.specular_reflectance is None else self.specular_reflectance.eval(si, active)
 
-    def _diffuse(self, si: Any, wo: Any, active: Any) -> Any:
-        """Return the value of the diffuse lobe: in, back and forth between ground and surface, and out."""
-        ground = self.diffuse_reflectance.eval(si, active)
-        kept = self.internal_reflectance * ground if self.nonlinear else self.internal_reflectance
+    def _eval_diffuse(self, si: Any, wo: Any, active: Any) -> Any:
+        """Return the diffuse lobe times cosine, including interreflection between base and coating."""
+        base = self.diffuse_reflectance.eval(si, active)
+        interreflected = self.internal_reflectance * base if self.nonlinear else self.internal_reflectance
         cos_o = mi.Frame3f.cos_theta(wo)
-        let_through = self._transmittance(mi.Frame3f.cos_theta(si.wi)) * self._transmittance(cos_o)
-        return ground / (1 - kept) * (dr.inv_pi * cos_o * let_through / dr.square(self.eta))
+        transmittance = self._transmittance(mi.Frame3f.cos_theta(si.wi)) * self._transmittance(cos_o)
+        return base / (1 - interreflected) * (dr.inv_pi * cos_o * transmittance / dr.square(self.eta))
 
 
 class SmoothPlastic(Plastic):
-    """Mitsuba's ``plastic``, whose surface is a mirror."""
+    """Mitsuba's ``plastic``, with a perfectly smooth coating."""
 
     specular_lobe = "DeltaReflection"
-    reported = ("eta", "diffuse_reflectance", "specular_reflectance")
+    parameter_names = ("eta", "diffuse_reflectance", "specular_reflectance")
 
     def __init__(self, props: Any) -> None:
         super().__init__(props)
         self.parameters_changed()
 
     def parameters_changed(self, keys: Any = ()) -> None:
-        """Bring up to date what is derived from the parameters."""
+        """Update derived values."""
         self.internal_reflectance = mi.fresnel_diffuse_reflectance(1 / self.eta)
         super().parameters_changed(keys)
 
     def sample(
         self, context: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
     ) -> tuple[Any, Any]:
-        """Draw a diffuse direction or the mirrored one, whose density is the probability of drawing it."""
+        """Sample a diffuse or the mirror direction; the density of the latter is its discrete probability."""
         sampled, weight = super().sample(context, si, sample1, sample2, active)
         cos_i = mi.Frame3f.cos_theta(si.wi)
-        mirrored = active & (cos_i > 0) & (sampled.sampled_component == 0)
+        specular = active & (cos_i > 0) & (sampled.sampled_component == 0)
         probability = self._specular_probability(context, si.wi)
-        reflected = self._tint(si, mirrored) * mi.fresnel(cos_i, self.eta)[0]
-        sampled.pdf = dr.select(mirrored, probability, sampled.pdf)
-        return sampled, dr.select(mirrored, reflected / dr.maximum(probability, TINY), weight)
+        reflectance = self._eval_specular_reflectance(si, specular) * mi.fresnel(cos_i, self.eta)[0]
+        sampled.pdf = dr.select(specular, probability, sampled.pdf)
+        return sampled, dr.select(specular, reflectance / dr.maximum(probability, EPSILON), weight)
 
     def eval_pdf(self, context: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
-        """Return value and density of the diffuse lobe: those of a mirror are zero but in one direction."""
+        """Return value and density of the diffuse lobe; a delta lobe evaluates to zero."""
         _, diffuse = self._enabled(context)
         active &= diffuse & (mi.Frame3f.cos_theta(si.wi) > 0) & (mi.Frame3f.cos_theta(wo) > 0)
         probability = 1 - self._specular_probability(context, si.wi)
         density = probability * mi.warp.square_to_cosine_hemisphere_pdf(wo)
-        return self._diffuse(si, wo, active) & active, density & active
+        return self._eval_diffuse(si, wo, active) & active, density & active
 
     def _reflect(self, wi: Any, sample: Any) -> Any:
         return mi.reflect(wi)
@@ -177,57 +176,58 @@ class SmoothPlastic(Plastic):
 
 
 class RoughPlastic(Plastic):
-    """Mitsuba's ``roughplastic``, whose surface is made of microfacets."""
+    """Mitsuba's ``roughplastic``, with a microfacet coating."""
 
     specular_lobe = "GlossyReflection"
-    reported = ("diffuse_reflectance", "alpha", "eta", "specular_reflectance")
+    parameter_names = ("diffuse_reflectance", "alpha", "eta", "specular_reflectance")
 
     def __init__(self, props: Any) -> None:
         super().__init__(props)
         if self.eta[0] == 1:
             raise ValueError("The interior and exterior indices of refraction must differ!")
-        surface = mi.MicrofacetDistribution(props)
-        if surface.is_anisotropic():
+        microfacets = mi.MicrofacetDistribution(props)
+        if microfacets.is_anisotropic():
             raise ValueError("The 'roughplastic' plugin supports no anisotropic microfacet distributions!")
-        self.distribution = surface.type()
-        self.sample_visible = surface.sample_visible()
-        self.alpha = mi.Float(surface.alpha())
+        self.distribution = microfacets.type()
+        self.sample_visible = microfacets.sample_visible()
+        self.alpha = mi.Float(microfacets.alpha())
         self.parameters_changed()
 
     def parameters_changed(self, keys: Any = ()) -> None:
-        """Bring up to date what is derived from the parameters."""
-        self.external_transmittance = self._track(external_transmittance)
-        self.internal_reflectance = self._track(internal_reflectance)
+        """Update derived values."""
+        self.external_transmittance = self._differentiable(external_transmittance)
+        self.internal_reflectance = self._differentiable(internal_reflectance)
         dr.make_opaque(self.alpha, self.external_transmittance)
         super().parameters_changed(keys)
 
     def eval_pdf(self, context: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
-        """Return the value times the cosine of the outgoing direction, and the density of ``sample``."""
+        """Return the BSDF value times the cosine of the outgoing direction, and the density of ``sample``."""
         specular, diffuse = self._enabled(context)
         cos_i = mi.Frame3f.cos_theta(si.wi)
         active &= (specular | diffuse) & (cos_i > 0) & (mi.Frame3f.cos_theta(wo) > 0)
-        surface = self._surface()
+        microfacets = self._microfacets()
         half = dr.normalize(wo + si.wi)
-        facets = surface.eval(half) * surface.smith_g1(si.wi, half) / (4 * cos_i)
+        visible = microfacets.eval(half) * microfacets.smith_g1(si.wi, half) / (4 * cos_i)
 
         value = mi.Spectrum(0)
         if specular:
-            reflected = mi.fresnel(dr.dot(si.wi, half), self.eta)[0]
-            value += self._tint(si, active) * (reflected * facets * surface.smith_g1(wo, half))
+            fresnel = mi.fresnel(dr.dot(si.wi, half), self.eta)[0]
+            reflectance = self._eval_specular_reflectance(si, active)
+            value += reflectance * (fresnel * visible * microfacets.smith_g1(wo, half))
         if diffuse:
-            value += self._diffuse(si, wo, active)
+            value += self._eval_diffuse(si, wo, active)
 
-        density = facets if self.sample_visible else surface.pdf(si.wi, half) / (4 * dr.dot(wo, half))
+        density = visible if self.sample_visible else microfacets.pdf(si.wi, half) / (4 * dr.dot(wo, half))
         probability = self._specular_probability(context, si.wi)
         cosine_density = mi.warp.square_to_cosine_hemisphere_pdf(wo)
         density = probability * dr.detach(density) + (1 - probability) * cosine_density
         return value & active, density & active
 
-    def _surface(self) -> Any:
+    def _microfacets(self) -> Any:
         return mi.MicrofacetDistribution(self.distribution, self.alpha, self.sample_visible)
 
     def _reflect(self, wi: Any, sample: Any) -> Any:
-        normal, _ = self._surface().sample(wi, sample)
+        normal, _ = self._microfacets().sample(wi, sample)
         return mi.reflect(wi, normal)
 
     def _transmittance(self, cosine: Any) -> Any:
@@ -236,77 +236,77 @@ class RoughPlastic(Plastic):
         below, above = (dr.gather(mi.Float, self.external_transmittance, index + i) for i in (0, 1))
         return dr.lerp(below, above, position - index)
 
-    def _track(self, function: Callable[[Any, float, float], Table]) -> Any:
-        """Return a function of roughness and index, attached to those of the two that are tracked."""
+    def _differentiable(self, function: Callable[[Any, float, float], Table]) -> Any:
+        """Return a function of roughness and index, with finite-difference derivatives where they are tracked."""
         alpha, eta = self.alpha[0], self.eta[0]
         value = _array(function(self.distribution, alpha, eta))
         if dr.grad_enabled(self.alpha):
-            slope = _slope(lambda moved: function(self.distribution, moved, eta), alpha, 0.05 * alpha)
+            slope = _difference_quotient(lambda x: function(self.distribution, x, eta), alpha, 0.05 * alpha)
             value = dr.replace_grad(value, value + slope * self.alpha)
         if dr.grad_enabled(self.eta):
-            # Total reflection changes sides where the indices match, so both points lie on the same side of 1.
+            # At eta = 1 total internal reflection changes sides, so both points lie on the same side of 1.
             step = max(0.1 * min(abs(eta - 1), 0.2), 1e-4)
-            middle = max(eta, 1 + step) if eta >= 1 else min(eta, 1 - step)
-            slope = _slope(lambda moved: function(self.distribution, alpha, moved), middle, step)
+            centre = max(eta, 1 + step) if eta >= 1 else min(eta, 1 - step)
+            slope = _difference_quotient(lambda x: function(self.distribution, alpha, x), centre, step)
             value = dr.replace_grad(value, value + slope * self.eta)
         return value
 
 
-def _slope(function: Callable[[float], Table], at: float, step: float) -> Any:
-    """Return a difference quotient: total reflection makes the tables too ragged for a derivative at a point."""
-    low, high = (float(np.float32(at + shift)) for shift in (-step, step))
+def _difference_quotient(function: Callable[[float], Table], x: float, step: float) -> Any:
+    """Return a central difference: total reflection makes the tables too rough for a pointwise derivative."""
+    low, high = (float(np.float32(x + shift)) for shift in (-step, step))
     return _array((function(high) - function(low)) / (high - low))
 
 
 def _array(table: Table) -> Any:
-    """Copy a table, since frozen functions go on reading memory that Dr.Jit once borrowed from NumPy."""
+    """Copy a table; frozen functions would otherwise keep reading memory that NumPy owns."""
     return mi.Float(table.tolist())
 
 
 @lru_cache(maxsize=1024)
 def external_transmittance(distribution: Any, alpha: float, eta: float) -> Table:
-    """Return the share of light from each of ``COSINES`` that a rough surface lets in."""
+    """Return the fraction of light incident at each of ``COSINES`` that a rough coating transmits."""
 
-    def let_in(surface: Any, wi: Any, normal: Any) -> Any:
-        reflected, cos_t, _, inverse = mi.fresnel(dr.dot(wi, normal), dr.opaque(mi.Float, eta))
+    def transmitted(microfacets: Any, wi: Any, normal: Any) -> Any:
+        fresnel, cos_t, _, inverse = mi.fresnel(dr.dot(wi, normal), dr.opaque(mi.Float, eta))
         wo = mi.refract(wi, normal, cos_t, inverse)
-        return dr.select(wo.z < 0, surface.smith_g1(wo, normal) * (1 - reflected), 0)
+        return dr.select(wo.z < 0, microfacets.smith_g1(wo, normal) * (1 - fresnel), 0)
 
-    return _integrate(distribution, alpha, eta, let_in)
+    return _integrate(distribution, alpha, eta, transmitted)
 
 
 @lru_cache(maxsize=1024)
 def internal_reflectance(distribution: Any, alpha: float, eta: float) -> Table:
-    """Return the share of diffuse light from inside that a rough surface reflects: one number."""
+    """Return the fraction of diffuse light from the inside that a rough coating reflects, ``(1,)``."""
 
-    def keep(surface: Any, wi: Any, normal: Any) -> Any:
+    def reflected(microfacets: Any, wi: Any, normal: Any) -> Any:
         wo = mi.reflect(wi, normal)
-        reflected, *_ = mi.fresnel(dr.dot(wi, normal), dr.opaque(mi.Float, 1 / eta))
-        return dr.select(wo.z > 0, surface.smith_g1(wo, normal) * reflected, 0)
+        fresnel, *_ = mi.fresnel(dr.dot(wi, normal), dr.opaque(mi.Float, 1 / eta))
+        return dr.select(wo.z > 0, microfacets.smith_g1(wo, normal) * fresnel, 0)
 
-    by_cosine = _integrate(distribution, alpha, 1 / eta, keep)
+    by_cosine = _integrate(distribution, alpha, 1 / eta, reflected)
     return np.array([np.mean(2 * COSINES * by_cosine)])
 
 
 def _integrate(
     distribution: Any, alpha: float, eta: float, scattered: Callable[[Any, Any, Any], Any]
 ) -> Table:
-    """Average over the facets visible from each of ``COSINES``, by the quadrature that Mitsuba takes."""
+    """Average over the visible normals at each of ``COSINES``, with Mitsuba's quadrature."""
     resolution = 32 if eta > 1 else 128
     nodes, weights = mi.quad.gauss_legendre(resolution)
-    # What is scattered to the left of the plane of incidence equals what is scattered to the right.
+    # Scattering is symmetric about the plane of incidence.
     half = dr.arange(mi.UInt32, resolution // 2)
-    cosine, along, across = dr.meshgrid(
+    cosine, u, v = dr.meshgrid(
         mi.Float(COSINES), 0.5 * nodes + 0.5, dr.gather(mi.Float, 0.5 * nodes + 0.5, half), indexing="ij"
     )
     _, *weight = dr.meshgrid(mi.Float(COSINES), weights, dr.gather(mi.Float, weights, half), indexing="ij")
     beckmann = distribution == mi.MicrofacetType.Beckmann
-    surface = mi.MicrofacetDistribution(distribution, dr.opaque(mi.Float, alpha), True)
+    microfacets = mi.MicrofacetDistribution(distribution, dr.opaque(mi.Float, alpha), True)
     wi = mi.Vector3f(dr.sqrt(1 - dr.square(cosine)), 0, cosine)
-    normal, _ = surface.sample(wi, mi.Point2f(along, across) if beckmann else mi.Point2f(across, along))
-    share = 0.5 * weight[0] * weight[1] * scattered(surface, wi, normal)
-    # In double precision, since slopes are small differences of sums.
-    table: Table = dr.block_sum(mi.Float64(share), resolution * resolution // 2).numpy()
+    normal, _ = microfacets.sample(wi, mi.Point2f(u, v) if beckmann else mi.Point2f(v, u))
+    weighted = 0.5 * weight[0] * weight[1] * scattered(microfacets, wi, normal)
+    # In double precision, since the difference quotients are small differences of sums.
+    table: Table = dr.block_sum(mi.Float64(weighted), resolution * resolution // 2).numpy()
     return table
 
 

@@ -1,4 +1,4 @@
-"""From ``inputs=`` to the names of the parameters that are differentiated."""
+"""Resolve ``inputs=`` to the names of the parameters to differentiate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KINDS = ("materials", "reflectance", "roughness", "ior", "opacity", "textures", 
 
 
 def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
-    """Return the differentiable parameters that ``inputs`` selects, in the scene's order.
+    """Return the names of the differentiable parameters that ``inputs`` selects, in the scene's order.
 
     Parameters
     ----------
@@ -24,13 +24,13 @@ def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
         The scene's parameters.
     inputs
         A kind (``"materials"``, ``"reflectance"``, …, ``"all"``), a glob (``"*.reflectance.*"``), an exact
-        name, or a list of these. Kinds and globs pass over what cannot be differentiated, and over values that
-        are not finite or physically impossible.
+        name, or a list of these. Kinds and globs skip parameters that cannot be differentiated, and parameters
+        whose values are not finite or physically impossible.
 
     Raises
     ------
     SceneCaptumError
-        Where a selection matches nothing, or an exact name cannot be differentiated.
+        If an item matches nothing, or an exact name cannot be differentiated.
     """
     wanted = [inputs] if isinstance(inputs, str) else list(inputs)
     if not wanted:
@@ -41,7 +41,7 @@ def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
 
 def _matches(parameters: SceneParameters, item: str) -> list[str]:
     if not isinstance(item, str):
-        raise SceneCaptumError(f"inputs must hold names, globs or kinds, not {type(item).__name__}.")
+        raise SceneCaptumError(f"inputs must contain names, globs or kinds, not {type(item).__name__}.")
     if item in parameters:
         if parameters[item].problem:
             fix = ". Correct it in the scene, or in its file" if parameters[item].fault else ""
@@ -53,7 +53,7 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
         matched = [p for p in parameters.values() if fnmatchcase(p.name, item)]
     differentiable = [p.name for p in matched if not p.problem]
     if not differentiable:
-        raise SceneCaptumError(_nothing(parameters, item, matched))
+        raise SceneCaptumError(_no_match(parameters, item, matched))
     return differentiable
 
 
@@ -65,17 +65,17 @@ def _is_of_kind(parameter: Parameter, kind: str) -> bool:
     return parameter.is_texture if kind == "textures" else parameter.kind == kind
 
 
-def _nothing(parameters: SceneParameters, item: str, matched: list[Parameter]) -> str:
+def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) -> str:
     if matched:
         first = matched[0]
         return (
             f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
-            f"{first.name}, for one: {first.problem}."
+            f"{first.name}, for example: {first.problem}."
         )
     known = [*KINDS, *(name for name, p in parameters.items() if not p.problem)]
     hint = "" if item in KINDS else near_misses(item, known)
     if re.match(r"object_\d", item):
-        hint = " Names object_… were addresses in memory: objects without an id have names of their own here."
+        hint = " Names like object_… contain memory addresses; here objects without an id get stable names."
     return (
         f"inputs={item!r} matches no parameter of the scene.{hint} "
         f"Kinds are {', '.join(KINDS)}; parameters_table() lists every name."

@@ -1,8 +1,8 @@
 """Scenes that come with the library, built from primitives in code: no file is shipped or downloaded.
 
-Both are ordinary Mitsuba dictionaries. The x axis points right, y into the picture, z up. Every material has
-one readable name, with which its parameters' names begin (``chair.reflectance.value``), and every emitter is
-named after the thing that shines (``sky.emitter.radiance.value``).
+Both are ordinary Mitsuba dictionaries. The x axis points right, y away from the camera, z up. Every material has
+a readable name, which is the prefix of its parameters' names (``chair.reflectance.value``), and every emitter is
+named after its shape (``sky.emitter.radiance.value``).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Vector = tuple[float, float, float]
 def cornell_box() -> Plugin:
     """Return the Cornell box: red left wall, green right wall, two boxes and a warm ceiling light.
 
-    The room is the cube [-1, 1]³ of arbitrary units; each surface has a material of its own, so that each
-    reflectance is a parameter of its own (``tall_box.reflectance.value``).
+    The room is the cube [-1, 1]³ in arbitrary units. Each surface has its own material, so each reflectance is a
+    separate parameter (``tall_box.reflectance.value``).
 
     Returns
     -------
@@ -48,15 +48,15 @@ def cornell_box() -> Plugin:
         "back_wall_shape": _panel((0, 1, 0), (2, 0, 0), (0, 0, 2), "back_wall"),
         "short_box_shape": _box((0.335, -0.38, -0.7), (0.6, 0.6, 0.6), "short_box", turn=-17.0),
         "tall_box_shape": _box((-0.33, 0.28, -0.39), (0.6, 0.6, 1.22), "tall_box", turn=18.25),
-        "light": _glowing(light, 18.387, 13.9873, 6.75357),
+        "light": _emitting(light, 18.387, 13.9873, 6.75357),
     }
 
 
 def office() -> Plugin:
-    """Return an office made for glare: a bright window behind a desk, luminaires, a desk lamp and a mirror.
+    """Return an office with strong glare: a bright window behind a desk, luminaires, a desk lamp and a mirror.
 
-    Lengths are metres and radiances W·m⁻²·sr⁻¹, so that a luminance is 179 lm/W times the Rec. 709 luminance
-    of a pixel: 3200 cd/m² for the sky, 4000 for the luminaires, 5600 for the bulb, 50 to 150 for most of the
+    Lengths are in metres and radiances in W·m⁻²·sr⁻¹, so 179 lm/W times the Rec. 709 luminance of a pixel is its
+    luminance in cd/m²: 3200 for the sky, 4000 for the luminaires, 5600 for the bulb, 50 to 150 for most of the
     walls, and up to 550 where the desk reflects the window.
 
     Returns
@@ -82,7 +82,7 @@ def office() -> Plugin:
 BUNDLED: Mapping[str, Callable[[], Plugin]] = MappingProxyType({"cornell-box": cornell_box, "office": office})
 
 
-# --- The office, piece by piece -------------------------------------------------------------------
+# --- Parts of the office --------------------------------------------------------------------------
 
 _X, _Y, _Z = (-2.2, 2.2), (-0.9, 4.6), (0.0, 2.7)  # the room, in metres
 _WINDOW_X, _WINDOW_Z = (-1.05, 1.6), (1.1, 2.35)  # the opening in the back wall
@@ -109,7 +109,7 @@ def _office_materials() -> dict[str, Plugin]:
         "curtain": _diffuse(0.42, 0.38, 0.30),
         "window_frame": _diffuse(0.70, 0.70, 0.68),
         "luminaire_housing": _diffuse(0.60, 0.60, 0.60),
-        # What panes, opal covers and bulbs send back of the light that falls on them from outside.
+        # The light that panes, opal covers and bulbs reflect.
         "window_pane": _diffuse(0.1, 0.1, 0.1),
         "diffuser": _diffuse(0.1, 0.1, 0.1),
         "picture": _textured(_painting(), filter_type="bilinear"),
@@ -123,7 +123,7 @@ def _office_materials() -> dict[str, Plugin]:
 
 
 def _office_room() -> dict[str, Plugin]:
-    (x, y, z), (width, depth, height) = _middle(_X, _Y, _Z)
+    (x, y, z), (width, depth, height) = _centre_and_size(_X, _Y, _Z)
     (left, right), (bottom, top), thick = _WINDOW_X, _WINDOW_Z, (_Y[1], _Y[1] + 0.2)
     across, along, up = (width, 0, 0), (0, depth, 0), (0, 0, height)
     return {
@@ -132,7 +132,7 @@ def _office_room() -> dict[str, Plugin]:
         "wall_left_shape": _panel((_X[0], y, z), along, up, "wall_left"),
         "wall_right_shape": _panel((_X[1], y, z), up, along, "wall_right"),
         "wall_front_shape": _panel((x, _Y[0], z), up, across, "wall_back"),
-        # The back wall has a thickness, so that the window sits in a reveal.
+        # The back wall is 0.2 m thick, so the window sits in a reveal.
         "wall_back_below": _span(_X, thick, (_Z[0], bottom), "wall_back"),
         "wall_back_above": _span(_X, thick, (top, _Z[1]), "wall_back"),
         "wall_back_left": _span((_X[0], left), thick, (bottom, top), "wall_back"),
@@ -142,7 +142,7 @@ def _office_room() -> dict[str, Plugin]:
 
 def _office_window() -> dict[str, Plugin]:
     (left, right), (bottom, top) = _WINDOW_X, _WINDOW_Z
-    (x, z), (width, height) = _middle(_WINDOW_X, _WINDOW_Z)
+    (x, z), (width, height) = _centre_and_size(_WINDOW_X, _WINDOW_Z)
     wall, bar = _Y[1], 0.05
     posts = {
         f"window_post_{i}": _box((left + share * width, wall + 0.11, z), (bar, bar, height), "window_frame")
@@ -169,8 +169,8 @@ def _office_window() -> dict[str, Plugin]:
             (left - 0.4, wall - 0.07, top + 0.1), (right + 0.4, wall - 0.07, top + 0.1), 0.015, "metal_legs"
         ),
         "window_sill": _box((x, wall + 0.02, bottom), (width + 0.1, 0.16, 0.03), "window_frame"),
-        # The glowing pane stands in for the sky: unlike a sky outside, every path can sample it directly.
-        "sky": _glowing(pane, 15.0, 18.0, 22.0, share=4.0),
+        # The emitting pane replaces the sky: unlike a sky outside, next-event estimation can sample it directly.
+        "sky": _emitting(pane, 15.0, 18.0, 22.0, sampling_weight=4.0),
     }
 
 
@@ -180,7 +180,7 @@ def _office_luminaires() -> dict[str, Plugin]:
     shapes: dict[str, Plugin] = {}
     for name, (x, y) in places.items():
         opal = _panel((x, y, z - 0.021), (0, length, 0), (width, 0, 0), "diffuser")
-        shapes[f"luminaire_{name}"] = _glowing(opal, 25.0, 22.0, 18.0)
+        shapes[f"luminaire_{name}"] = _emitting(opal, 25.0, 22.0, 18.0)
         shapes[f"luminaire_{name}_housing"] = _box(
             (x, y, z), (width + 0.03, length + 0.03, 0.04), "luminaire_housing"
         )
@@ -214,16 +214,18 @@ def _office_desk() -> dict[str, Plugin]:
 
 def _office_lamp() -> dict[str, Plugin]:
     foot, elbow, head = (-0.5, 3.42, _DESK_TOP), (-0.56, 3.46, 1.12), (-0.32, 3.3, 1.3)
-    foot_top, axis = _along(foot, (0, 0, 1), 0.02), _unit((0.25, -0.4, -1.0))
+    foot_top, axis = _offset(foot, (0, 0, 1), 0.02), _unit((0.25, -0.4, -1.0))
     return {
         "lamp_foot": _tube(foot, foot_top, 0.09, "lamp_stand"),
         "lamp_foot_top": _disk(foot_top, (0, 0, 1), (0.09, 0.09), "lamp_stand"),
         "lamp_lower_arm": _tube(foot, elbow, 0.012, "lamp_stand"),
         "lamp_elbow": _ball(elbow, 0.016, "lamp_stand"),
         "lamp_upper_arm": _tube(elbow, head, 0.012, "lamp_stand"),
-        "lamp_shade_side": _tube(head, _along(head, axis, 0.17), 0.09, "lamp_shade"),
+        "lamp_shade_side": _tube(head, _offset(head, axis, 0.17), 0.09, "lamp_shade"),
         "lamp_shade_top": _disk(head, axis, (0.09, 0.09), "lamp_shade"),
-        "bulb": _glowing(_ball(_along(head, axis, 0.13), 0.04, "diffuser"), 40.0, 30.0, 20.0, share=0.3),
+        "bulb": _emitting(
+            _ball(_offset(head, axis, 0.13), 0.04, "diffuser"), 40.0, 30.0, 20.0, sampling_weight=0.3
+        ),
     }
 
 
@@ -298,7 +300,7 @@ def _office_decoration() -> dict[str, Plugin]:
 
 
 def _parquet() -> npt.NDArray[np.float32]:
-    """Return a 64 × 64 strip parquet: one texel is a strip's width, seven centimetres on the office floor."""
+    """Return a 64 × 64 strip parquet; one texel is as wide as one strip, seven centimetres on the office floor."""
     rng = np.random.default_rng(7)
     oak = np.array([0.42, 0.29, 0.18])
     texels = np.empty((64, 64, 3))
@@ -310,7 +312,7 @@ def _parquet() -> npt.NDArray[np.float32]:
 
 
 def _painting() -> npt.NDArray[np.float32]:
-    """Return a 32 × 44 landscape for the picture: a pale sky, a low sun and two hills."""
+    """Return a 32 × 44 landscape: a pale sky, a low sun and two hills."""
     height, width = 32, 44
     v, u = np.mgrid[0:height, 0:width] / np.array([height, width]).reshape(2, 1, 1)
     texels = np.array([0.72, 0.66, 0.55]) - v[..., None] * np.array([0.0, 0.2, 0.3])
@@ -324,7 +326,7 @@ def _painting() -> npt.NDArray[np.float32]:
 
 
 def _base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: float) -> Plugin:
-    """Return what a scene needs beside its contents: an integrator, and a camera of ``fov`` degrees."""
+    """Return the integrator and a camera with a field of view of ``fov`` degrees."""
     import mitsuba as mi
 
     width, height = resolution
@@ -334,14 +336,14 @@ def _base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: f
         "height": height,
         "pixel_format": "rgb",
         "component_format": "float32",
-        # With a box filter a sample belongs to one pixel only: pixels are independent estimates, and what a
-        # pixel owes to the object seen through it does not leak into its neighbours.
+        # With a box filter each sample contributes to one pixel only: pixels are independent estimates, and the
+        # gradient of a pixel does not leak into neighbouring objects.
         "rfilter": {"type": "box"},
     }
     sensor = {
         "type": "perspective",
         "fov": fov,
-        "fov_axis": "smaller",  # so that a wider film shows more at its sides instead of less above and below
+        "fov_axis": "smaller",  # a wider film shows more at the sides instead of less at top and bottom
         "near_clip": 0.01,
         "to_world": mi.ScalarTransform4f().look_at(origin=origin, target=target, up=(0, 0, 1)),
         "film": film,
@@ -372,23 +374,24 @@ def _metal(element: str, *, roughness: float) -> Plugin:
 
 
 def _textured(texels: npt.NDArray[np.float32], *, filter_type: str) -> Plugin:
-    """Return a diffuse material whose linear reflectance is ``texels`` (H, W, 3), kept as float32."""
+    """Return a diffuse material with the linear reflectance ``texels`` (H, W, 3), stored as float32."""
     import mitsuba as mi
 
     texture = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(texels),
         "raw": True,
-        "format": "variant",  # stated, because a texture stored in fewer bits cannot be a float32 input
+        "format": "variant",  # a texture with fewer bits would not be a float32 input
         "filter_type": filter_type,
     }
     return {"type": "diffuse", "reflectance": texture}
 
 
-def _glowing(shape: Plugin, red: float, green: float, blue: float, *, share: float = 1.0) -> Plugin:
-    """Return ``shape`` as a light source, sampled ``share`` times as often as one whose share is 1."""
+def _emitting(
+    shape: Plugin, red: float, green: float, blue: float, *, sampling_weight: float = 1.0
+) -> Plugin:
     radiance = _rgb(red, green, blue)
-    return {**shape, "emitter": {"type": "area", "radiance": radiance, "sampling_weight": share}}
+    return {**shape, "emitter": {"type": "area", "radiance": radiance, "sampling_weight": sampling_weight}}
 
 
 def _shape(kind: str, material: str | Plugin, **options: Any) -> Plugin:
@@ -407,7 +410,7 @@ def _panel(centre: Vector, u: Vector, v: Vector, material: str | Plugin) -> Plug
 
 
 def _box(centre: Sequence[float], size: Sequence[float], material: str, *, turn: float = 0.0) -> Plugin:
-    """Return the box of the given edge lengths, turned by ``turn`` degrees about the vertical."""
+    """Return a box with the given edge lengths, rotated by ``turn`` degrees about the vertical."""
     import mitsuba as mi
 
     place = mi.ScalarTransform4f().translate(centre).rotate((0, 0, 1), turn)
@@ -415,8 +418,8 @@ def _box(centre: Sequence[float], size: Sequence[float], material: str, *, turn:
 
 
 def _span(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], material: str) -> Plugin:
-    """Return the box that fills the three given intervals."""
-    centre, size = _middle(x, y, z)
+    """Return the box that spans three intervals."""
+    centre, size = _centre_and_size(x, y, z)
     return _box(centre, size, material)
 
 
@@ -429,15 +432,15 @@ def _ball(centre: Vector, radius: float, material: str) -> Plugin:
 
 
 def _disk(centre: Vector, facing: Vector, radii: tuple[float, float], material: str) -> Plugin:
-    """Return the ellipse of the given half axes; the second lies in the vertical plane of ``facing``."""
+    """Return an ellipse with semi-axes ``radii``; the second lies in the vertical plane through ``facing``."""
     import mitsuba as mi
 
     up = (0, 0, 1) if facing[0] or facing[1] else (0, 1, 0)
-    place = mi.ScalarTransform4f().look_at(origin=centre, target=_along(centre, facing, 1.0), up=up)
+    place = mi.ScalarTransform4f().look_at(origin=centre, target=_offset(centre, facing, 1.0), up=up)
     return _shape("disk", material, to_world=place.scale((*radii, 1)))
 
 
-def _middle(*intervals: tuple[float, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _centre_and_size(*intervals: tuple[float, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the centres and the lengths of the intervals."""
     return tuple((a + b) / 2 for a, b in intervals), tuple(b - a for a, b in intervals)
 
@@ -447,7 +450,7 @@ def _unit(v: Vector) -> Vector:
     return (v[0] / length, v[1] / length, v[2] / length)
 
 
-def _along(start: Vector, direction: Vector, distance: float) -> Vector:
+def _offset(start: Vector, direction: Vector, distance: float) -> Vector:
     return (
         start[0] + distance * direction[0],
         start[1] + distance * direction[1],

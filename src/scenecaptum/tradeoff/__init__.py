@@ -1,4 +1,4 @@
-"""What accuracy costs: seconds, error and bias of gradients, and stability of their ranking, by setting."""
+"""Cost and accuracy of gradients by setting: seconds, error, bias and stability of the ranking."""
 
 from ._measure import measure as measure
 from ._result import Measured as Measured

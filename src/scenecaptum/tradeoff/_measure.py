@@ -1,4 +1,4 @@
-"""Running the settings and comparing what comes out with a reference."""
+"""Run the settings and compare their gradients with a reference."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from ._statistics import (
 
 RUNS = 8
 
-# The reference has so many times the samples of the renderer's own setting, in so many passes.
-REFERENCE, REFERENCE_PASSES = 32, 16
+# Samples of the reference relative to the renderer's own setting, and its number of replicates.
+REFERENCE_SPP_FACTOR, REFERENCE_REPLICATES = 32, 16
 
 
-def measure(  # noqa: PLR0913 -- those of every long job, and its own
+def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     renderer: Any,
     metric: Metric,
     target: Target = None,
@@ -51,10 +51,11 @@ def measure(  # noqa: PLR0913 -- those of every long job, and its own
     checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Tradeoff:
-    """Measure what accuracy costs: plain gradients at several settings, each several times, against a reference.
+    """Measure the time, error and bias of plain gradients at several settings, against a reference.
 
-    Each setting differs from the renderer's own in one thing. Gradients are compared as vectors of the channel
-    totals of all inputs (a texture is summed over its texels), per unit; rankings by saliency.
+    Each setting differs from the renderer's own in one option and is run several times. Gradients are compared per
+    unit, as vectors of the channel totals of all inputs (a texture is summed over its texels); rankings by
+    saliency.
 
     Example
     -------
@@ -69,85 +70,88 @@ def measure(  # noqa: PLR0913 -- those of every long job, and its own
     Parameters
     ----------
     renderer, metric, target
-        As for ``VanillaSceneGradient``; the renderer must tell its ``spp``.
+        As for ``VanillaSceneGradient``; the renderer must have ``spp``.
     vary
-        What is varied and to which values: ``"spp"`` of primal and gradient alike, ``"primal_spp"``,
-        ``"gradient_spp"``, ``"max_depth"``, ``"resolution"``, ``"replicates"`` and ``"integrator"`` (to
-        ``"prb"``, Mitsuba's own). By default all that the renderer allows, the resolution only with
-        ``metric_for``. An empty mapping measures the renderer's own setting alone.
+        Options and the values to try: ``"spp"`` (of both primal and gradient), ``"primal_spp"``,
+        ``"gradient_spp"``, ``"max_depth"``, ``"resolution"``, ``"replicates"`` and ``"integrator"`` (only
+        ``"prb"``, Mitsuba's own). By default all options that the renderer supports, the resolution only with
+        ``metric_for``. An empty mapping measures only the renderer's own setting.
     metric_for
-        Makes the metric for a renderer of another resolution, where it depends on that:
+        Creates the metric for a renderer of another resolution, if the metric depends on it:
         ``lambda renderer: metrics.UnifiedGlareRating(renderer.camera)``.
     reference_spp
-        Samples per pixel of the reference, by default 32 times the renderer's. It has the longest paths and the
-        finest resolution that occur, so that theirs is the bias that shorter and coarser ones show.
+        Samples per pixel of the reference, by default 32 times the renderer's. The reference has the largest depth
+        and resolution of all settings, so the bias of smaller ones is relative to these.
     runs
-        How often each setting is run, with seeds of its own; 2 or more.
+        Number of runs of each setting, with independent seeds; at least 2.
     seed
-        Seed from which all others are drawn.
+        Base seed; all other seeds are derived from it.
     denoise
-        As for ``VanillaSceneGradient``. A metric that is not linear sees the samples of the forward passes alone.
+        As for ``VanillaSceneGradient``. The image of a non-linear metric has only the samples of the forward
+        passes.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
     show_progress
         Whether to show progress bars.
 
     Returns
     -------
     Tradeoff
-        A row for each setting; prints as a table.
+        One row per setting; prints as a table.
 
     Raises
     ------
     SceneCaptumError
-        Where something cannot be varied, a value is wrong, or all gradients are 0.
+        If an option cannot be varied, a value is invalid, or all gradients are 0.
     """
     base = own_setting(renderer)
     runs, seed = whole_number("runs", runs, 2), check_seed("seed", seed)
     if vary is None:
-        vary = default_values(renderer, base, sizes=metric_for is not None)
-    chosen = settings_of(renderer, base, vary)
+        vary = default_values(renderer, base, vary_resolution=metric_for is not None)
+    settings = settings_of(renderer, base, vary)
     spp = (
-        REFERENCE * base.primal_spp
+        REFERENCE_SPP_FACTOR * base.primal_spp
         if reference_spp is None
         else whole_number("reference_spp", reference_spp, 2)
     )
-    best = reference_setting([setting for _, setting in chosen], spp, REFERENCE_PASSES)
+    best = reference_setting([setting for _, setting in settings], spp, REFERENCE_REPLICATES)
 
-    bench = Bench(with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise)
-    every = [best, *(setting for _, setting in chosen)]
-    bench.try_all(every)
-    bench.require_memory(every)
-    seeds = np.random.SeedSequence([seed, 5]).generate_state(1 + runs * len(chosen)).tolist()
-    judge = Judge.of(bench.run(best, seeds.pop(), show_progress=show_progress))
+    runner = SettingRunner(
+        with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise
+    )
+    every = [best, *(setting for _, setting in settings)]
+    runner.check(every)
+    runner.require_memory(every)
+    seeds = np.random.SeedSequence([seed, 5]).generate_state(1 + runs * len(settings)).tolist()
+    reference = ReferenceGradient.of(runner.run(best, seeds.pop(), show_progress=show_progress))
     rows = []
     with tqdm(total=len(seeds), disable=not show_progress, desc="settings", unit="run") as bar:
-        for varied, setting in chosen:
-            found = []
+        for varied, setting in settings:
+            attributions = []
             for _ in range(runs):
-                found.append(bench.run(setting, seeds.pop()))
+                attributions.append(runner.run(setting, seeds.pop()))
                 bar.update()
-            rows.append(judge.compare(varied, setting, found))
+            rows.append(reference.compare(varied, setting, attributions))
     return Tradeoff(
         rows=tuple(rows),
-        reference=judge.describe(best),
+        reference=reference.describe(best),
         runs=runs,
-        parameters=len(judge.saliency),
-        metric=str(judge.attribution.info["metric"]),
+        parameters=len(reference.saliency),
+        metric=str(reference.attribution.info["metric"]),
         scene=str(getattr(renderer, "name", type(renderer).__name__)),
     )
 
 
-class Bench:
-    """Runs settings of one scene and metric; the renderers that they take are made once.
+class SettingRunner:
+    """Runs attributions of one scene and metric at different settings; caches the renderers.
 
     Parameters
     ----------
     renderer, target, denoise
         As for ``measure``.
     metric_for
-        Makes the metric for a renderer.
+        Creates the metric for a renderer.
     """
 
     def __init__(
@@ -163,68 +167,68 @@ class Bench:
         self._metric_for = metric_for
         self._target = target
         self._denoise = denoise
-        self._made: dict[tuple[Any, ...], tuple[Any, Metric]] = {}
+        self._cache: dict[tuple[Any, ...], tuple[Any, Metric]] = {}
 
     def run(self, setting: Setting, seed: int, *, show_progress: bool = False) -> SceneAttribution:
-        """Attribute once."""
-        renderer, metric = self._at(setting)
+        """Attribute once at a setting."""
+        renderer, metric = self._renderer_and_metric(setting)
         if setting.gradient_spp != setting.primal_spp:
             renderer = SplitSamples(renderer, setting)
-        found: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
+        attribution: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
             self._values,
             self._target,
             seed=seed,
             spp=setting.primal_spp,
             picture_spp=setting.primal_spp,
             denoise=self._denoise,
-            # A pass has one sample at least, of either kind.
+            # A replicate has at least one sample of either kind.
             replicates=min(setting.replicates, setting.gradient_spp),
             show_progress=show_progress,
         )
-        return found
+        return attribution
 
-    def try_all(self, settings: Sequence[Setting]) -> None:
-        """Render each picture with a sample: what cannot work is said before the long work begins."""
+    def check(self, settings: Sequence[Setting]) -> None:
+        """Run every renderer with one sample, to report errors before the long runs."""
         for setting in settings:
-            if _picture(setting) in self._made:
+            if _renderer_options(setting) in self._cache:
                 continue
             try:
-                self.run(Setting(1, 1, 1, *_picture(setting)), seed=0)
+                self.run(Setting(1, 1, 1, *_renderer_options(setting)), seed=0)
             except SceneCaptumError as error:
                 if setting.resolution == self._own.resolution:
                     raise
                 raise SceneCaptumError(
-                    f"{error} For pictures of another resolution metric_for= makes the metric from the renderer."
+                    f"{error} To vary the resolution, pass metric_for=, which creates the metric for a renderer."
                 ) from error
 
     def require_memory(self, settings: Sequence[Setting]) -> None:
-        """Refuse settings that will not fit into memory, before the first is run."""
+        """Raise for settings that will not fit into memory, before the first run."""
         for setting in settings:
             samples = max(setting.primal_spp, setting.gradient_spp)
             spp = math.ceil(samples / setting.replicates)
-            require_memory(self._at(setting)[0], [spp], setting.replicates)
+            require_memory(self._renderer_and_metric(setting)[0], [spp], setting.replicates)
 
-    def _at(self, setting: Setting) -> tuple[Any, Metric]:
-        key = _picture(setting)
-        if key not in self._made:
+    def _renderer_and_metric(self, setting: Setting) -> tuple[Any, Metric]:
+        key = _renderer_options(setting)
+        if key not in self._cache:
             renderer, own = self._renderer, self._own
-            if key != _picture(own):
+            if key != _renderer_options(own):
                 renderer = renderer.replace(
                     max_depth=setting.max_depth,
                     resolution=setting.resolution if setting.resolution != own.resolution else None,
                     integrator=setting.integrator if setting.integrator != own.integrator else None,
                 )
                 renderer = with_checkpoint(renderer, getattr(self._renderer, "checkpoint", None))
-            self._made[key] = renderer, self._metric_for(renderer)
-        return self._made[key]
+            self._cache[key] = renderer, self._metric_for(renderer)
+        return self._cache[key]
 
 
-def _picture(setting: Setting) -> tuple[Any, ...]:
+def _renderer_options(setting: Setting) -> tuple[Any, ...]:
     return setting.max_depth, setting.resolution, setting.integrator
 
 
 class SplitSamples:
-    """A renderer whose backward passes have another number of samples than its pictures."""
+    """A renderer with a different number of samples in the forward and the backward pass."""
 
     def __init__(self, renderer: Any, setting: Setting) -> None:
         self._renderer = renderer
@@ -236,7 +240,7 @@ class SplitSamples:
     def __call__(
         self, inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int, seed_grad: int | None = None
     ) -> torch.Tensor:
-        """Render as the renderer does."""
+        """Render with the samples of the setting."""
         spp_grad = math.ceil(spp * self._setting.gradient_spp / self._setting.primal_spp)
         image: torch.Tensor = self._renderer(
             inputs, seed=seed, spp=spp, seed_grad=seed_grad, spp_grad=spp_grad
@@ -245,20 +249,20 @@ class SplitSamples:
 
 
 @dataclass(frozen=True)
-class Judge:
-    """The reference, to which runs are compared.
+class ReferenceGradient:
+    """The reference gradient to which runs are compared.
 
     Attributes
     ----------
     attribution
-        The reference itself.
+        The attribution of the reference.
     gradient
         ``(P,)``: the channel totals of all parameters, in float64.
     noise
-        ``(rows, P)``: the sum of the outer products of its rows is the covariance of ``gradient``. A bias that
-        was taken out is a row: it counts as an error of its own size.
+        ``(rows, P)``: factor of the covariance of ``gradient``, which is ``noise.T @ noise``. A bias correction is
+        one of its rows: its whole size counts as error.
     saliency, saliency_error
-        One for each parameter.
+        One value per parameter.
     """
 
     attribution: SceneAttribution
@@ -268,13 +272,14 @@ class Judge:
     saliency_error: torch.Tensor
 
     @classmethod
-    def of(cls, attribution: SceneAttribution) -> Judge:
-        """Take a result as the reference."""
+    def of(cls, attribution: SceneAttribution) -> ReferenceGradient:
+        """Use an attribution as the reference."""
         gradient, saliency = gradient_of(attribution), saliency_of(attribution)
         if not gradient.any():
             raise SceneCaptumError("All gradients are 0: there is no relative error, and nothing to rank.")
-        passes = torch.cat([attribution.replicates[name].double() for name in attribution], 1)
-        spread = (passes - passes.mean(0)) / math.sqrt(len(passes) * max(len(passes) - 1, 1))
+        replicates = torch.cat([attribution.replicates[name].double() for name in attribution], 1)
+        count = len(replicates)
+        spread = (replicates - replicates.mean(0)) / math.sqrt(count * max(count - 1, 1))
         errors = attribution.saliency_error() or {}
         bias = attribution.bias or {}
         removed = [
@@ -290,39 +295,37 @@ class Judge:
 
     @property
     def size(self) -> float:
-        """The length of the gradient."""
+        """The norm of the gradient."""
         return float(self.gradient.norm())
 
     def compare(self, varied: str, setting: Setting, runs: Sequence[SceneAttribution]) -> Measured:
-        """Return what the runs of a setting amount to."""
+        """Return the cost and accuracy of a setting from its runs."""
         deviations = torch.stack([gradient_of(run) for run in runs]) - self.gradient
         saliencies = [saliency_of(run) for run in runs]
         top = min(TOP, len(self.saliency))
 
         def agreement(compare: Callable[[torch.Tensor], float]) -> Estimate:
-            return Estimate.of(torch.tensor([compare(one) for one in saliencies], dtype=torch.float64))
+            return Estimate.of(torch.tensor([compare(s) for s in saliencies], dtype=torch.float64))
 
         return Measured(
             varied=varied,
             setting=setting,
-            # Not the mean: the first run of a setting may compile.
+            # The median, since the first run of a setting may include kernel compilation.
             seconds=statistics.median_low(run.info["seconds"] for run in runs),
             relative_error=relative_error(deviations, self.size),
             bias=relative_bias(deviations, self.noise, self.size),
-            spearman=agreement(lambda one: spearman(one, self.saliency)),
-            kendall=agreement(lambda one: kendall(one, self.saliency)),
-            kendall_resolved=agreement(
-                lambda one: kendall_of_resolved(one, self.saliency, self.saliency_error)
-            ),
-            top=agreement(lambda one: top_agreement(one, self.saliency, top)),
+            spearman=agreement(lambda s: spearman(s, self.saliency)),
+            kendall=agreement(lambda s: kendall(s, self.saliency)),
+            kendall_resolved=agreement(lambda s: kendall_of_resolved(s, self.saliency, self.saliency_error)),
+            top=agreement(lambda s: top_agreement(s, self.saliency, top)),
         )
 
     def describe(self, setting: Setting) -> Reference:
-        """Return what is known of the reference itself."""
-        passes = {name: one.double() for name, one in self.attribution.replicates.items()}
-        half = len(next(iter(passes.values()))) // 2
+        """Return the cost and accuracy of the reference itself."""
+        replicates = [totals.double() for totals in self.attribution.replicates.values()]
+        half = len(replicates[0]) // 2
         first, second = (
-            torch.stack([one[part].mean(0).norm() for one in passes.values()])
+            torch.stack([totals[part].mean(0).norm() for totals in replicates])
             for part in (slice(half), slice(half, 2 * half))
         )
         return Reference(
@@ -339,5 +342,5 @@ def gradient_of(attribution: SceneAttribution) -> torch.Tensor:
 
 
 def saliency_of(attribution: SceneAttribution) -> torch.Tensor:
-    """Return the saliencies, in the order of the parameters."""
+    """Return the saliencies in the order of the parameters, in float64."""
     return torch.tensor(list(attribution.saliency().values()), dtype=torch.float64)

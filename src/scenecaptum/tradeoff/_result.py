@@ -1,4 +1,4 @@
-"""``Tradeoff``: what a measurement returns."""
+"""``Tradeoff``: the result of ``measure``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .._writing import whole_file
 from ..errors import SceneCaptumError
+from ..files import atomic_write
 from ._settings import Setting
 from ._statistics import Bias, Estimate
 
@@ -23,26 +23,26 @@ TOLERANCE = 0.05
 
 @dataclass(frozen=True)
 class Measured:
-    """What one setting costs and how good it is.
+    """Cost and accuracy of one setting.
 
     Attributes
     ----------
     varied
-        What distinguishes it from the renderer's own setting; empty for that itself.
+        The option that differs from the renderer's own setting; empty for the own setting.
     setting
-        All of it.
+        The complete setting.
     seconds
-        Median over the runs of the time of one attribution.
+        Median time of one attribution.
     relative_error
         Root mean square over the runs of ``‖g − g_ref‖ / ‖g_ref‖``.
     bias
-        ``‖mean(g) − g_ref‖ / ‖g_ref‖`` with the noise of both taken out.
+        ``‖mean(g) − g_ref‖ / ‖g_ref‖``, corrected for the noise of both.
     spearman, kendall
-        Rank correlation with the reference's order of all parameters, means over the runs; Kendall's is τ-b.
+        Mean rank correlation with the reference over all parameters; Kendall's is τ-b.
     kendall_resolved
-        Kendall's τ over the pairs that the reference tells apart by two standard errors; NaN where it tells none.
+        Kendall's τ over the pairs that differ by more than two standard errors in the reference; NaN if none does.
     top
-        Which part of the reference's first five is among the first five.
+        Fraction of the reference's top five parameters that are among the top five.
     """
 
     varied: str
@@ -58,18 +58,19 @@ class Measured:
 
 @dataclass(frozen=True)
 class Reference:
-    """What the settings are compared with.
+    """Cost and accuracy of the reference.
 
     Attributes
     ----------
     setting
-        How it was computed.
+        Its setting.
     seconds
-        How long that took.
+        Its time.
     relative_error
-        Its own standard error, relative to ``‖g_ref‖``.
+        Its standard error, relative to ``‖g_ref‖``.
     kendall_of_halves
-        Kendall's τ-b between the rankings by either half of its passes: beyond that it cannot judge an order.
+        Kendall's τ-b between the rankings of the two halves of its replicates: higher correlations are not
+        meaningful.
     """
 
     setting: Setting
@@ -80,20 +81,20 @@ class Reference:
 
 @dataclass(frozen=True, repr=False)
 class Tradeoff:
-    """The settings and what they are worth, the renderer's own first; prints as a table.
+    """Cost and accuracy of several settings; prints as a table.
 
     Attributes
     ----------
     rows
-        One for each setting.
+        One per setting, the renderer's own first.
     reference
-        What they are compared with.
+        The reference that they are compared with.
     runs
-        How often each was run.
+        Number of runs of each setting.
     parameters
-        How many parameters were ranked.
+        Number of parameters.
     metric, scene
-        Their names.
+        Names of the metric and the scene.
     """
 
     rows: tuple[Measured, ...]
@@ -105,50 +106,50 @@ class Tradeoff:
 
     @property
     def front(self) -> list[Measured]:
-        """The settings that no other beats in both time and error, the fastest first."""
-        found: list[Measured] = []
+        """The Pareto front of time and error, the fastest setting first."""
+        front: list[Measured] = []
         for row in sorted(self.rows, key=lambda row: (row.seconds, row.relative_error.value)):
-            if not found or row.relative_error.value < found[-1].relative_error.value:
-                found.append(row)
-        return found
+            if not front or row.relative_error.value < front[-1].relative_error.value:
+                front.append(row)
+        return front
 
     def cheapest(self, tolerance: float = TOLERANCE) -> Measured | None:
-        """Return the fastest setting whose relative error, with its standard error, is at most ``tolerance``.
+        """Return the fastest setting whose relative error plus its standard error is at most ``tolerance``.
 
         Raises
         ------
         SceneCaptumError
-            Where ``tolerance`` is not a positive number.
+            If ``tolerance`` is not a positive number.
         """
         if not tolerance > 0:
             raise SceneCaptumError(
                 f"tolerance must be a relative error above 0, such as 0.05, not {tolerance!r}."
             )
-        good = [row for row in self.rows if sum(row.relative_error) <= tolerance]
-        return min(good, key=lambda row: row.seconds, default=None)
+        accurate = [row for row in self.rows if sum(row.relative_error) <= tolerance]
+        return min(accurate, key=lambda row: row.seconds, default=None)
 
     def recommendation(self, tolerance: float = TOLERANCE) -> str:
-        """Return one line: what to use for a relative error of ``tolerance``, or what keeps it out of reach."""
+        """Return the recommended setting for a relative error of ``tolerance``, or why there is none."""
         from ..visualization import recommendation_text
 
         return recommendation_text(self, tolerance)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw relative error against seconds."""
+        """Plot the relative error over the time."""
         from ..visualization import plot_tradeoff
 
         return plot_tradeoff(self, ax=ax)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write a line for each setting, to a file that appears whole or not at all."""
+        """Write one line per setting to a file, atomically."""
         rows = list(self.records())
-        with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
 
     def records(self) -> Iterator[dict[str, Any]]:
-        """Return a flat dict for each setting."""
+        """Return one flat dict per setting."""
         front = self.front
         for row in self.rows:
             setting = row.setting
@@ -162,14 +163,14 @@ class Tradeoff:
                 "integrator": setting.integrator,
                 "runs": self.runs,
                 "seconds": row.seconds,
-                **_pair("relative_error", row.relative_error),
+                **_value_and_error("relative_error", row.relative_error),
                 "bias": row.bias.value,
                 "bias_error": row.bias.error,
                 "bias_z": row.bias.z,
-                **_pair("spearman", row.spearman),
-                **_pair("kendall", row.kendall),
-                **_pair("kendall_resolved", row.kendall_resolved),
-                **_pair("top5", row.top),
+                **_value_and_error("spearman", row.spearman),
+                **_value_and_error("kendall", row.kendall),
+                **_value_and_error("kendall_resolved", row.kendall_resolved),
+                **_value_and_error("top5", row.top),
                 "on_front": row in front,
                 "reference_relative_error": self.reference.relative_error,
             }
@@ -186,5 +187,5 @@ class Tradeoff:
     __repr__ = __str__
 
 
-def _pair(name: str, estimate: Estimate) -> dict[str, float]:
+def _value_and_error(name: str, estimate: Estimate) -> dict[str, float]:
     return {name: estimate.value, f"{name}_error": estimate.error}

@@ -1,4 +1,4 @@
-"""The settings that are measured: the renderer's own, and others that differ in one thing."""
+"""The settings to measure: the renderer's own, and others that differ from it in one option."""
 
 from __future__ import annotations
 
@@ -9,60 +9,59 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..attr._passes import DEFAULT_PASSES
+from ..attr._passes import DEFAULT_REPLICATES
 from ..errors import SceneCaptumError, near_misses, whole_number
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
 
-# What only a renderer that can be had with other settings may vary.
-_OF_THE_RENDERER = ("max_depth", "resolution", "integrator")
+# Options that require renderer.replace().
+_RENDERER_OPTIONS = ("max_depth", "resolution", "integrator")
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How an attribution is computed.
+    """Options of an attribution.
 
     Attributes
     ----------
     primal_spp, gradient_spp
-        Samples per pixel in all, of the pictures that the metric sees and of the backward passes.
+        Total samples per pixel of the forward and of the backward passes.
     replicates
-        Least number of passes that they are split into; with 1 the bias of a non-linear metric stays in.
+        Minimum number of replicates; with 1 the bias of a non-linear metric is not corrected.
     max_depth, resolution, integrator
-        Those of the renderer; None where it does not tell.
+        Options of the renderer; None if unknown.
     """
 
     primal_spp: int
     gradient_spp: int
-    replicates: int = DEFAULT_PASSES
+    replicates: int = DEFAULT_REPLICATES
     max_depth: int | None = None
     resolution: tuple[int, int] | None = None
     integrator: str | None = None
 
     @property
     def pixels(self) -> int:
-        """How many pixels the picture has, 0 where that is not told."""
+        """Number of pixels; 0 if unknown."""
         return math.prod(self.resolution) if self.resolution else 0
 
     @property
-    def reach(self) -> float:
-        """The depth, infinite where it has no limit."""
+    def depth(self) -> float:
+        """The maximum depth, infinite if unlimited."""
         return math.inf if self.max_depth == -1 else self.max_depth or 0
 
     def changed(self, key: str, value: Any) -> Setting:
-        """Return the setting with another ``value`` of ``key``; ``"spp"`` is that of primal and gradient."""
+        """Return the setting with another ``value`` of ``key``; ``"spp"`` changes both primal and gradient."""
         if key == "spp":
             return dataclasses.replace(self, primal_spp=value, gradient_spp=value)
         return dataclasses.replace(self, **{key: value})
 
 
 def own_setting(renderer: Any) -> Setting:
-    """Return the setting that a renderer has by itself."""
+    """Return the current setting of a renderer."""
     spp = getattr(renderer, "spp", None)
     if spp is None:
         raise SceneCaptumError(
-            "This renderer does not tell its samples per pixel, around which others are measured: give it an "
-            "attribute `spp`."
+            "This renderer has no attribute `spp`, the samples per pixel that settings are derived from: add it."
         )
     plan = getattr(renderer, "plan", None)
     return Setting(
@@ -74,70 +73,70 @@ def own_setting(renderer: Any) -> Setting:
     )
 
 
-def default_values(renderer: Any, base: Setting, *, sizes: bool) -> dict[str, list[Any]]:
-    """Return what is varied by default, as far as the renderer allows; the resolution where it may be."""
+def default_values(renderer: Any, base: Setting, *, vary_resolution: bool) -> dict[str, list[Any]]:
+    """Return the options to vary by default and their values, as far as the renderer supports them."""
     spps = [max(base.primal_spp // 4, 1), 4 * base.primal_spp]
-    found: dict[str, list[Any]] = {"spp": spps}
-    if _has_samples_of_its_own(renderer):
-        found |= {"primal_spp": spps, "gradient_spp": spps}
-    found["replicates"] = [1, 4 * DEFAULT_PASSES]
+    vary: dict[str, list[Any]] = {"spp": spps}
+    if _has_gradient_spp(renderer):
+        vary |= {"primal_spp": spps, "gradient_spp": spps}
+    vary["replicates"] = [1, 4 * DEFAULT_REPLICATES]
     if hasattr(renderer, "replace"):
         deeper = 2 * base.max_depth if base.max_depth and base.max_depth > 0 else 8
-        found["max_depth"] = [2, 4, deeper]
-        if sizes and base.resolution:
+        vary["max_depth"] = [2, 4, deeper]
+        if vary_resolution and base.resolution:
             width, height = base.resolution
-            found["resolution"] = [(max(width // k, 1), max(height // k, 1)) for k in (2, 4)]
-        found["integrator"] = ["prb"]
-    return found
+            vary["resolution"] = [(max(width // k, 1), max(height // k, 1)) for k in (2, 4)]
+        vary["integrator"] = ["prb"]
+    return vary
 
 
 def settings_of(renderer: Any, base: Setting, vary: Mapping[str, Iterable[Any]]) -> list[tuple[str, Setting]]:
-    """Return each setting after the name of what is varied; the base, which varies nothing, comes first."""
-    found = [("", base)]
+    """Return pairs of varied option and setting, without duplicates; the first is the base, with an empty name."""
+    settings = [("", base)]
     for key, values in vary.items():
         _check_key(renderer, key)
-        for value in _listed(key, values):
+        for value in _check_list(key, values):
             setting = base.changed(key, _check_value(key, value))
-            if setting not in [one for _, one in found]:
-                found.append((key, setting))
-    return found
+            if setting not in [known for _, known in settings]:
+                settings.append((key, setting))
+    return settings
 
 
 def reference_setting(settings: Sequence[Setting], spp: int, replicates: int) -> Setting:
-    """Return the setting of the reference: the finest resolution and the longest paths, as by the first."""
-    finest = max(settings, key=lambda one: one.pixels)
-    longest = max(settings, key=lambda one: one.reach)
+    """Return the setting of the reference: the first with the highest resolution and the largest depth of all."""
+    finest = max(settings, key=lambda setting: setting.pixels)
+    deepest = max(settings, key=lambda setting: setting.depth)
     return dataclasses.replace(
         settings[0],
         primal_spp=spp,
         gradient_spp=spp,
         replicates=replicates,
-        max_depth=longest.max_depth,
+        max_depth=deepest.max_depth,
         resolution=finest.resolution,
     )
 
 
-def _has_samples_of_its_own(renderer: Any) -> bool:
+def _has_gradient_spp(renderer: Any) -> bool:
     return "spp_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
 
 
 def _check_key(renderer: Any, key: str) -> None:
     if key not in KEYS:
         raise SceneCaptumError(
-            f"{key!r} cannot be varied.{near_misses(key, KEYS)} What can is {', '.join(KEYS)}."
+            f"{key!r} cannot be varied.{near_misses(key, KEYS)} Options are {', '.join(KEYS)}."
         )
-    if key in _OF_THE_RENDERER and not hasattr(renderer, "replace"):
+    if key in _RENDERER_OPTIONS and not hasattr(renderer, "replace"):
         raise SceneCaptumError(
-            f"Varying {key!r} takes a SceneRenderer: a {type(renderer).__name__} has no replace()."
+            f"Varying {key!r} needs a SceneRenderer: {type(renderer).__name__} has no replace()."
         )
-    if key in ("primal_spp", "gradient_spp") and not _has_samples_of_its_own(renderer):
+    if key in ("primal_spp", "gradient_spp") and not _has_gradient_spp(renderer):
         raise SceneCaptumError(
-            f"Varying {key!r} takes a renderer with backward passes of their own samples: a "
-            f"{type(renderer).__name__} has no spp_grad=."
+            f"Varying {key!r} needs a renderer with spp_grad=, the samples per pixel of the backward pass: "
+            f"{type(renderer).__name__} has none."
         )
 
 
-def _listed(key: str, values: Any) -> list[Any]:
+def _check_list(key: str, values: Any) -> list[Any]:
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise SceneCaptumError(f"vary[{key!r}] must be a list of values, not {values!r}.")
     return list(values)
@@ -146,7 +145,7 @@ def _listed(key: str, values: Any) -> list[Any]:
 def _check_value(key: str, value: Any) -> Any:
     if key == "integrator":
         if value != "prb":
-            raise SceneCaptumError(f'integrator can be varied to "prb", Mitsuba\'s own, not {value!r}.')
+            raise SceneCaptumError(f'integrator can only be varied to "prb", Mitsuba\'s own, not {value!r}.')
         return value
     if key == "resolution":
         if not isinstance(value, Sequence) or len(value) != 2:

@@ -1,4 +1,4 @@
-"""How far several runs are from a reference, and how much of that is noise."""
+"""Error, bias and rank agreement of several runs with respect to a reference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from ..visualization._ranks import kendall_tau
 
-CLEAR = 3.0  # standard errors of a normal distribution
+SIGNIFICANT_Z = 3.0  # standard deviations of a normal distribution
 
 
 class Estimate(NamedTuple):
@@ -21,22 +21,22 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, values: torch.Tensor) -> Estimate:
-        """Take the mean of independent values."""
+        """Return the mean of independent values."""
         return cls(values.mean().item(), (values.std() / math.sqrt(len(values))).item())
 
 
 @dataclass(frozen=True)
 class Bias:
-    """The part of a deviation that does not average out.
+    """The systematic part of a deviation from the reference.
 
     Attributes
     ----------
     value
-        Its size, the noise taken out; 0 where the noise is all that is seen.
+        Its size, corrected for noise; 0 if the deviation is explained by noise.
     error
-        How much larger it may be: one standard error.
+        Standard error, upwards.
     z
-        How far what is seen lies beyond what noise makes, in standard deviations of a normal distribution.
+        Significance of the deviation, in standard deviations of a normal distribution.
     """
 
     value: float
@@ -44,39 +44,40 @@ class Bias:
     z: float
 
     @property
-    def told(self) -> bool:
-        """Whether it is told from 0."""
-        return self.z > CLEAR
+    def significant(self) -> bool:
+        """Whether the bias differs significantly from 0."""
+        return self.z > SIGNIFICANT_Z
 
     @property
-    def limit(self) -> float:
-        """What it hardly exceeds: two standard errors."""
+    def upper_limit(self) -> float:
+        """Upper limit of the value, from two standard errors of its square."""
         variance = (self.value + self.error) ** 2 - self.value**2
         return math.sqrt(self.value**2 + 2 * variance)
 
 
 def relative_error(deviations: torch.Tensor, size: float) -> Estimate:
-    """Return the root mean square over runs of the length of ``(runs, P)`` deviations, relative to ``size``."""
+    """Return the root mean square norm of ``(runs, P)`` deviations, relative to ``size``."""
     squares = Estimate.of(deviations.square().sum(1))
     root = math.sqrt(squares.value)
     return Estimate(root / size, squares.error / (2 * root * size) if root else 0.0)
 
 
 def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size: float) -> Bias:
-    """Return the length of the mean of ``(runs, P)`` deviations without what noise adds to it, over ``size``.
+    """Return the norm of the mean of ``(runs, P)`` deviations, corrected for noise and relative to ``size``.
 
-    Noise of covariance ``S`` lengthens the square of a mean by ``tr S`` on average, with a variance of
-    ``2 tr S²`` and more where there is a bias. The ratio of the square to ``tr S`` follows Fisher's F
-    distribution with ``ν = (tr S)² / tr S²`` degrees of freedom (Box), which Paulson's formula makes normal.
+    Noise of covariance ``S`` adds ``tr S`` to the expected squared norm of a mean, with a variance of ``2 tr S²``,
+    and more in the presence of a bias. The ratio of the squared norm to ``tr S`` approximately follows Fisher's F
+    distribution with ``ν = (tr S)² / tr S²`` degrees of freedom (Box), which Paulson's formula maps to a normal
+    one.
 
     Parameters
     ----------
     deviations
-        From the reference, one row for each run.
+        Deviations from the reference, one row per run.
     reference_noise
-        ``(rows, P)``: the sum of the outer products of its rows is the covariance of the reference.
+        ``(rows, P)``: factor of the covariance of the reference, ``reference_noise.T @ reference_noise``.
     size
-        What it is relative to.
+        Norm that the bias is relative to.
 
     References
     ----------
@@ -88,33 +89,35 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
     noise = torch.cat([(deviations - mean) / math.sqrt(runs * (runs - 1)), reference_noise])
     products = noise @ noise.T
     trace, square = products.trace().item(), products.square().sum().item()
-    seen = mean.square().sum().item()
-    along = (noise @ mean).square().sum().item()
-    spread = math.sqrt(2 * square + 4 * max(along - square, 0.0))
-    unbiased = max(seen - trace, 0.0)
+    observed = mean.square().sum().item()
+    along_mean = (noise @ mean).square().sum().item()
+    spread = math.sqrt(2 * square + 4 * max(along_mean - square, 0.0))
+    unbiased = max(observed - trace, 0.0)
     value = math.sqrt(unbiased)
     freedom = trace**2 / square if square else 1.0
     return Bias(
         value / size,
         (math.sqrt(unbiased + spread) - value) / size,
-        _normal(seen / trace, freedom, freedom * (runs - 1)) if trace else (math.inf if seen else 0.0),
+        _normal_deviate(observed / trace, freedom, freedom * (runs - 1))
+        if trace
+        else (math.inf if observed else 0.0),
     )
 
 
-def _normal(ratio: float, above: float, below: float) -> float:
-    """Return the normal deviate of a ratio of variances with these degrees of freedom (Paulson)."""
+def _normal_deviate(ratio: float, numerator: float, denominator: float) -> float:
+    """Return the normal deviate of an F ratio with these degrees of freedom (Paulson)."""
     root: float = ratio ** (1 / 3)
-    first, second = 2 / (9 * above), 2 / (9 * below)
+    first, second = 2 / (9 * numerator), 2 / (9 * denominator)
     z = ((1 - second) * root - (1 - first)) / math.sqrt(first + second * root**2)
-    # Kelley's correction: with few degrees below, the formula levels off.
-    return z * (1 + 0.08 * z**4 / below**3)
+    # Kelley's correction for few degrees of freedom in the denominator, where the formula saturates.
+    return z * (1 + 0.08 * z**4 / denominator**3)
 
 
 def spearman(a: torch.Tensor, b: torch.Tensor) -> float:
-    """Return Spearman's rank correlation, ties at their mean rank; NaN where all of one are tied."""
-    one, other = (_ranks(values) - (len(values) - 1) / 2 for values in (a, b))
-    size = float(one.norm() * other.norm())
-    return float(one @ other) / size if size else math.nan
+    """Return Spearman's rank correlation, with mean ranks for ties; NaN if all values of one are tied."""
+    centred_a, centred_b = (_ranks(values) - (len(values) - 1) / 2 for values in (a, b))
+    size = float(centred_a.norm() * centred_b.norm())
+    return float(centred_a @ centred_b) / size if size else math.nan
 
 
 def kendall(a: torch.Tensor, b: torch.Tensor) -> float:
@@ -123,16 +126,16 @@ def kendall(a: torch.Tensor, b: torch.Tensor) -> float:
 
 
 def kendall_of_resolved(values: torch.Tensor, reference: torch.Tensor, error: torch.Tensor) -> float:
-    """Return Kendall's τ over the pairs that the reference tells apart by two standard errors; NaN for none."""
-    ahead = reference[:, None] - reference[None, :]
-    clear = ahead > 2 * torch.hypot(error[:, None], error[None, :])
-    return float(torch.sign(values[:, None] - values[None, :])[clear].mean())
+    """Return Kendall's τ over the pairs that differ by over two standard errors in the reference; NaN for none."""
+    differences = reference[:, None] - reference[None, :]
+    resolved = differences > 2 * torch.hypot(error[:, None], error[None, :])
+    return float(torch.sign(values[:, None] - values[None, :])[resolved].mean())
 
 
 def top_agreement(a: torch.Tensor, b: torch.Tensor, count: int) -> float:
-    """Return which part of the first ``count`` of one ranking is among the first of the other."""
-    one, other = (set(values.argsort(descending=True, stable=True)[:count].tolist()) for values in (a, b))
-    return len(one & other) / count
+    """Return the fraction of the ``count`` largest elements that both rankings have in common."""
+    top_a, top_b = (set(values.argsort(descending=True, stable=True)[:count].tolist()) for values in (a, b))
+    return len(top_a & top_b) / count
 
 
 def _ranks(values: torch.Tensor) -> torch.Tensor:

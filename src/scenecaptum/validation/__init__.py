@@ -1,4 +1,4 @@
-"""Whether attributions are right: the scene is changed and rendered again, and nothing is taken on trust."""
+"""Checks of attributions: change the scene, render it again, and compare the metric with the prediction."""
 
 from ._ablation import Ablated as Ablated
 from ._ablation import AblationTest as AblationTest
@@ -15,8 +15,8 @@ from ._faithfulness import sensitivity_n as sensitivity_n
 from ._hessian import hessian_vector_product as hessian_vector_product
 from ._interactions import Interactions as Interactions
 from ._interactions import interactions as interactions
-from ._randomisation import RandomisationCheck as RandomisationCheck
-from ._randomisation import randomisation_check as randomisation_check
+from ._randomization import RandomizationCheck as RandomizationCheck
+from ._randomization import randomization_check as randomization_check
 from ._sensitivity import SensitivityComparison as SensitivityComparison
 from ._sensitivity import SensitivityIndex as SensitivityIndex
 from ._sensitivity import compare_sensitivity as compare_sensitivity

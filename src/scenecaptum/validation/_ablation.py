@@ -1,9 +1,9 @@
-"""Moving one parameter at a time along its own gradient, to see whether the metric changes as predicted."""
+"""The ablation test: move single parameters along their gradients and compare the metric with the prediction."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,49 +12,57 @@ from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_PASSES, channel_totals
+from ..attr._passes import DEFAULT_REPLICATES, channel_totals
 from ..attr._student import student_t
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, unit_gradient, view_of
+from ._scenes import (
+    MAX_STEP,
+    MIN_STEP,
+    Scenes,
+    denoise_of,
+    distances_to_bounds,
+    mean_and_error,
+    unit_gradient,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# A step is short enough where bending takes less than this part of the slope; if not it is divided by SHORTER.
-BENT, SHORTER, SHORTEST = 0.2, 4.0, 6
+# Reduce a step until the second-order term is at most this fraction of the slope.
+MAX_NONLINEARITY, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.2, 4.0, 6
 
-AGREES = 0.1  # relative difference of prediction and measurement, where their errors are smaller
-CLEAR, SURE = 0.95, 0.997  # confidence that two numbers differ, and that prediction and measurement do
-ORDERED = 0.95  # Kendall's τ
+AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
+SIGNIFICANCE_LEVEL = 0.95  # confidence that a measurement differs from 0 or from another one
+DISAGREEMENT_LEVEL = 0.997  # confidence that prediction and measurement differ
+MIN_KENDALL_TAU = 0.95
 
-# The step of Beresna and Fiume: so much of the gradient itself.
-FIXED = 0.01
-SHORT = 0.99  # of the way to a bound, which itself may be unphysical
+FIXED_STEP = 0.01  # of the gradient: the step of Beresna and Fiume
+MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself may be unphysical
 
 
 @dataclass(frozen=True)
 class Ablated:
-    """What moving one parameter does.
+    """The effect of moving one parameter along its gradient.
 
     Attributes
     ----------
     name, label
         The parameter's name in the scene, and a readable one.
     predicted, predicted_error
-        The saliency ``‖g‖``: how much the metric should rise per unit of a step along the gradient.
+        The saliency ``‖g‖``: the predicted slope of the metric along the gradient.
     measured, measured_error
-        How much it rises, from renders at 0, half a step and a step, with the bending taken out.
+        The measured slope, from renders at 0, half a step and a full step, with the second-order term removed.
     step
-        Length of the step, negative down the gradient; in the parameter's unit, over its channels.
+        Signed length of the step, negative down the gradient; in the parameter's unit, over its channels.
     curvature
         Second derivative along the gradient.
     degrees_of_freedom
-        Of the errors.
+        Of the standard errors.
     fixed, fixed_error
-        How much it rises per unit on a step of one hundredth of the gradient, down it and short of the bound, as
-        in the paper, bending included; None where the bound leaves no room.
+        Slope measured with the step of the paper, one hundredth of the gradient, down the gradient and inside the
+        bounds, including the second-order term; None where the parameter is at its bound.
     """
 
     name: str
@@ -71,32 +79,33 @@ class Ablated:
 
     @property
     def noise(self) -> float:
-        """Below what a measurement is not told from 0, with 95 % confidence."""
-        return student_t(CLEAR, self.degrees_of_freedom) * self.measured_error
+        """Half-width of the 95 % confidence interval of the measurement."""
+        return student_t(SIGNIFICANCE_LEVEL, self.degrees_of_freedom) * self.measured_error
 
     @property
     def above_noise(self) -> bool:
-        """Whether the measurement is told from 0."""
+        """Whether the measurement differs significantly from 0."""
         return abs(self.measured) > self.noise
 
     @property
     def agrees(self) -> bool:
-        """Whether prediction and measurement are the same within a tenth or their errors (99.7 % confidence)."""
+        """Whether prediction and measurement agree within 10 % or within their errors (99.7 % confidence)."""
         error = math.hypot(self.predicted_error, self.measured_error)
-        allowed = max(AGREES * self.predicted, student_t(SURE, self.degrees_of_freedom) * error)
+        half_width = student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
+        allowed = max(AGREEMENT_TOLERANCE * self.predicted, half_width)
         return abs(self.measured - self.predicted) <= allowed
 
 
 @dataclass(frozen=True, repr=False)
 class AblationTest:
-    """The parameters by falling saliency, each with what moving it does; prints as a table.
+    """Result of ``ablation_test``; prints as a table.
 
     Attributes
     ----------
     rows
-        One for each parameter.
+        One per parameter, in order of decreasing saliency.
     metric
-        What was attributed.
+        Name of the metric.
     """
 
     rows: tuple[Ablated, ...]
@@ -104,37 +113,41 @@ class AblationTest:
 
     @property
     def kendall_tau(self) -> float | None:
-        """How far the measured order is the computed one, from −1 to 1; None where no two are told apart.
+        """Rank correlation of predictions and measurements, from −1 to 1; None if no pair is resolved.
 
-        Of the pairs above the noise that either errors leave unresolved are ties and do not count.
+        Only rows above the noise count, and of these only pairs whose predictions and measurements both differ
+        significantly.
         """
         signs = [
-            math.copysign(1, (one.predicted - two.predicted) * (one.measured - two.measured))
-            for one, two in _pairs([row for row in self.rows if row.above_noise])
-            if _told_apart(one, two, "measured") and _told_apart(one, two, "predicted")
+            math.copysign(1, (a.predicted - b.predicted) * (a.measured - b.measured))
+            for a, b in itertools.combinations([row for row in self.rows if row.above_noise], 2)
+            if _is_resolved(a, b, "measured") and _is_resolved(a, b, "predicted")
         ]
         return sum(signs) / len(signs) if signs else None
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether all that is above the noise agrees, in size and in order."""
+        """Whether all rows above the noise agree with their predictions, in size and in order."""
         tau = self.kendall_tau
-        return all(row.agrees for row in self.rows if row.above_noise) and (tau is None or tau >= ORDERED)
+        ordered = tau is None or tau >= MIN_KENDALL_TAU
+        return ordered and all(row.agrees for row in self.rows if row.above_noise)
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
-        clear = [row for row in self.rows if row.above_noise]
-        good = sum(row.agrees for row in clear)
-        tau = "too few for an order" if self.kendall_tau is None else f"Kendall's τ {self.kendall_tau:.2f}"
+        """The result in one sentence."""
+        measurable = [row for row in self.rows if row.above_noise]
+        agreeing = sum(row.agrees for row in measurable)
+        tau = (
+            "no resolved pair to rank" if self.kendall_tau is None else f"Kendall's τ {self.kendall_tau:.2f}"
+        )
         return (
             f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
-            f"{good} of {len(clear)} parameters above the noise change {self.metric} as predicted; {tau}; "
-            f"{len(self.rows) - len(clear)} below the noise"
+            f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
+            f"{tau}; {len(self.rows) - len(measurable)} below the noise"
         )
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw prediction and measurement of each parameter, and the noise."""
+        """Plot the prediction, the measurement and its noise for each parameter."""
         from ..visualization import plot_ablation
 
         return plot_ablation(self, ax=ax)
@@ -147,7 +160,7 @@ class AblationTest:
     __repr__ = __str__
 
 
-def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
+def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -156,17 +169,17 @@ def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
     top: int = 10,
     seed: int = 0,
     spp: int | None = None,
-    replicates: int = DEFAULT_PASSES,
+    replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> AblationTest:
-    """Move each of the most salient parameters along its own gradient, and compare the change with the prediction.
+    """Move each of the most salient parameters along its gradient and compare the metric with the prediction.
 
-    Every step is a part of the parameter's physical range, down the gradient unless a bound is near, and is
-    shortened until the metric hardly bends on it; renders at half the step take out what bending is left. All
-    renders of one parameter share their seeds, so that most of their noise cancels. The texels of a texture move
-    alike, but for those that would leave their bounds: what the others do is scaled up by their part of the
-    gradient.
+    Each step is a fraction of the parameter's physical range, down the gradient unless a bound is near. It is
+    shortened until the metric is nearly linear over it, and renders at half the step remove the remaining
+    second-order term. All renders of a parameter use common random numbers. All texels of a texture move together,
+    except those that would leave their bounds; the measured change is then divided by the share of the gradient
+    that belongs to the moving texels.
 
     Example
     -------
@@ -179,37 +192,37 @@ def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
     Parameters
     ----------
     renderer, metric, target
-        As for ``VanillaSceneGradient``; the renderer must tell its ``bounds``.
+        As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
-        The plain gradients to be tested; by default they are computed.
+        The plain gradients to test; computed by default.
     top
-        How many parameters.
+        Number of parameters to test.
     seed
-        Seed from which all others are drawn.
+        Base seed; all other seeds are derived from it.
     spp
-        Samples per pixel of every render, in all its replicates; the renderer's by default.
+        Samples per pixel of each scene, over all replicates; the renderer's by default.
     replicates
-        In how many independent passes each scene is rendered: their spread tells the errors.
+        Number of independent renders of each scene; the standard errors come from their spread.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
     show_progress
         Whether to show a progress bar.
 
     Returns
     -------
     AblationTest
-        A row for each parameter with saliency; its ``is_confirmed`` and ``verdict`` judge them.
+        One row per parameter with non-zero saliency, with a summary in ``is_confirmed`` and ``verdict``.
 
     Raises
     ------
     SceneCaptumError
-        Where the attribution is not one of plain gradients, or has no error bars.
+        If the attribution is not one of plain gradients, or has no error bars.
 
     References
     ----------
-    Beresna and Fiume, "Scene Parameter Saliency via Differentiable Light Transport": the ablation with a step of
-    one hundredth of each gradient, which is measured here too.
+    Beresna and Fiume, "Scene Parameter Saliency via Differentiable Light Transport": ablation with a step of one
+    hundredth of each gradient, reported here as ``fixed``.
     """
     renderer = with_checkpoint(renderer, checkpoint)
     if attribution is None:
@@ -218,10 +231,10 @@ def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
         )
     if attribution.info.get("scale") != "unit" or attribution.covariance is None:
         raise SceneCaptumError(
-            "An ablation test takes plain gradients with error bars: VanillaSceneGradient(...).attribute()."
+            "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=view_of(attribution))
+    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(
@@ -231,68 +244,63 @@ def ablation_test(  # noqa: PLR0913 -- those of every long job, and its own
 
 
 @dataclass(frozen=True)
-class _Way:
-    """How a parameter is moved.
+class _Step:
+    """A step of a parameter along its gradient.
 
     Attributes
     ----------
     direction
-        That of its gradient, of length 1 over the channels, and 0 where an element stays.
-    step
-        Length of the step, negative down the gradient.
+        Gradient direction, of unit length over the channels; 0 for elements that stay.
+    length
+        Signed length, negative down the gradient.
     share
-        What part of the saliency belongs to what moves.
+        Fraction of the saliency that belongs to the moving elements.
     """
 
     direction: torch.Tensor
-    step: float
+    length: float
     share: float = 1.0
 
 
-def _find_way(value: torch.Tensor, gradient: torch.Tensor, low: float, high: float) -> _Way:
-    """Go down the gradient, or up it where a bound is near; without the elements at bounds where both are."""
+def _choose_step(value: torch.Tensor, gradient: torch.Tensor, low: float, high: float) -> _Step:
+    """Step down the gradient, or up if a bound is near; near both, move only the elements that have space."""
     uphill = unit_gradient(gradient, value).expand_as(value)
-    # Of an environment map the sun is brightest by far: where there is no range, the mean tells the size.
-    length = high - low if math.isfinite(high - low) else value.abs().mean().item() or 1.0
-    rooms = {sign: _rooms(value, sign * uphill, low, high) for sign in (-1, 1)}
-    for sign, room in rooms.items():
-        # Only part of the way to a bound, which itself may be unphysical.
-        step = min(LONGEST * length, 0.5 * room.min().item())
-        if step >= CRAMPED * length:
-            return _Way(uphill, sign * step)
+    # Without a finite range use the mean: in an environment map the sun dominates the maximum.
+    size = high - low if math.isfinite(high - low) else value.abs().mean().item() or 1.0
+    distances = {sign: distances_to_bounds(value, sign * uphill, low, high) for sign in (-1, 1)}
+    for sign, distance in distances.items():
+        # Only half the distance, since the bound itself may be unphysical.
+        length = min(MAX_STEP * size, 0.5 * distance.min().item())
+        if length >= MIN_STEP * size:
+            return _Step(uphill, sign * length)
     total = channel_totals(gradient).double().norm()
-    ways = []
-    for sign, room in rooms.items():
-        direction = torch.where(room >= LONGEST * length, uphill, 0.0)
-        ways.append(_Way(direction, sign * LONGEST * length, ((gradient * direction).sum() / total).item()))
-    return max(ways, key=lambda way: way.share)
-
-
-def _rooms(value: torch.Tensor, direction: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    """Return how far each element can go in a direction before it meets a bound."""
-    towards = torch.where(direction > 0, high - value, value - low)
-    return torch.where(direction == 0, math.inf, towards / direction.abs())
+    steps = []
+    for sign, distance in distances.items():
+        direction = torch.where(distance >= MAX_STEP * size, uphill, 0.0)
+        steps.append(_Step(direction, sign * MAX_STEP * size, ((gradient * direction).sum() / total).item()))
+    return max(steps, key=lambda step: step.share)
 
 
 def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
     value, (low, high) = scenes.values[row.name], scenes.renderer.bounds[row.name]
-    way = _find_way(value, gradient, low, high)
+    chosen = _choose_step(value, gradient, low, high)
 
-    def slope_on(step: float) -> torch.Tensor:
-        rise = scenes.measure({row.name: value + step * way.direction}) - scenes.still
-        return rise / (step * way.share)
+    def slope(length: float) -> torch.Tensor:
+        change = scenes.measure({row.name: value + length * chosen.direction}) - scenes.unmodified
+        return change / (length * chosen.share)
 
-    step = way.step
-    for _ in range(SHORTEST):
-        half, full = slope_on(step / 2), slope_on(step)
+    step = chosen.length
+    for _ in range(MAX_STEP_REDUCTIONS):
+        half, full = slope(step / 2), slope(step)
         measured, error = mean_and_error(2 * half - full)
-        bending, bending_error = mean_and_error(2 * (full - half))
-        # What is only noise would be more of it on a shorter step.
-        if abs(bending) - 2 * bending_error <= BENT * abs(measured):
+        second_order, second_order_error = mean_and_error(2 * (full - half))
+        # A shorter step would only amplify a second-order term that is within the noise.
+        if abs(second_order) - 2 * second_order_error <= MAX_NONLINEARITY * abs(measured):
             break
-        step /= SHORTER
-    length = min(FIXED * row.saliency, SHORT * _rooms(value, -way.direction, low, high).min().item())
-    fixed, fixed_error = mean_and_error(slope_on(-length)) if length > 0 else (None, None)
+        step /= STEP_REDUCTION
+    distance = distances_to_bounds(value, -chosen.direction, low, high).min().item()
+    fixed_step = min(FIXED_STEP * row.saliency, MAX_BOUND_FRACTION * distance)
+    fixed, fixed_error = mean_and_error(slope(-fixed_step)) if fixed_step > 0 else (None, None)
     return Ablated(
         name=row.name,
         label=row.label,
@@ -301,18 +309,15 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         measured=measured,
         measured_error=error,
         step=step,
-        curvature=2 * bending / step,
+        curvature=2 * second_order / step,
         degrees_of_freedom=len(scenes.seeds) - 1,
         fixed=fixed,
         fixed_error=fixed_error,
     )
 
 
-def _pairs(rows: Sequence[Ablated]) -> list[tuple[Ablated, Ablated]]:
-    return [(one, two) for number, one in enumerate(rows) for two in rows[number + 1 :]]
-
-
-def _told_apart(one: Ablated, two: Ablated, what: str) -> bool:
-    error = math.hypot(getattr(one, f"{what}_error"), getattr(two, f"{what}_error"))
-    degrees = min(one.degrees_of_freedom, two.degrees_of_freedom)
-    return bool(abs(getattr(one, what) - getattr(two, what)) > student_t(CLEAR, degrees) * error)
+def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
+    """Return whether a field of two rows differs significantly."""
+    error = math.hypot(getattr(a, f"{field}_error"), getattr(b, f"{field}_error"))
+    degrees = min(a.degrees_of_freedom, b.degrees_of_freedom)
+    return bool(abs(getattr(a, field) - getattr(b, field)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)

@@ -1,4 +1,4 @@
-"""Deletion and insertion curves: moving parameters to their baselines and back, the most important first."""
+"""Deletion and insertion curves: set parameters to their baselines, or restore them, in order of importance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import torch
 from ..attr import SceneAttribution
 from ..attr._baselines import Baselines
 from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_PASSES
+from ..attr._passes import DEFAULT_REPLICATES
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ._faithfulness import contributions, measure_without
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class DeletionInsertion:
-    """The metric while parameters move to their baselines, and from them; prints as a table.
+    """Deletion and insertion curves of a ranking; prints as a table.
 
     Attributes
     ----------
     names, labels
         The parameters in the order of the ranking.
     moved
-        ``(points,)``: how many of them have moved at each point of the curves, from 0 to all.
+        ``(points,)``: number of parameters deleted or inserted at each point of the curves, from 0 to all.
     deletion
-        ``(points, replicates)``: the metric where the first parameters of the order are at their baselines.
+        ``(points, replicates)``: the metric with the first ``moved`` parameters at their baselines.
     insertion
-        The same where all others are.
+        ``(points, replicates)``: the metric with all but the first ``moved`` parameters at their baselines.
     random
-        ``(orders, points, replicates)``: deletion in random orders. Read backwards each is an insertion.
+        ``(orders, points, replicates)``: deletion in random orders. Reversed, each is an insertion curve.
     metric, method
-        What was attributed, and how.
+        Names of the metric and of the attribution method.
     """
 
     names: tuple[str, ...]
@@ -54,51 +54,49 @@ class DeletionInsertion:
 
     @cached_property
     def deletion_area(self) -> tuple[float, float]:
-        """By how much the metric has changed from the whole scene's, on average over the curve, and its error.
+        """Mean change of the metric from the original scene over the deletion curve, and its standard error.
 
-        Larger is better: the first parameters change most. It is the whole scene's metric minus the usual area
-        under the curve where the metric falls, but counts a rise as well.
+        Larger is better: the first parameters change the metric most. If the metric falls, this is its original
+        value minus the usual area under the curve; a rise counts in the same way.
         """
         return mean_and_error(self._area(self.deletion, self.moved))
 
     @cached_property
     def insertion_area(self) -> tuple[float, float]:
-        """By how much the metric still differs from the whole scene's, on average over the curve, and its error.
+        """Mean difference of the metric from the original scene over the insertion curve, and its standard error.
 
-        Smaller is better: the first parameters bring most of it back.
+        Smaller is better: the first parameters restore most of the metric.
         """
         return mean_and_error(self._area(self.insertion, self.moved))
 
     @cached_property
     def random_areas(self) -> torch.Tensor:
-        """``(2, orders)``: both areas for the random orders."""
-        left = self.moved[-1] - self.moved.flip(0)
-        deletions = [self._area(one, self.moved).mean() for one in self.random]
-        insertions = [self._area(one.flip(0), left).mean() for one in self.random]
+        """``(2, orders)``: the deletion and insertion areas of the random orders."""
+        remaining = self.moved[-1] - self.moved.flip(0)
+        deletions = [self._area(curve, self.moved).mean() for curve in self.random]
+        insertions = [self._area(curve.flip(0), remaining).mean() for curve in self.random]
         return torch.stack([torch.stack(deletions), torch.stack(insertions)])
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         deletions, insertions = self.random_areas
-        better = (
-            int((self.deletion_area[0] > deletions).sum()),
-            int((self.insertion_area[0] < insertions).sum()),
-        )
+        by_deletion = int((self.deletion_area[0] > deletions).sum())
+        by_insertion = int((self.insertion_area[0] < insertions).sum())
         return (
-            f"the order of {self.method} deletes faster than {better[0]} and inserts faster than {better[1]} of "
-            f"{len(deletions)} random orders"
+            f"the order of {self.method} beats {by_deletion} of {len(deletions)} random orders by deletion and "
+            f"{by_insertion} by insertion"
         )
 
     def _area(self, curve: torch.Tensor, moved: torch.Tensor) -> torch.Tensor:
-        """Return the mean distance of a curve from the whole scene, in each replicate."""
+        """Return the mean distance of a curve from the original scene, in each replicate."""
         change = curve - self.deletion[0]
-        # The sign is the mean's: each replicate's own would make distances of noise.
+        # The sign of the mean over the replicates: with signs of their own, noise would add to the distance.
         distance = change * change.mean(1, keepdim=True).sign()
         return torch.trapezoid(distance, moved.double() / moved[-1], dim=0)
 
     def plot(self, figure: Figure | None = None) -> Figure:
-        """Draw both curves, and what random orders do."""
+        """Plot both curves and those of the random orders."""
         from ..visualization import plot_deletion
 
         return plot_deletion(self, figure=figure)
@@ -111,7 +109,7 @@ class DeletionInsertion:
     __repr__ = __str__
 
 
-def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three of its own
+def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and three of its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -122,13 +120,14 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
     random_orders: int = 10,
     seed: int = 0,
     spp: int | None = None,
-    replicates: int = DEFAULT_PASSES,
+    replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> DeletionInsertion:
-    """Move parameters to their baselines in the order of their ranking, and back, and watch the metric.
+    """Compute deletion and insertion curves of a ranking and compare them with random orders.
 
-    Deletion begins with the whole scene, insertion with all parameters at their baselines; both take the most
-    important first. All scenes share their seeds.
+    Deletion starts from the original scene and sets parameters to their baselines; insertion starts with all
+    parameters at their baselines and restores them. Both begin with the most important parameter. All scenes are
+    rendered with common random numbers.
 
     Example
     -------
@@ -143,35 +142,34 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
     renderer, metric, target
         As for ``IntegratedGradientsScene``.
     attribution
-        Contributions compared with the same baselines, ranked by their magnitude; by default those of integrated
-        gradients are computed.
+        Contributions relative to the same baselines, ranked by magnitude; integrated gradients by default.
     baselines
-        What a parameter is set to when it is deleted, as for ``IntegratedGradientsScene``. One that is at its
-        baseline already takes no part.
+        The values of deleted parameters, as for ``IntegratedGradientsScene``. Parameters that are already at their
+        baselines are skipped.
     steps
-        In how many steps at most, each of as many parameters.
+        Maximum number of steps, each with about the same number of parameters.
     random_orders
-        How many random orders to compare with, 2 at least.
+        Number of random orders to compare with, at least 2.
     seed
-        Seed from which all others are drawn.
+        Base seed; all other seeds are derived from it.
     spp
-        Samples per pixel of every scene, in all its replicates; the renderer's by default.
+        Samples per pixel of each scene, over all replicates; the renderer's by default.
     replicates
-        In how many independent passes each scene is rendered: their spread tells the errors.
+        Number of independent renders of each scene; the standard errors come from their spread.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
 
     Returns
     -------
     DeletionInsertion
-        Both curves and those of the random orders, in the metric's unit.
+        Both curves and those of the random orders, in the unit of the metric.
 
     Raises
     ------
     SceneCaptumError
-        Where the attribution is one of gradients or of groups, or fewer than two parameters have baselines other
-        than their values.
+        If the attribution is one of gradients or of groups, or fewer than two parameters differ from their
+        baselines.
 
     References
     ----------
@@ -180,15 +178,15 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
     renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     scenes = Scenes.split(renderer, metric, target, **options)
-    attribution, absent = contributions(scenes, metric, attribution, target, baselines, **options)
-    if len(absent) < 2:
+    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, **options)
+    if len(deleted) < 2:
         raise SceneCaptumError(
-            f"An order takes at least 2 parameters that are not at their baselines already, not {len(absent)}."
+            f"deletion_insertion needs at least 2 parameters that differ from their baselines, not {len(deleted)}."
         )
-    names = list(absent)
+    names = list(deleted)
     moved = np.linspace(0, len(names), min(whole_number("steps", steps), len(names)) + 1).round().astype(int)
-    draw = np.random.default_rng([check_seed("seed", seed), 7])
-    curves = _Curves(scenes, absent, moved.tolist())
+    generator = np.random.default_rng([check_seed("seed", seed), 7])
+    curves = _Curves(scenes, deleted, moved.tolist())
     orders = whole_number("random_orders", random_orders, 2)
     return DeletionInsertion(
         names=tuple(names),
@@ -196,31 +194,31 @@ def deletion_insertion(  # noqa: PLR0913 -- those of every validation, and three
         moved=torch.from_numpy(moved),
         deletion=curves.deletion(names),
         insertion=curves.insertion(names),
-        random=torch.stack([curves.deletion(draw.permutation(names).tolist()) for _ in range(orders)]),
+        random=torch.stack([curves.deletion(generator.permutation(names).tolist()) for _ in range(orders)]),
         metric=str(attribution.info["metric"]),
         method=str(attribution.info["method"]),
     )
 
 
 class _Curves:
-    """Measures the scenes along an order, none of them twice."""
+    """Computes curves for any order of the parameters; caches the metric of every set of deleted parameters."""
 
-    def __init__(self, scenes: Scenes, absent: Mapping[str, torch.Tensor], moved: Sequence[int]) -> None:
+    def __init__(self, scenes: Scenes, deleted: Mapping[str, torch.Tensor], moved: Sequence[int]) -> None:
         self.scenes = scenes
-        self.absent = absent
+        self.deleted = deleted
         self.moved = moved
-        self.seen = {frozenset[str](): scenes.still}
+        self.cache = {frozenset[str](): scenes.unmodified}
 
     def deletion(self, order: Sequence[str]) -> torch.Tensor:
-        """Return the metric without the first ones of an order, ``(points, replicates)``."""
+        """Return the deletion curve of an order, ``(points, replicates)``."""
         return torch.stack([self._without(order[:count]) for count in self.moved])
 
     def insertion(self, order: Sequence[str]) -> torch.Tensor:
-        """Return the metric with the first ones only."""
+        """Return the insertion curve of an order, ``(points, replicates)``."""
         return torch.stack([self._without(order[count:]) for count in self.moved])
 
     def _without(self, names: Sequence[str]) -> torch.Tensor:
         key = frozenset(names)
-        if key not in self.seen:
-            self.seen[key] = measure_without(self.scenes, self.absent, names)
-        return self.seen[key]
+        if key not in self.cache:
+            self.cache[key] = measure_without(self.scenes, self.deleted, names)
+        return self.cache[key]

@@ -1,4 +1,4 @@
-"""Global sensitivity from gradients: the mean squared derivative, which bounds the total Sobol index."""
+"""Derivative-based global sensitivity measures (DGSM): mean squared derivatives that bound total Sobol indices."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr._gradients import Gradients, Point, input_values
+from ..attr._gradients import GradientEstimator, Point, input_values
 from ..attr._jackknife import Adjoints
-from ..attr._method import listed
+from ..attr._method import target_list
 from ..attr._metric import Metric, TargetedMetric
 from ..attr._passes import Budget
-from ..attr._view import Viewer
+from ..attr._view import TransformSelector
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
@@ -24,24 +24,24 @@ from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 if TYPE_CHECKING:
     from ..attr._method import Result, Targets
 
-_PASSES = 2  # at each point: their difference tells the noise of rendering
+_REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
 
 
 @dataclass(frozen=True)
 class GlobalDerivative:
-    """One parameter's mean squared derivative.
+    """Mean squared derivative with respect to one parameter.
 
     Attributes
     ----------
     name, label
         The parameter's name in the scene, and a readable one.
     low, high
-        The interval over which the parameter was varied, in its unit.
+        The interval in which the parameter was varied, in its unit.
     nu, nu_error
         ``ν = E[(∂M/∂θ)²]`` per unit of the parameter, squared.
     bound, bound_error
-        ``(high − low)² ν / (π² Var M)``: the total Sobol index is at most this. NaN where the variance of the
-        metric is lost in the noise.
+        ``(high − low)² ν / (π² Var M)``: upper bound of the total Sobol index. NaN if the variance of the metric
+        is below the noise.
     """
 
     name: str
@@ -56,22 +56,22 @@ class GlobalDerivative:
 
 @dataclass(frozen=True, repr=False)
 class DGSM:
-    """Derivative-based global sensitivity of every parameter, the largest first; prints as a table.
+    """Derivative-based global sensitivity of every parameter; prints as a table.
 
     Attributes
     ----------
     rows
-        One for each parameter.
+        One per parameter, the largest first.
     metric
-        What was differentiated.
+        Name of the metric.
     variance, variance_error
-        The metric's variance over the intervals.
+        Variance of the metric over the intervals.
     points
-        How many scenes.
+        Number of sampled scenes.
     renders
-        Renders and backward passes in all, each counted by its samples: 1 for as many as ``spp``.
+        Total number of renders and backward passes, in units of ``spp`` samples per pixel.
     seconds
-        How long that took.
+        Wall-clock time.
     """
 
     rows: tuple[GlobalDerivative, ...]
@@ -90,7 +90,7 @@ class DGSM:
     __repr__ = __str__
 
 
-def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
+def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
     renderer: Any,
     metric: Metric,
     target: Targets = None,
@@ -103,11 +103,11 @@ def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
     checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Result:
-    """Average squared derivatives over the scenes that might have been, from our gradients.
+    """Estimate the mean squared derivative of a metric over the intervals of all parameters.
 
-    Where a plain gradient says what matters at this design, this says what matters over all of them. All
-    parameters share the points, whose number need not grow with theirs as it has to for Sobol's and Morris's
-    methods; what has a small bound can be left as it is.
+    A plain gradient is local to the current values; DGSM averages over all values in the intervals. A parameter
+    with a small bound has little influence anywhere. All parameters share the same points, so the number of
+    renders need not grow with the number of parameters, unlike for Sobol's and Morris's methods.
 
     Example
     -------
@@ -122,34 +122,34 @@ def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
     renderer, metric, target
         As for ``VanillaSceneGradient``.
     parameters
-        Names or globs of the inputs that are varied; all by default. Each is moved by one number, its largest
-        element, to which the others keep their ratio: a colour gets brighter and keeps its hue.
+        Names or globs of the inputs to vary; all by default. Each is varied by one number, its largest element,
+        with all ratios of elements kept: a colour changes its brightness and keeps its hue.
     bounds
-        ``(low, high)`` of that number by name or glob. By default the physical bounds; where they are infinite
-        (the radiance of a lamp, an index of refraction), from half the value to one and a half of it.
+        ``(low, high)`` of that number by name or glob. By default the physical bounds; if they are infinite (the
+        radiance of a lamp, an index of refraction), from 0.5 to 1.5 times the value.
     points
-        How many scenes, scattered by a scrambled Sobol sequence.
+        Number of scenes to sample, from a scrambled Sobol sequence.
     seed
-        Seed from which all others are drawn.
+        Base seed; all other seeds are derived from it.
     spp
-        Samples per pixel at each point, split over two passes whose difference tells the noise, so that it does
-        not count as sensitivity; the renderer's by default.
+        Samples per pixel at each point, split over two replicates. Their difference estimates the noise, which is
+        subtracted from the squared derivatives. The renderer's by default.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
     show_progress
         Whether to show a progress bar.
 
     Returns
     -------
     DGSM
-        With standard errors by the jackknife over the points, as of independent ones: for evenly scattered points
-        they are too large rather than too small. A list for a list of targets.
+        With standard errors from the jackknife over the points. It treats the points as independent, so for a
+        Sobol sequence the errors are rather too large. A list for a list of targets.
 
     Raises
     ------
     SceneCaptumError
-        Where a name, interval or setting does not fit, or as ``VanillaSceneGradient``.
+        If a name, interval or setting is invalid, or as for ``VanillaSceneGradient``.
 
     References
     ----------
@@ -163,30 +163,30 @@ def dgsm(  # noqa: PLR0913 -- those of every long job, and its own
     scalars = find_scalars(renderer, values, parameters, bounds)
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
     check_seed("seed", seed)
-    metrics = [TargetedMetric(metric, one) for one in listed(target)]
-    found = sample_derivatives(
+    metrics = [TargetedMetric(metric, index) for index in target_list(target)]
+    derivatives = sample_derivatives(
         renderer, metrics, scalars, values, points, seed=seed, spp=spp, show_progress=show_progress
     )
     results = [
-        summarise_derivatives(one, scalars, TargetedMetric(metric, m.target).name)
-        for one, m in zip(found, metrics, strict=True)
+        summarise_derivatives(of_metric, scalars, TargetedMetric(metric, m.target).name)
+        for of_metric, m in zip(derivatives, metrics, strict=True)
     ]
     return results if isinstance(target, list) else results[0]
 
 
 @dataclass
 class Derivatives:
-    """What a metric does at points, in float64.
+    """Values and derivatives of a metric at sampled points, in float64.
 
     Attributes
     ----------
     squares
-        ``(points, parameters)``: the squared change over the whole interval at this slope, free of noise on
-        average (a single one may be negative).
+        ``(points, parameters)``: unbiased estimates of the squared derivative with respect to the position in the
+        interval; single estimates may be negative.
     values, noise
-        ``(points,)``: the metric, and the variance that rendering puts into it.
+        ``(points,)``: the metric, and its variance from rendering.
     renders
-        Renders and backward passes of each point.
+        Renders and backward passes per point.
     """
 
     squares: torch.Tensor
@@ -207,112 +207,120 @@ def sample_derivatives(
     spp: int | None,
     show_progress: bool,
 ) -> list[Derivatives]:
-    """Take the derivatives of each metric at random points."""
-    count = whole_number("points", points, 3)  # what is left when the jackknife leaves one out has a variance
-    places = scatter(count, len(scalars), seed)
+    """Compute the derivatives of each metric at points of a Sobol sequence."""
+    count = whole_number("points", points, 3)  # the jackknife needs a variance of one point less
+    positions = sobol_points(count, len(scalars), seed)
     watch = Stopwatch(renderer)
     total = None if spp is None else spp * count
-    budget = Budget.split(total, _PASSES * count, seed, count)
-    found: list[list[tuple[torch.Tensor, Adjoints]]] = []
-    with tqdm(total=2 * sum(budget.passes), disable=not show_progress, desc="DGSM", unit="pass") as bar:
-        gradients = Gradients(renderer, metrics, budget, Viewer("auto", renderer), bar)
-        for index, place in enumerate(places):
-            found.append(slopes(gradients, index, point_at(scalars, values, place), scalars))
-    extra = gradients.extra / total if total else 0.0
-    return [_derivatives(of_metric, extra, watch.seconds) for of_metric in zip(*found, strict=True)]
+    budget = Budget.split(total, _REPLICATES_PER_POINT * count, seed, count)
+    sampled: list[list[tuple[torch.Tensor, Adjoints]]] = []
+    with tqdm(
+        total=2 * sum(budget.replicates), disable=not show_progress, desc="DGSM", unit="replicate"
+    ) as bar:
+        gradients = GradientEstimator(renderer, metrics, budget, TransformSelector("auto", renderer), bar)
+        for index, row in enumerate(positions):
+            sampled.append(interval_gradients(gradients, index, point_at(scalars, values, row), scalars))
+    extra = gradients.extra_spp / total if total else 0.0
+    return [_derivatives(of_metric, extra, watch.seconds) for of_metric in zip(*sampled, strict=True)]
 
 
-def slopes(
-    gradients: Gradients, index: int, point: Point, scalars: Sequence[Scalar]
+def interval_gradients(
+    gradients: GradientEstimator, index: int, point: Point, scalars: Sequence[Scalar]
 ) -> list[tuple[torch.Tensor, Adjoints]]:
-    """Return for each metric ``(passes, parameters)`` changes over the intervals, and its adjoints."""
-    found, interrupted = gradients.at(index, point)
+    """Return for each metric the gradient with respect to the positions in the intervals, and its adjoints.
+
+    The gradients are ``(replicates, parameters)`` in float64.
+    """
+    results, interrupted = gradients.estimate(index, point)
     if interrupted:
         raise KeyboardInterrupt
     return [
         (
-            torch.stack([torch.stack(one.spreads[s.name].totals).double().sum(1) for s in scalars], 1),
-            one.adjoints,
+            torch.stack([torch.stack(result.statistics[s.name].totals).double().sum(1) for s in scalars], 1),
+            result.adjoints,
         )
-        for one in found
+        for result in results
     ]
 
 
-def cost(adjoints: Adjoints) -> float:
-    """Return renders and backward passes of a gradient, counted by their samples."""
-    bias_pass = 0.0 if adjoints.bias_adjoint is None else 1 / len(adjoints.passes)
-    return 2.0 + bias_pass
+def render_count(adjoints: Adjoints) -> float:
+    """Return the number of renders and backward passes of a gradient, weighted by their samples."""
+    bias_correction = 0.0 if adjoints.bias_adjoint is None else 1 / len(adjoints.per_replicate)
+    return 2.0 + bias_correction
 
 
-def scatter(count: int, dimensions: int, seed: int) -> np.ndarray:
-    """Return ``(count, dimensions)`` places in the unit cube, evenly scattered."""
+def sobol_points(count: int, dimensions: int, seed: int) -> np.ndarray:
+    """Return ``(count, dimensions)`` points of a scrambled Sobol sequence in the unit cube."""
     state = int(np.random.SeedSequence([seed, 5]).generate_state(1)[0])
     engine = torch.quasirandom.SobolEngine(dimensions, scramble=True, seed=state)
-    drawn: np.ndarray = engine.draw(count, dtype=torch.float64).numpy()
-    return drawn
+    points: np.ndarray = engine.draw(count, dtype=torch.float64).numpy()
+    return points
 
 
-def _derivatives(found: Sequence[tuple[torch.Tensor, Adjoints]], extra: float, seconds: float) -> Derivatives:
-    passes = torch.stack([one for one, _ in found])  # (points, passes, parameters)
-    seen = [adjoints for _, adjoints in found]
+def _derivatives(
+    sampled: Sequence[tuple[torch.Tensor, Adjoints]], extra: float, seconds: float
+) -> Derivatives:
+    gradients = torch.stack([gradient for gradient, _ in sampled])  # (points, replicates, parameters)
+    adjoints = [adjoints for _, adjoints in sampled]
     return Derivatives(
-        squares=passes.mean(1).square() - passes.var(1) / passes.shape[1],
-        values=torch.tensor([one.value - (one.bias or 0.0) for one in seen], dtype=torch.float64),
-        noise=torch.tensor([(one.standard_error or 0.0) ** 2 for one in seen], dtype=torch.float64),
-        renders=sum(map(cost, seen)) / len(seen) + extra,
+        squares=gradients.mean(1).square() - gradients.var(1) / gradients.shape[1],
+        values=torch.tensor([a.value - (a.bias or 0.0) for a in adjoints], dtype=torch.float64),
+        noise=torch.tensor([(a.standard_error or 0.0) ** 2 for a in adjoints], dtype=torch.float64),
+        renders=sum(map(render_count, adjoints)) / len(adjoints) + extra,
         seconds=seconds,
     )
 
 
-def summarise_derivatives(found: Derivatives, scalars: Sequence[Scalar], metric: str) -> DGSM:
-    """Average over the points, with standard errors by the jackknife."""
-    nu, nu_error = jackknife_points(lambda kept: found.squares[kept].mean(0), len(found.values))
-    bound, bound_error = _total_bound(found)
-    variance, variance_error = jackknife_points(lambda kept: _variance(found, kept), len(found.values))
+def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], metric: str) -> DGSM:
+    """Average over the points, with jackknife standard errors."""
+    count = len(derivatives.values)
+    nu, nu_error = jackknife_points(lambda kept: derivatives.squares[kept].mean(0), count)
+    bound, bound_error = _total_bound(derivatives)
+    variance, variance_error = jackknife_points(lambda kept: _variance(derivatives, kept), count)
     rows = [
         GlobalDerivative(
-            name=one.name,
-            label=one.label,
-            low=one.low,
-            high=one.high,
-            nu=nu[k].item() / one.length**2,
-            nu_error=nu_error[k].item() / one.length**2,
+            name=scalar.name,
+            label=scalar.label,
+            low=scalar.low,
+            high=scalar.high,
+            nu=nu[k].item() / scalar.length**2,
+            nu_error=nu_error[k].item() / scalar.length**2,
             bound=bound[k].item(),
             bound_error=bound_error[k].item(),
         )
-        for k, one in enumerate(scalars)
+        for k, scalar in enumerate(scalars)
     ]
     return DGSM(
         rows=tuple(rows[k] for k in nu.argsort(descending=True, stable=True).tolist()),
         metric=metric,
         variance=variance.item(),
         variance_error=variance_error.item(),
-        points=len(found.values),
-        renders=found.renders * len(found.values),
-        seconds=found.seconds,
+        points=count,
+        renders=derivatives.renders * count,
+        seconds=derivatives.seconds,
     )
 
 
-def _total_bound(found: Derivatives) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the upper bounds of the total Sobol indices, and their errors; NaN where nothing but noise varies."""
+def _total_bound(derivatives: Derivatives) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return upper bounds of the total Sobol indices and their errors; NaN if the variance is below the noise."""
 
     def bound(kept: torch.Tensor) -> torch.Tensor:
-        variance = _variance(found, kept)
-        mean = found.squares[kept].mean(0)
+        variance = _variance(derivatives, kept)
+        mean = derivatives.squares[kept].mean(0)
         return torch.where(variance > 0, mean / (math.pi**2 * variance), torch.nan)
 
-    return jackknife_points(bound, len(found.values))
+    return jackknife_points(bound, len(derivatives.values))
 
 
-def _variance(found: Derivatives, kept: torch.Tensor) -> torch.Tensor:
-    return found.values[kept].var() - found.noise[kept].mean()
+def _variance(derivatives: Derivatives, kept: torch.Tensor) -> torch.Tensor:
+    return derivatives.values[kept].var() - derivatives.noise[kept].mean()
 
 
 def jackknife_points(
     statistic: Callable[[torch.Tensor], torch.Tensor], count: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a statistic of all points, given by their numbers, and its standard error."""
-    numbers = torch.arange(count)
-    without = torch.stack([statistic(numbers[numbers != k]) for k in range(count)])
-    spread = (without - without.mean(0)).square().sum(0)
-    return statistic(numbers), ((count - 1) / count * spread).sqrt()
+    """Return a statistic of point indices over all ``count`` points, and its jackknife standard error."""
+    indices = torch.arange(count)
+    leave_one_out = torch.stack([statistic(indices[indices != k]) for k in range(count)])
+    squares = (leave_one_out - leave_one_out.mean(0)).square().sum(0)
+    return statistic(indices), ((count - 1) / count * squares).sqrt()

@@ -1,4 +1,4 @@
-"""Whether attributions predict what changes of the scene do: infidelity and sensitivity-n."""
+"""How well attributions predict the effect of scene changes: infidelity and sensitivity-n."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import torch
 from ..attr import IntegratedGradientsScene, SceneAttribution, VanillaSceneGradient
 from ..attr._baselines import Baselines, resolve_baselines
 from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_PASSES
+from ..attr._passes import DEFAULT_REPLICATES
 from ..attr._ranges import Noise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
-from ._scenes import Scenes, view_of
+from ._scenes import Scenes, denoise_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ Tensors = Mapping[str, torch.Tensor]
 Statistic = Callable[[torch.Tensor, torch.Tensor], float]
 
 _GRADIENTS = ("gradient per unit", "mean gradient per unit")
-_NO_SHARES = (
+_NOT_CONTRIBUTIONS = (
     *_GRADIENTS,
     "gradient × range",
     "mean squared gradient per unit",
@@ -38,16 +38,16 @@ _NO_SHARES = (
 
 @dataclass(frozen=True, repr=False)
 class Infidelity:
-    """How far gradients miss the changes that random perturbations make; prints as a table.
+    """Mean squared error of the changes that gradients predict for random perturbations; prints as a table.
 
     Attributes
     ----------
     predicted
         ``(n,)``: the sum of perturbation × attribution.
     measured
-        ``(n, replicates)``: the metric of the scene minus that of the perturbed one, in independent replicates.
+        ``(n, replicates)``: the metric of the original scene minus that of the perturbed one.
     metric, method
-        What was attributed, and how.
+        Names of the metric and of the attribution method.
     """
 
     predicted: torch.Tensor
@@ -57,29 +57,29 @@ class Infidelity:
 
     @property
     def value(self) -> float:
-        """The infidelity: the mean square of prediction minus measurement, without what noise adds to it."""
-        return self._with_error(_mean_square_miss)[0]
+        """The infidelity: mean square of prediction minus measurement, corrected for the noise of rendering."""
+        return self._with_error(_mean_square_error)[0]
 
     @property
     def standard_error(self) -> float:
-        """Of ``value``: from the perturbations that were drawn, and from the noise of rendering."""
-        return self._with_error(_mean_square_miss)[1]
+        """Standard error of ``value``, from the choice of perturbations and the noise of rendering."""
+        return self._with_error(_mean_square_error)[1]
 
     @property
-    def missed(self) -> float:
-        """``value`` as a part of the mean square change: 0 predicts everything, 1 no more than predicting none."""
-        return self._with_error(_part_missed)[0]
+    def normalized(self) -> float:
+        """``value`` over the mean square change: 0 for a perfect prediction, 1 for one of no change at all."""
+        return self._with_error(_normalized_error)[0]
 
     @property
-    def missed_error(self) -> float:
-        """Standard error of ``missed``."""
-        return self._with_error(_part_missed)[1]
+    def normalized_error(self) -> float:
+        """Standard error of ``normalized``."""
+        return self._with_error(_normalized_error)[1]
 
     def _with_error(self, statistic: Statistic) -> tuple[float, float]:
         return statistic_with_error(statistic, self.predicted, self.measured)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the measured change over the predicted one, of every perturbation."""
+        """Plot the measured against the predicted change of every perturbation."""
         from ..visualization import plot_infidelity
 
         return plot_infidelity(self, ax=ax)
@@ -92,7 +92,7 @@ class Infidelity:
     __repr__ = __str__
 
 
-def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
+def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -102,51 +102,51 @@ def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
     n_perturb_samples: int = 64,
     seed: int = 0,
     spp: int | None = None,
-    replicates: int = DEFAULT_PASSES,
+    replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> Infidelity:
-    """Perturb all parameters at random, and compare the change of the metric with what gradients predict.
+    """Perturb all parameters at random and compare the change of the metric with the prediction of gradients.
 
-    ``E[(Iᵀ Φ − (M(θ) − M(θ − I)))²]`` over perturbations ``I``, as ``captum.metrics.infidelity``, with the noise
-    of rendering taken out. All scenes share their seeds.
+    Estimates ``E[(Iᵀ Φ − (M(θ) − M(θ − I)))²]`` over perturbations ``I``, like ``captum.metrics.infidelity``, but
+    corrected for the noise of rendering. All scenes are rendered with common random numbers.
 
     Example
     -------
     >>> from scenecaptum import SceneRenderer, metrics
     >>> renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), spp=16)
-    >>> infidelity(renderer, metrics.MeanLuminance(), n_perturb_samples=4).missed < 0.1  # linear in the light
+    >>> infidelity(renderer, metrics.MeanLuminance(), n_perturb_samples=4).normalized < 0.1  # linear in the light
     True
 
     Parameters
     ----------
     renderer, metric, target
-        As for ``VanillaSceneGradient``; the renderer must tell its ``bounds``.
+        As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
-        Gradients per unit, plain or SmoothGrad's; by default plain ones are computed.
+        Gradients per unit, plain or from SmoothGrad; plain gradients are computed by default.
     stdevs
-        Standard deviation of the perturbations as a fraction of each parameter's range, a number or a mapping from
-        names, globs or kinds; they are reflected at its bounds.
+        Standard deviation of the perturbations as a fraction of each parameter's range: a number, or a mapping
+        from names, globs or kinds. Perturbed values are reflected at the bounds.
     n_perturb_samples
-        How many perturbed scenes.
+        Number of perturbed scenes.
     seed
-        Seed from which all others are drawn.
+        Base seed; all other seeds are derived from it.
     spp
-        Samples per pixel of every scene, in all its replicates; the renderer's by default.
+        Samples per pixel of each scene, over all replicates; the renderer's by default.
     replicates
-        In how many independent passes each scene is rendered, 3 at least.
+        Number of independent renders of each scene, at least 3.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
 
     Returns
     -------
     Infidelity
-        Its ``value`` is in the metric's unit, squared; ``missed`` is that part of what there was to predict.
+        ``value`` is in the squared unit of the metric; ``normalized`` is relative to the mean square change.
 
     Raises
     ------
     SceneCaptumError
-        Where the attribution is not one of gradients, or ``stdevs`` do not fit.
+        If the attribution is not one of gradients, or ``stdevs`` is invalid.
 
     References
     ----------
@@ -162,17 +162,17 @@ def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
     if attribution.info.get("quantity") not in _GRADIENTS:
         raise SceneCaptumError(
-            f"infidelity takes gradients per unit, VanillaSceneGradient's or SmoothGradScene's, not "
-            f"{attribution.info.get('method', 'this')}'s attributions. For those there is sensitivity_n."
+            "infidelity needs gradients per unit, from VanillaSceneGradient or SmoothGradScene, not "
+            f"{attribution.info.get('method', 'this')}'s attributions. Use sensitivity_n for those."
         )
     count = whole_number("n_perturb_samples", n_perturb_samples, 3)
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=view_of(attribution))
+    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
     values = {name: scenes.values[name] for name in parameters_of(attribution, scenes.values)}
     predicted, measured = [], []
     for perturbed in perturbations(renderer, values, stdevs, count, seed):
-        moves = ((values[name] - perturbed[name]).double() * attribution[name].double() for name in values)
-        predicted.append(sum(move.sum().item() for move in moves))
-        measured.append(scenes.still - scenes.measure(perturbed))
+        changes = ((values[name] - perturbed[name]).double() * attribution[name].double() for name in values)
+        predicted.append(sum(change.sum().item() for change in changes))
+        measured.append(scenes.unmodified - scenes.measure(perturbed))
     return Infidelity(
         predicted=torch.tensor(predicted, dtype=torch.float64),
         measured=torch.stack(measured),
@@ -184,28 +184,28 @@ def infidelity(  # noqa: PLR0913 -- those of every long job, and its own
 def perturbations(
     renderer: Any, values: Tensors, stdevs: float | Mapping[str, float], count: int, seed: int
 ) -> Iterator[dict[str, torch.Tensor]]:
-    """Draw perturbed values, as SmoothGrad does."""
+    """Yield ``count`` perturbed copies of the values, with the noise of SmoothGrad."""
     noise = Noise(renderer, values, stdevs)
     for state in np.random.SeedSequence([check_seed("seed", seed), 5]).generate_state(count).tolist():
-        yield noise.draw(state)
+        yield noise.sample(state)
 
 
 @dataclass(frozen=True, repr=False)
 class SensitivityN:
-    """How well sums of attributions rank what taking several parameters away does; prints as a table.
+    """Correlation of the effect of deleting n parameters with the sum of their attributions; prints as a table.
 
     Attributes
     ----------
     parameters
-        How many parameters there are.
+        Number of parameters.
     sizes
-        How many of them were taken away together.
+        Numbers of parameters deleted together.
     predicted
-        For each size ``(subsets,)``: the sums of their attributions.
+        For each size ``(subsets,)``: the sums of the attributions.
     measured
-        For each size ``(subsets, replicates)``: the metric of the scene minus that without them.
+        For each size ``(subsets, replicates)``: the metric of the original scene minus that without the subset.
     metric, method
-        What was attributed, and how.
+        Names of the metric and of the attribution method.
     """
 
     parameters: int
@@ -217,12 +217,12 @@ class SensitivityN:
 
     @property
     def correlations(self) -> tuple[float, ...]:
-        """Pearson's correlation of both, for each size; NaN where either is the same for all subsets."""
+        """Pearson correlation for each size; NaN where predictions or measurements are constant."""
         return tuple(value for value, _ in self._with_errors())
 
     @property
     def standard_errors(self) -> tuple[float, ...]:
-        """Of the correlations: from the noise of rendering, and from the subsets where not all were taken."""
+        """Standard errors of the correlations, from the noise of rendering and the choice of subsets."""
         return tuple(error for _, error in self._with_errors())
 
     def _with_errors(self) -> list[tuple[float, float]]:
@@ -232,7 +232,7 @@ class SensitivityN:
         ]
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the correlation over the size of the subsets."""
+        """Plot the correlation over the size of the subsets."""
         from ..visualization import plot_sensitivity_n
 
         return plot_sensitivity_n(self, ax=ax)
@@ -245,7 +245,7 @@ class SensitivityN:
     __repr__ = __str__
 
 
-def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of its own
+def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
@@ -256,10 +256,10 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
     subsets: int = 32,
     seed: int = 0,
     spp: int | None = None,
-    replicates: int = DEFAULT_PASSES,
+    replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> SensitivityN:
-    """Take random sets of n parameters away, and correlate the change with the sum of their attributions.
+    """Delete random sets of n parameters and correlate the change of the metric with the sum of attributions.
 
     Example
     -------
@@ -274,34 +274,34 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
     renderer, metric, target
         As for ``IntegratedGradientsScene``.
     attribution
-        Contributions compared with the same baselines; by default those of integrated gradients are computed.
+        Contributions relative to the same baselines; integrated gradients by default.
     baselines
-        What a parameter is set to when it is taken away, as for ``IntegratedGradientsScene``. One that is at its
-        baseline already takes no part.
+        The values of deleted parameters, as for ``IntegratedGradientsScene``. Parameters that are already at their
+        baselines are skipped.
     sizes
-        How many parameters are taken away together; by default up to six sizes from 1 to all but one.
+        Numbers of parameters to delete together; by default up to six sizes from 1 to all but one.
     subsets
-        How many sets of each size, all different: fewer where there are no more.
+        Number of distinct subsets of each size; all subsets if there are fewer.
     seed
-        Seed from which all others are drawn; all scenes share theirs.
+        Base seed; all other seeds are derived from it. All scenes are rendered with common random numbers.
     spp
-        Samples per pixel of every scene, in all its replicates; the renderer's by default.
+        Samples per pixel of each scene, over all replicates; the renderer's by default.
     replicates
-        In how many independent passes each scene is rendered, 3 at least.
+        Number of independent renders of each scene, at least 3.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
 
     Returns
     -------
     SensitivityN
-        A correlation, with its error, for each size.
+        The correlation and its standard error for each size.
 
     Raises
     ------
     SceneCaptumError
-        Where the attribution is one of gradients or of groups, or fewer than three parameters have baselines other
-        than their values.
+        If the attribution is one of gradients or of groups, or fewer than three parameters differ from their
+        baselines.
 
     References
     ----------
@@ -315,22 +315,24 @@ def sensitivity_n(  # noqa: PLR0913 -- those of every validation, and three of i
         "replicates": whole_number("replicates", replicates, 3),
     }
     scenes = Scenes.split(renderer, metric, target, **options)
-    attribution, absent = contributions(scenes, metric, attribution, target, baselines, **options)
-    if len(absent) < 3:
+    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, **options)
+    if len(deleted) < 3:
         raise SceneCaptumError(
-            f"sensitivity_n takes at least 3 parameters that are not yet at their baselines, not {len(absent)}."
+            f"sensitivity_n needs at least 3 parameters that differ from their baselines, not {len(deleted)}."
         )
-    chosen = _sizes(sizes, len(absent))
-    draw = np.random.default_rng([check_seed("seed", seed), 6])
-    totals = {name: attribution[name].double().sum().item() for name in absent}
+    sizes = _check_sizes(sizes, len(deleted))
+    generator = np.random.default_rng([check_seed("seed", seed), 6])
+    totals = {name: attribution[name].double().sum().item() for name in deleted}
     predicted, measured = [], []
-    for size in chosen:
-        sets = _subsets(list(absent), size, whole_number("subsets", subsets, 3), draw)
-        predicted.append(torch.tensor([sum(totals[n] for n in one) for one in sets], dtype=torch.float64))
-        measured.append(torch.stack([scenes.still - measure_without(scenes, absent, one) for one in sets]))
+    for size in sizes:
+        drawn = _draw_subsets(list(deleted), size, whole_number("subsets", subsets, 3), generator)
+        sums = [sum(totals[name] for name in subset) for subset in drawn]
+        predicted.append(torch.tensor(sums, dtype=torch.float64))
+        changes = [scenes.unmodified - measure_without(scenes, deleted, subset) for subset in drawn]
+        measured.append(torch.stack(changes))
     return SensitivityN(
-        parameters=len(absent),
-        sizes=chosen,
+        parameters=len(deleted),
+        sizes=sizes,
         predicted=tuple(predicted),
         measured=tuple(measured),
         metric=str(attribution.info["metric"]),
@@ -346,40 +348,40 @@ def contributions(
     baselines: Baselines,
     **options: Any,
 ) -> tuple[SceneAttribution, dict[str, torch.Tensor]]:
-    """Return an attribution of contributions, and the baselines of those parameters that are not there already."""
+    """Return an attribution of contributions, and the baselines of the parameters that differ from them."""
     if attribution is None:
         method = IntegratedGradientsScene(scenes.renderer, metric)
         attribution = method.attribute(target=target, baselines=baselines, **options)
-    if attribution.info.get("quantity", "contribution") in _NO_SHARES:
+    if attribution.info.get("quantity", "contribution") in _NOT_CONTRIBUTIONS:
         raise SceneCaptumError(
-            f"{attribution.info['quantity'].capitalize()} says nothing about baselines. Take contributions, of "
+            f"{attribution.info['quantity'].capitalize()} has no baselines. Pass contributions, from "
             "IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene or InputXGradientScene."
         )
-    absent = resolve_baselines(scenes.renderer, scenes.values, baselines)
+    resolved = resolve_baselines(scenes.renderer, scenes.values, baselines)
     names = parameters_of(attribution, scenes.values)
-    return attribution, {n: absent[n] for n in names if not torch.equal(absent[n], scenes.values[n])}
+    return attribution, {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
 
 
-def measure_without(scenes: Scenes, absent: Tensors, names: Sequence[str]) -> torch.Tensor:
-    """Return the metric's pseudo-values with some parameters at their baselines, ``(replicates,)``."""
-    found = scenes.measure({name: absent[name] for name in names})
-    if not torch.isfinite(found).all():
+def measure_without(scenes: Scenes, baselines: Tensors, names: Sequence[str]) -> torch.Tensor:
+    """Return the metric's pseudo-values with the named parameters at their baselines, ``(replicates,)``."""
+    measured = scenes.measure({name: baselines[name] for name in names})
+    if not torch.isfinite(measured).all():
         raise SceneCaptumError(
             f"The metric {scenes.metric.name} is not finite with {len(names)} parameters at their baselines, "
             f"{names[0]!r} first. A logarithm of 0 is the usual cause: add a small constant inside it, or choose "
             "other baselines=."
         )
-    return found
+    return measured
 
 
 def parameters_of(attribution: SceneAttribution, values: Tensors) -> list[str]:
-    """Return an attribution's parameters, the most salient first."""
+    """Return the names of an attribution's parameters, the most salient first."""
     names = [row.name for row in attribution.ranking()]
     for name in names:
         if name not in values:
             raise SceneCaptumError(
-                f"The attribution is to {name!r}, which is no input of the renderer.{near_misses(name, values)} "
-                "Attribute to parameters, without groups=."
+                f"The attribution contains {name!r}, which is not an input of the renderer."
+                f"{near_misses(name, values)} Attribute to parameters, without groups=."
             )
     return names
 
@@ -389,36 +391,37 @@ def statistic_with_error(
 ) -> tuple[float, float]:
     """Return a statistic of ``(n,)`` predictions and ``(n, replicates)`` measurements, and its standard error.
 
-    The error is the jackknife's over the replicates, and over the ``n`` where these were drawn at random.
+    The error is that of the delete-one jackknife over the replicates and, if the ``n`` cases were drawn at random
+    (``drawn``), over these too.
     """
-    columns = [_without(number, measured.shape[1]) for number in range(measured.shape[1])]
+    columns = [_all_but(index, measured.shape[1]) for index in range(measured.shape[1])]
     error = _jackknife([statistic(predicted, measured[:, kept]) for kept in columns])
     if drawn:
-        rows = [_without(number, len(predicted)) for number in range(len(predicted))]
+        rows = [_all_but(index, len(predicted)) for index in range(len(predicted))]
         error = math.hypot(error, _jackknife([statistic(predicted[kept], measured[kept]) for kept in rows]))
     return statistic(predicted, measured), error
 
 
-def _without(number: int, count: int) -> torch.Tensor:
-    return torch.arange(count) != number
+def _all_but(index: int, count: int) -> torch.Tensor:
+    return torch.arange(count) != index
 
 
-def _jackknife(left: Sequence[float]) -> float:
-    values = torch.tensor(left, dtype=torch.float64)
+def _jackknife(leave_one_out: Sequence[float]) -> float:
+    values = torch.tensor(leave_one_out, dtype=torch.float64)
     return math.sqrt((len(values) - 1) ** 2 / len(values)) * values.std().item()
 
 
-def _mean_square_miss(predicted: torch.Tensor, measured: torch.Tensor) -> float:
+def _mean_square_error(predicted: torch.Tensor, measured: torch.Tensor) -> float:
     return _mean_square(predicted[:, None] - measured)
 
 
-def _part_missed(predicted: torch.Tensor, measured: torch.Tensor) -> float:
-    whole = _mean_square(measured)
-    return _mean_square_miss(predicted, measured) / whole if whole else math.nan
+def _normalized_error(predicted: torch.Tensor, measured: torch.Tensor) -> float:
+    mean_square = _mean_square(measured)
+    return _mean_square_error(predicted, measured) / mean_square if mean_square else math.nan
 
 
 def _mean_square(replicates: torch.Tensor) -> float:
-    """Return the mean square of what replicates ``(n, R)`` measure, without their noise: the products of two."""
+    """Return an unbiased mean square of ``(n, R)`` replicated measurements: the mean product of two replicates."""
     count = replicates.shape[1]
     products = replicates.sum(1).square() - replicates.square().sum(1)
     return products.mean().item() / (count * (count - 1))
@@ -427,23 +430,23 @@ def _mean_square(replicates: torch.Tensor) -> float:
 def _pearson(predicted: torch.Tensor, measured: torch.Tensor) -> float:
     both = torch.stack([predicted, measured.mean(1)])
     if bool((both.std(1) <= 1e-6 * both.abs().amax(1)).any()):
-        return math.nan  # rounding would decide
+        return math.nan  # constant up to rounding
     return torch.corrcoef(both)[0, 1].item()
 
 
-def _sizes(sizes: Sequence[int] | None, count: int) -> tuple[int, ...]:
+def _check_sizes(sizes: Sequence[int] | None, count: int) -> tuple[int, ...]:
     if sizes is not None:
         return tuple(whole_number("sizes", size, 1, count - 1) for size in sizes)
     return tuple(sorted({round(size) for size in np.geomspace(1, count - 1, 6).tolist()}))
 
 
-def _subsets(
-    names: Sequence[str], size: int, count: int, draw: np.random.Generator
+def _draw_subsets(
+    names: Sequence[str], size: int, count: int, generator: np.random.Generator
 ) -> Sequence[tuple[str, ...]]:
-    """Return different subsets of so many names: all there are, or so many at random."""
+    """Return ``count`` distinct random subsets of ``size`` names, or all subsets if there are no more."""
     if math.comb(len(names), size) <= count:
         return list(itertools.combinations(names, size))
     chosen: dict[tuple[int, ...], None] = {}
     while len(chosen) < count:
-        chosen[tuple(sorted(draw.choice(len(names), size, replace=False).tolist()))] = None
-    return [tuple(names[index] for index in one) for one in chosen]
+        chosen[tuple(sorted(generator.choice(len(names), size, replace=False).tolist()))] = None
+    return [tuple(names[index] for index in indices) for indices in chosen]

@@ -1,4 +1,4 @@
-"""Hessian-vector products of a metric, from differences of gradients."""
+"""Hessian-vector products of a metric, from finite differences of gradients."""
 
 from __future__ import annotations
 
@@ -13,47 +13,52 @@ import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target, TargetedMetric
-from ..attr._passes import DEFAULT_PASSES
+from ..attr._passes import DEFAULT_REPLICATES
 from ..attr._ranges import ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
-from ._scenes import CRAMPED, LONGEST, Scenes, mean_and_error, room
+from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
 
-# A stencil is short enough where dropping its last order takes less than this part of the slope.
-BENT, SHORTER, SHORTEST = 0.02, 2.0, 8
+# Reduce a stencil until the truncation error of its lower-order formula is at most this fraction of the slope.
+MAX_TRUNCATION_ERROR, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.02, 2.0, 8
 
 Direction = Mapping[str, torch.Tensor]
 
 
 @dataclass(frozen=True)
 class Stencil:
-    """Where along a direction a function is looked at, and how its values there add up to its slope at 0.
+    """A finite-difference stencil for the slope of a function along a direction, at 0.
 
     Attributes
     ----------
-    places
-        In units of the direction.
+    offsets
+        Where the function is evaluated, in units of the direction.
     weights
-        Of the values there.
-    lower
-        The same for a formula of lower order: their difference tells how much the function bends.
+        Weights of these values in the slope.
+    lower_order
+        Weights of a formula of lower order; the difference of both slopes estimates the truncation error.
     """
 
-    places: tuple[float, ...]
+    offsets: tuple[float, ...]
     weights: tuple[float, ...]
-    lower: tuple[float, ...]
+    lower_order: tuple[float, ...]
 
-    def times(self, step: float) -> Stencil:
-        """Return the same stencil, so much as long; a negative one looks the other way."""
+    @property
+    def length(self) -> float:
+        """The largest offset."""
+        return max(map(abs, self.offsets))
+
+    def scaled(self, step: float) -> Stencil:
+        """Return the stencil scaled by ``step``; a negative step mirrors it."""
         return Stencil(
-            tuple(step * place for place in self.places),
+            tuple(step * offset for offset in self.offsets),
             tuple(weight / step for weight in self.weights),
-            tuple(weight / step for weight in self.lower),
+            tuple(weight / step for weight in self.lower_order),
         )
 
 
-# Both reach to a distance of 1; their errors are of fourth and third order.
+# Both have length 1; their truncation errors are of fourth and third order.
 CENTRAL = Stencil((-1, -1 / 2, 1 / 2, 1), (1 / 6, -4 / 3, 4 / 3, -1 / 6), (0, -1, 1, 0))
 ONE_SIDED = Stencil((0, 1 / 3, 2 / 3, 1), (-11 / 2, 9, -9 / 2, 1), (-9 / 2, 6, -3 / 2, 0))
 
@@ -66,19 +71,17 @@ def hessian_vector_product(
     *,
     seed: int = 0,
     spp: int | None = None,
-    replicates: int = DEFAULT_PASSES,
+    replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> SceneAttribution:
-    """Return ``H v``: how every parameter's gradient changes per unit of a step along a direction.
+    """Return ``H v``: the derivative of every parameter's gradient along a direction ``v``.
 
-    It is the gradient of the metric's slope along ``v``, the slope being a difference of four scenes that share
-    all their seeds, so that most of their noise cancels. They lie within a tenth of each parameter's physical
-    range and half of the way to its bounds, closer where the metric bends, and on one side of a bound.
+    Computed as the gradient of the metric's slope along ``v``, a finite difference of four scenes that are
+    rendered with common random numbers. The steps are at most a tenth of each parameter's physical range and half
+    the distance to its bounds, shorter where the metric is strongly non-linear, and one-sided at a bound.
 
-    Example
-    -------
-    The light of a lamp comes through all reflectances, so that along its radiance, and per relative change of it,
-    the gradients of luminance by the reflectances grow by themselves:
+    Example ------- Luminance is linear in the radiance ``L`` of a lamp, so ``L`` times the derivative of its
+    gradients with respect to ``L`` is these gradients themselves:
 
     >>> from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
     >>> renderer = SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(16, 16), spp=16)
@@ -92,34 +95,32 @@ def hessian_vector_product(
     Parameters
     ----------
     renderer, metric, target
-        As for ``VanillaSceneGradient``; the renderer must tell its ``bounds``.
+        As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     direction
-        A tensor for each parameter that moves, which broadcasts to it.
+        A tensor for each parameter that moves, broadcastable to its shape.
     seed
-        Seed from which all others are drawn.
+        Base seed; all other seeds are derived from it.
     spp
-        Samples per pixel of each of the four scenes, in all their passes; the renderer's by default.
+        Samples per pixel of each of the four scenes, over all replicates; the renderer's by default.
     replicates
-        Least number of independent passes; their spread gives the standard errors.
+        Minimum number of independent replicates; their spread gives the standard errors.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
 
     Returns
     -------
     SceneAttribution
-        By parameter name, with standard errors; ``metric_value`` is the slope, ``info["reach"]`` how far the
-        farthest scene is, in units of the direction.
+        By parameter name, with standard errors. ``metric_value`` is the slope of the metric, and ``info["step"]``
+        the largest step, in units of the direction.
 
     Raises
     ------
     SceneCaptumError
-        Where the direction names no parameter, is 0 or not finite, or leads nowhere within the bounds.
+        If the direction names no parameter, is 0 or not finite, or leads out of the bounds both ways.
 
-    Notes
-    -----
-    Where paths are chosen by the parameter (a roughness, or Russian roulette) less of the noise cancels, and the
-    errors are larger.
+    Notes ----- If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the
+    noise cancels and the errors are larger.
     """
     renderer = with_checkpoint(renderer, checkpoint)
     scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
@@ -130,58 +131,55 @@ def hessian_vector_product(
 def product_of(
     scenes: Scenes, direction: Direction, names: Iterable[str], **options: Any
 ) -> SceneAttribution:
-    """Return the part of ``H v`` that some parameters have, with the options of ``VanillaSceneGradient``."""
-    direction = _checked(direction, scenes.values)
-    stencil = stencil_along(scenes, direction)
+    """Return the elements of ``H v`` for the named parameters; options as for ``VanillaSceneGradient``."""
+    direction = _check_direction(direction, scenes.values)
+    stencil = choose_stencil(scenes, direction)
     slope = _Slope(scenes.metric, stencil)
-    moved = _Moved(scenes, direction, stencil.places)
+    renderer = _StencilRenderer(scenes, direction, stencil.offsets)
     values = {name: scenes.values[name] for name in names}
-    found: SceneAttribution = VanillaSceneGradient(moved, slope).attribute(
-        values, scenes.metric.target, **options, denoise=scenes.metric.view.denoises
+    product: SceneAttribution = VanillaSceneGradient(renderer, slope).attribute(
+        values, scenes.metric.target, **options, denoise=scenes.metric.transform.denoises
     )
-    assert found.image is not None
-    info = {key: value for key, value in found.info.items() if key != "scale"}
-    reach = max(map(abs, stencil.places))
+    assert product.image is not None
+    info = {key: value for key, value in product.info.items() if key != "scale"}
     return dataclasses.replace(
-        found,
-        image=found.image.mean(0),
+        product,
+        image=product.image.mean(0),
         surfaces=getattr(scenes.renderer, "surfaces", None),
-        info={**info, "method": "hessian_vector_product", "reach": reach},
+        info={**info, "method": "hessian_vector_product", "step": stencil.length},
     )
 
 
-class _Moved:
-    """A renderer of several scenes along a direction, as one stack of images."""
+class _StencilRenderer:
+    """Renders the scenes of a stencil as one stack of images."""
 
-    def __init__(self, scenes: Scenes, direction: Direction, places: tuple[float, ...]) -> None:
+    def __init__(self, scenes: Scenes, direction: Direction, offsets: tuple[float, ...]) -> None:
         self.renderer = renderer = scenes.renderer
         self.values = scenes.values
         self.direction = direction
-        self.places = places
+        self.offsets = offsets
         self.spp = getattr(renderer, "spp", None)
         self.labels = getattr(renderer, "labels", {})
         self.info = getattr(renderer, "info", {})
-        self.guides = _stacked(getattr(renderer, "guides", None), len(places))
-        # By it a method tells whether the backward pass takes a seed of its own.
+        self.guides = _stack(getattr(renderer, "guides", None), len(offsets))
+        # The attribution method reads it to see whether the backward pass can have its own seed.
         self.__signature__ = inspect.signature(getattr(renderer, "forward", renderer))
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
-        return torch.stack([self.renderer(self._at(place, inputs), **options) for place in self.places])
-
-    def _at(self, place: float, inputs: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        whole = {**self.values, **inputs}
-        return {**whole, **{name: whole[name] + place * one for name, one in self.direction.items()}}
+        values = {**self.values, **inputs}
+        scenes = [{**values, **_moved(values, self.direction, offset)} for offset in self.offsets]
+        return torch.stack([self.renderer(scene, **options) for scene in scenes])
 
 
-def _stacked(guides: Guides | None, count: int) -> Guides | None:
-    """Return guides for a stack of pictures of one camera."""
+def _stack(guides: Guides | None, count: int) -> Guides | None:
+    """Repeat the denoiser's guides for a stack of images of one camera."""
     if guides is None:
         return None
-    return Guides(*(one.expand(count, *one.shape) for one in (guides.albedo, guides.normal)))
+    return Guides(*(guide.expand(count, *guide.shape) for guide in (guides.albedo, guides.normal)))
 
 
 class _Slope:
-    """The slope of a metric, from the images of a stencil."""
+    """The slope of a metric as a metric of its own, of the stack of images of a stencil."""
 
     def __init__(self, metric: TargetedMetric, stencil: Stencil) -> None:
         self.metric = metric.metric
@@ -193,64 +191,70 @@ class _Slope:
         return torch.stack(values).sum(0)
 
 
-def stencil_along(scenes: Scenes, direction: Direction) -> Stencil:
-    """Return a stencil that stays within the bounds, and on which the metric bends little."""
-    up, down = reaches(scenes, direction)
+def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:
+    """Return a stencil within the bounds whose truncation error is small."""
+    up, down = max_steps(scenes, direction)
     if max(up, down) == 0:
         raise SceneCaptumError(
             f"The direction leads out of the physical bounds either way: {', '.join(direction)} cannot move along "
-            "it. Let fewer elements move, or others."
+            "it. Move fewer elements, or others."
         )
-    if min(up, down) >= CRAMPED / LONGEST * max(up, down):
+    if min(up, down) >= MIN_STEP / MAX_STEP * max(up, down):
         kind, step = CENTRAL, min(up, down)
     else:
         kind, step = ONE_SIDED, up if up > down else -down
-    for _ in range(SHORTEST):
-        stencil = kind.times(step)
-        seen = torch.stack([scenes.measure(_changes(scenes, direction, place)) for place in stencil.places])
-        slope, lower = (seen.new_tensor(row) @ seen for row in (stencil.weights, stencil.lower))
-        bending, error = mean_and_error(slope - lower)
-        if abs(bending) <= max(BENT * abs(slope.mean().item()), 2 * error, _rounding(scenes, stencil)):
+    for _ in range(MAX_STEP_REDUCTIONS):
+        stencil = kind.scaled(step)
+        changes = [_moved(scenes.values, direction, offset) for offset in stencil.offsets]
+        measured = torch.stack([scenes.measure(change) for change in changes])
+        slope, lower_order = (
+            measured.new_tensor(weights) @ measured for weights in (stencil.weights, stencil.lower_order)
+        )
+        truncation, error = mean_and_error(slope - lower_order)
+        tolerance = MAX_TRUNCATION_ERROR * abs(slope.mean().item())
+        if abs(truncation) <= max(tolerance, 2 * error, _rounding_error(scenes, stencil)):
             break
-        step /= SHORTER
+        step /= STEP_REDUCTION
     return stencil
 
 
-def reaches(scenes: Scenes, direction: Direction) -> tuple[float, float]:
-    """Return how far to go along a direction and against it, 0 where a bound is met at once."""
-    return _reach(scenes, direction, 1), _reach(scenes, direction, -1)
+def max_steps(scenes: Scenes, direction: Direction) -> tuple[float, float]:
+    """Return the longest steps along and against a direction; 0 if a parameter is at its bound."""
+    return _max_step(scenes, direction, 1), _max_step(scenes, direction, -1)
 
 
-def _rounding(scenes: Scenes, stencil: Stencil) -> float:
-    """Return what single precision may do to a slope: pseudo-values multiply it by their number."""
-    size = scenes.still.mean().abs().item() * len(scenes.seeds)
+def _rounding_error(scenes: Scenes, stencil: Stencil) -> float:
+    """Return the error of a slope from single precision, which pseudo-values multiply by their number."""
+    size = scenes.unmodified.mean().abs().item() * len(scenes.seeds)
     return size * torch.finfo(torch.float32).eps * sum(map(abs, stencil.weights))
 
 
-def _changes(scenes: Scenes, direction: Direction, place: float) -> dict[str, torch.Tensor]:
-    return {name: scenes.values[name] + place * one for name, one in direction.items()}
+def _moved(
+    values: Mapping[str, torch.Tensor], direction: Direction, offset: float
+) -> dict[str, torch.Tensor]:
+    return {name: values[name] + offset * tangent for name, tangent in direction.items()}
 
 
-def _reach(scenes: Scenes, direction: Direction, sign: int) -> float:
-    """Return how far to go: part of every range, and of every way to a bound, which may be unphysical itself."""
+def _max_step(scenes: Scenes, direction: Direction, sign: int) -> float:
+    """Return a tenth of the smallest range, at most half the distance to a bound, which may be unphysical."""
     lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
     bounds = getattr(scenes.renderer, "bounds", {})
-    reaches = [
-        min(
-            LONGEST * lengths[name].item() / one.abs().max().item(),
-            0.5 * room(scenes.values[name], sign * one, *bounds.get(name, (-math.inf, math.inf))),
-        )
-        for name, one in direction.items()
-    ]
-    return max(0.0, min(reaches))
+    steps = []
+    for name, tangent in direction.items():
+        low, high = bounds.get(name, (-math.inf, math.inf))
+        distance = distances_to_bounds(scenes.values[name], sign * tangent, low, high).min().item()
+        steps += [MAX_STEP * lengths[name].item() / tangent.abs().max().item(), 0.5 * distance]
+    return max(0.0, min(steps))
 
 
-def _checked(direction: Direction, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _check_direction(direction: Direction, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     checked = {}
-    for name, one in direction.items():
+    for name, given in direction.items():
         if name not in values:
-            raise SceneCaptumError(f"direction names {name!r}, which is no input.{near_misses(name, values)}")
-        tensor = torch.as_tensor(one).detach().to(values[name])
+            raise SceneCaptumError(
+                f"direction names {name!r}, which is not an input.{near_misses(name, values)}"
+            )
+        tensor = torch.as_tensor(given).detach().to(values[name])
         try:
             tensor.broadcast_to(values[name].shape)
         except RuntimeError:
@@ -259,9 +263,9 @@ def _checked(direction: Direction, values: Mapping[str, torch.Tensor]) -> dict[s
                 f"parameter's {tuple(values[name].shape)}."
             ) from None
         if not torch.isfinite(tensor).all():
-            raise SceneCaptumError(f"The direction of {name!r} holds a value that is not finite.")
+            raise SceneCaptumError(f"The direction of {name!r} contains a value that is not finite.")
         if tensor.any():
             checked[name] = tensor
     if not checked:
-        raise SceneCaptumError("direction is 0: give at least one parameter an element to move along.")
+        raise SceneCaptumError("direction is 0: at least one element must be non-zero.")
     return checked

@@ -1,4 +1,4 @@
-"""Which parameters act together: the Hessian of a metric between the most salient parameters."""
+"""Interactions of parameters: the Hessian of a metric between the most salient parameters."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_PASSES, channel_totals
+from ..attr._passes import DEFAULT_REPLICATES, channel_totals
 from ..attr._ranges import ranges
 from ..attr._student import student_t
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ._hessian import product_of, reaches
-from ._scenes import Scenes, unit_gradient, view_of
+from ._hessian import max_steps, product_of
+from ._scenes import Scenes, denoise_of, unit_gradient
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LEVEL = 0.95  # of a confidence interval that tells an interaction from 0
-SYMMETRIC = 0.99  # of the simultaneous intervals of all pairs
+SIGNIFICANCE_LEVEL = 0.95  # of the confidence interval of each interaction
+SYMMETRY_LEVEL = 0.99  # of the simultaneous confidence intervals of all pairs
 
-Scale = Literal["unit", "range"]
+HessianScale = Literal["unit", "range"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,16 +36,16 @@ class Interactions:
     Attributes
     ----------
     names, labels
-        The parameters by falling saliency.
+        The parameters, in order of decreasing saliency.
     replicates
-        ``(passes, P, P)`` float64. In row ``p`` and column ``q``: how the slope along ``q`` changes where ``p``
-        moves.
-    rest
-        ``(P, P)``: the error that the passes have in common, of the bias that was taken out and of rounding.
-    reaches
-        How far each parameter was moved, in its own unit.
+        ``(replicates, P, P)`` float64. Row ``p``, column ``q``: derivative of the slope along ``q`` with respect
+        to a step of ``p``.
+    shared_error
+        ``(P, P)``: the error that all replicates share, from the bias correction and from rounding.
+    steps
+        The largest step of each parameter, in its own unit.
     metric, scale
-        What was differentiated, and ``"unit"`` or ``"range"``.
+        Name of the metric, and ``"unit"`` or ``"range"``.
     left_out
         Labels of salient parameters that cannot move either way: textures with texels at both bounds.
     """
@@ -53,15 +53,15 @@ class Interactions:
     names: tuple[str, ...]
     labels: tuple[str, ...]
     replicates: torch.Tensor
-    rest: torch.Tensor
-    reaches: tuple[float, ...]
+    shared_error: torch.Tensor
+    steps: tuple[float, ...]
     metric: str
-    scale: Scale
+    scale: HessianScale
     left_out: tuple[str, ...] = ()
 
     @property
     def measured(self) -> torch.Tensor:
-        """``(P, P)``: rows move, columns are differentiated; symmetric but for errors."""
+        """``(P, P)``: rows are moved, columns are differentiated; symmetric up to errors."""
         return self.replicates.mean(0)
 
     @property
@@ -73,44 +73,45 @@ class Interactions:
     def standard_error(self) -> torch.Tensor:
         """Standard error of ``matrix``, ``(P, P)``."""
         both = (self.replicates + self.replicates.mT) / 2
-        return torch.hypot(_error(both), (self.rest + self.rest.T) / 2)
+        return torch.hypot(_standard_error(both), (self.shared_error + self.shared_error.T) / 2)
 
     @property
     def asymmetry(self) -> torch.Tensor:
-        """``(P, P)``: one order minus the other, in standard errors of that."""
+        """``(P, P)``: ``measured`` minus its transpose, in standard errors."""
         difference = self.replicates - self.replicates.mT
-        error = torch.hypot(_error(difference), torch.hypot(self.rest, self.rest.T))
+        shared = torch.hypot(self.shared_error, self.shared_error.T)
+        error = torch.hypot(_standard_error(difference), shared)
         return torch.nan_to_num(difference.mean(0) / error)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether no pair is told from symmetric, by simultaneous 99 % intervals."""
+        """Whether no pair is significantly asymmetric, by simultaneous 99 % confidence intervals."""
         pairs = max(1, math.comb(len(self.names), 2))
-        limit = student_t(1 - (1 - SYMMETRIC) / pairs, len(self.replicates) - 1)
+        limit = student_t(1 - (1 - SYMMETRY_LEVEL) / pairs, len(self.replicates) - 1)
         return bool(self.asymmetry.abs().max() <= limit)
 
     @property
-    def told_apart(self) -> torch.Tensor:
-        """``(P, P)`` bool: which elements of ``matrix`` are told from 0, by 95 % intervals."""
-        limit = student_t(LEVEL, len(self.replicates) - 1)
+    def significant(self) -> torch.Tensor:
+        """``(P, P)`` bool: whether the 95 % confidence interval of an element of ``matrix`` excludes 0."""
+        limit = student_t(SIGNIFICANCE_LEVEL, len(self.replicates) - 1)
         return self.matrix.abs() > limit * self.standard_error
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         count = len(self.names)
         upper = torch.triu_indices(count, count)
-        clear = int(self.told_apart[upper[0], upper[1]].sum())
+        significant = int(self.significant[upper[0], upper[1]].sum())
         worst = self.asymmetry.abs().max().item()
         symmetric = "symmetric within its errors" if self.is_symmetric else "not symmetric within its errors"
         left_out = f"; left out, being at both bounds: {', '.join(self.left_out)}" if self.left_out else ""
         return (
-            f"{clear} of {upper.shape[1]} second derivatives of {self.metric} are told from 0; the matrix is "
+            f"{significant} of {upper.shape[1]} second derivatives of {self.metric} differ from 0; the matrix is "
             f"{symmetric} (largest difference {worst:.1f} standard errors){left_out}"
         )
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the matrix as a heatmap with its values."""
+        """Plot the matrix as a heatmap with its values."""
         from ..visualization import plot_interactions
 
         return plot_interactions(self, ax=ax)
@@ -123,26 +124,27 @@ class Interactions:
     __repr__ = __str__
 
 
-def interactions(  # noqa: PLR0913 -- those of every long job, and its own
+def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     renderer: Any,
     metric: Metric,
     attribution: SceneAttribution | None = None,
     target: Target = None,
     *,
     top: int = 6,
-    scale: Scale = "unit",
+    scale: HessianScale = "unit",
     seed: int = 0,
     spp: int | None = None,
-    replicates: int = DEFAULT_PASSES,
+    replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> Interactions:
-    """Return the second derivatives between the most salient parameters, from differences of gradients.
+    """Return the second derivatives between the most salient parameters, from finite differences of gradients.
 
-    Each parameter moves along its own unit gradient ``u``, the direction in which its saliency is the slope, a
-    texture with all its texels alike: element ``(p, q)`` is ``u_p · H u_q``, the change of the slope along ``q``
-    per unit of a step along ``p``. The sum of a colour's channels would let those of opposite effect cancel, and a
-    row for each channel would be three times as long. Row and column are measured independently, ``p`` moved and
-    ``q`` differentiated and the reverse, so that the symmetry of the matrix judges steps and derivatives.
+    Each parameter moves along its unit gradient ``u``, along which the slope is its saliency; all texels of a
+    texture move together. Element ``(p, q)`` is ``u_p · H u_q``, the derivative of the slope along ``q`` with
+    respect to a step along ``p``. (In a sum over the channels of a colour opposite effects would cancel, and one
+    row per channel would make the matrix three times as large.) Both orders are measured independently, ``p``
+    moved and ``q`` differentiated and vice versa, so the symmetry of the matrix checks the steps and the
+    derivatives.
 
     Example
     -------
@@ -155,34 +157,34 @@ def interactions(  # noqa: PLR0913 -- those of every long job, and its own
     Parameters
     ----------
     renderer, metric, target
-        As for ``VanillaSceneGradient``; the renderer must tell its ``bounds``.
+        As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
-        The plain gradients whose ranking and directions are used; by default they are computed.
+        The plain gradients that give the ranking and the directions; computed by default.
     top
-        How many parameters. Each costs the gradients of four scenes.
+        Number of parameters. Each costs the gradients of four scenes.
     scale
-        ``"unit"``: per unit of both parameters. ``"range"``: times the physical ranges of both, so that an albedo
-        and a radiance compare; where that is infinite its largest value stands in.
+        ``"unit"``: per unit of both parameters. ``"range"``: times the physical ranges of both, which makes an
+        albedo and a radiance comparable; an infinite range is replaced by the parameter's largest value.
     seed
-        Seed from which all others are drawn; all scenes share theirs.
+        Base seed; all other seeds are derived from it. All scenes are rendered with common random numbers.
     spp
-        Samples per pixel of each scene, in all its passes; the renderer's by default.
+        Samples per pixel of each scene, over all replicates; the renderer's by default.
     replicates
-        Least number of independent passes; their spread gives the standard errors.
+        Minimum number of independent replicates; their spread gives the standard errors.
     checkpoint
-        A folder that keeps every finished pass: a job that was killed goes on from there when it is started again
-        with the same arguments.
+        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
+        the same arguments.
 
     Returns
     -------
     Interactions
         The matrix ``(P, P)`` in the metric's unit per unit of both parameters, or in the metric's unit for
-        ``scale="range"``, with errors and a test of its symmetry.
+        ``scale="range"``, with standard errors and a symmetry test.
 
     Raises
     ------
     SceneCaptumError
-        Where the attribution is not one of plain gradients, or no parameter has one that is not 0.
+        If the attribution is not one of plain gradients, or all gradients are 0.
     """
     renderer = with_checkpoint(renderer, checkpoint)
     if scale not in ("unit", "range"):
@@ -191,46 +193,48 @@ def interactions(  # noqa: PLR0913 -- those of every long job, and its own
     if attribution is None:
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
     if attribution.info.get("scale") != "unit":
-        raise SceneCaptumError("interactions takes plain gradients: VanillaSceneGradient(...).attribute().")
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=view_of(attribution))
+        raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
+    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
-    ways = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
-    directions = {name: one for name, one in ways.items() if max(reaches(scenes, {name: one})) > 0}
+    uphill = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
+    directions = {name: u for name, u in uphill.items() if max(max_steps(scenes, {name: u})) > 0}
     if not directions:
         raise SceneCaptumError("All gradients are 0 or lead out of bounds: there is no direction to move in.")
-    products = [product_of(scenes, {name: one}, directions, **options) for name, one in directions.items()]
+    products = [product_of(scenes, {name: u}, directions, **options) for name, u in directions.items()]
     lengths = ranges(renderer, {name: scenes.values[name] for name in directions})
     factors = torch.tensor([lengths[name].item() if scale == "range" else 1.0 for name in directions])
     both = torch.outer(factors, factors).double()
     return Interactions(
         names=tuple(directions),
         labels=tuple(row.label for row in rows if row.name in directions),
-        replicates=both * torch.stack([_projected(one.replicates, directions) for one in products], 1),
-        rest=both * torch.stack([_rest(one, attribution, directions) for one in products]),
-        reaches=tuple(one.info["reach"] for one in products),
+        replicates=both * torch.stack([_slopes(product.replicates, directions) for product in products], 1),
+        shared_error=both * torch.stack([_shared_error(p, attribution, directions) for p in products]),
+        steps=tuple(product.info["step"] for product in products),
         metric=str(attribution.info["metric"]),
         scale=scale,
         left_out=tuple(row.label for row in rows if row.name not in directions),
     )
 
 
-def _projected(totals: Mapping[str, torch.Tensor], directions: Mapping[str, torch.Tensor]) -> torch.Tensor:
-    """Return the slopes along every direction, ``(passes, P)``, from channel totals ``(passes, C)``."""
-    slopes = [totals[name].double() @ one.reshape(-1).double() for name, one in directions.items()]
+def _slopes(totals: Mapping[str, torch.Tensor], directions: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    """Return the slopes along every direction, ``(replicates, P)``, from channel totals ``(replicates, C)``."""
+    slopes = [totals[name].double() @ u.reshape(-1).double() for name, u in directions.items()]
     return torch.stack(slopes, -1)
 
 
-def _rest(
+def _shared_error(
     product: SceneAttribution, gradient: SceneAttribution, directions: Mapping[str, torch.Tensor]
 ) -> torch.Tensor:
-    """Return the errors that all passes share: of the bias, and of single precision over so short a way."""
-    rounding = torch.finfo(torch.float32).eps / product.info["reach"]
-    sizes = torch.tensor([rounding * channel_totals(gradient[name]).norm() for name in directions])
+    """Return the error that all replicates share: of the bias correction, and of rounding over a short step."""
+    relative = torch.finfo(torch.float32).eps / product.info["step"]
+    rounding = torch.tensor(
+        [relative * channel_totals(gradient[name]).norm() for name in directions]
+    ).double()
     if product.bias is None:
-        return sizes.double()
-    bias = _projected({name: channel_totals(product.bias[name])[None] for name in directions}, directions)[0]
-    return torch.hypot(bias, sizes.double())
+        return rounding
+    bias = _slopes({name: channel_totals(product.bias[name])[None] for name in directions}, directions)[0]
+    return torch.hypot(bias, rounding)
 
 
-def _error(replicates: torch.Tensor) -> torch.Tensor:
+def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
     return replicates.std(0) / math.sqrt(len(replicates))

@@ -1,4 +1,4 @@
-"""Parameters as single numbers within intervals, which is what global sensitivity analysis takes."""
+"""Parameters as single numbers in intervals, as global sensitivity analysis needs them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
-from .._reflection import OPEN_MARGIN
 from ..attr._baselines import table_of
 from ..attr._gradients import Point
 from ..errors import SceneCaptumError, near_misses
+from ..scene import OPEN_MARGIN
 
 Values: TypeAlias = "Mapping[str, torch.Tensor]"
 Intervals: TypeAlias = "Mapping[str, tuple[float, float]] | None"
@@ -22,18 +22,17 @@ Intervals: TypeAlias = "Mapping[str, tuple[float, float]] | None"
 
 @dataclass(frozen=True)
 class Scalar:
-    """A parameter that one number moves: the largest of its elements, to which all others keep their ratio.
+    """A parameter that is varied by one number: its largest element, with all ratios of elements kept.
 
-    A colour is thus varied from dark to bright and keeps its hue, and a texture its pattern. Were each channel
-    varied by itself, the renders that sampling takes would be three times as many, to rank channels of which
-    nobody asks.
+    A colour is varied in brightness and keeps its hue; a texture keeps its pattern. To vary each channel
+    separately would take three times as many renders.
 
     Attributes
     ----------
     low, high
-        The interval, in the parameter's unit.
+        The interval of the number, in the parameter's unit.
     pattern
-        What the number is multiplied by, of the parameter's shape.
+        The parameter's value for the number 1, of the parameter's shape.
     """
 
     name: str
@@ -44,23 +43,23 @@ class Scalar:
 
     @property
     def length(self) -> float:
-        """How long the interval is."""
+        """Length of the interval."""
         return self.high - self.low
 
-    def at(self, place: float) -> torch.Tensor:
-        """Return the parameter at a place between 0, the low end of its interval, and 1."""
-        return self.pattern * (self.low + place * self.length)
+    def at(self, position: float) -> torch.Tensor:
+        """Return the parameter's value at a position in its interval, from 0 (``low``) to 1 (``high``)."""
+        return self.pattern * (self.low + position * self.length)
 
 
 def find_scalars(
     renderer: Any, values: Values, parameters: Sequence[str] | None, bounds: Intervals
 ) -> list[Scalar]:
-    """Return the parameters that names or globs choose, all by default, with their intervals.
+    """Return the parameters selected by names or globs, all by default, with their intervals.
 
     Raises
     ------
     SceneCaptumError
-        Where a name, glob or interval does not fit, or the renderer tells no bounds.
+        If a name or glob matches nothing, or an interval is invalid.
     """
     given = dict(bounds or {})
     for key in (*(parameters or ()), *given):
@@ -68,25 +67,26 @@ def find_scalars(
             raise SceneCaptumError(
                 f"{key!r} matches none of the {len(values)} inputs.{near_misses(key, values)}"
             )
-    chosen = [n for n in values if parameters is None or any(fnmatchcase(n, key) for key in parameters)]
-    return [_scalar(renderer, name, values[name], _given(name, given)) for name in chosen]
+    selected = [n for n in values if parameters is None or any(fnmatchcase(n, key) for key in parameters)]
+    return [_scalar(renderer, name, values[name], _given_interval(name, given)) for name in selected]
 
 
-def point_at(scalars: Sequence[Scalar], values: Values, places: Sequence[float] | np.ndarray) -> Point:
-    """Return the scene at these places, with factors that make gradients those per length of the intervals.
-
-    Summed over its elements, a gradient times its factor is the derivative with respect to the place.
-    """
-    moved = {one.name: one.at(float(place)) for one, place in zip(scalars, places, strict=True)}
-    return Point({**values, **moved}, factors=factors_of(scalars))
+def values_at(scalars: Sequence[Scalar], positions: Sequence[float] | np.ndarray) -> dict[str, torch.Tensor]:
+    """Return the values of the parameters at positions in their intervals."""
+    return {scalar.name: scalar.at(float(x)) for scalar, x in zip(scalars, positions, strict=True)}
 
 
-def factors_of(scalars: Sequence[Scalar]) -> dict[str, torch.Tensor]:
-    """Return what turns a gradient into the derivative with respect to the place, once it is summed."""
-    return {one.name: one.pattern * one.length for one in scalars}
+def point_at(scalars: Sequence[Scalar], values: Values, positions: Sequence[float] | np.ndarray) -> Point:
+    """Return the scene at positions in the intervals, with the factors of ``position_factors``."""
+    return Point({**values, **values_at(scalars, positions)}, factors=position_factors(scalars))
 
 
-def _given(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
+def position_factors(scalars: Sequence[Scalar]) -> dict[str, torch.Tensor]:
+    """Return the factors whose product with a gradient sums to the derivative with respect to the position."""
+    return {scalar.name: scalar.pattern * scalar.length for scalar in scalars}
+
+
+def _given_interval(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
     if name in bounds:
         return bounds[name]
     return next((interval for key, interval in bounds.items() if fnmatchcase(name, key)), None)
@@ -96,16 +96,16 @@ def _scalar(renderer: Any, name: str, value: torch.Tensor, given: tuple[float, f
     largest = value.abs().max().item()
     pattern = value / largest if value.ndim and largest else torch.ones_like(value)
     number = largest if value.ndim else value.item()
-    low, high = _physical(renderer, name, pattern)
+    low, high = _physical_interval(renderer, name, pattern)
     if given is None:
-        low, high = _stand_in(low, high, number)
+        low, high = _default_interval(low, high, number)
     else:
-        low, high = _checked(name, given, low, high)
+        low, high = _check_interval(name, given, low, high)
     return Scalar(name, getattr(renderer, "labels", {}).get(name, name), low, high, pattern)
 
 
-def _physical(renderer: Any, name: str, pattern: torch.Tensor) -> tuple[float, float]:
-    """Return the interval in which every element of the parameter is inside its physical bounds."""
+def _physical_interval(renderer: Any, name: str, pattern: torch.Tensor) -> tuple[float, float]:
+    """Return the interval in which every element of the parameter is within its physical bounds."""
     bounds = getattr(renderer, "bounds", None)
     if bounds is None:
         return -math.inf, math.inf
@@ -119,11 +119,8 @@ def _physical(renderer: Any, name: str, pattern: torch.Tensor) -> tuple[float, f
     return lowest, highest
 
 
-def _stand_in(low: float, high: float, number: float) -> tuple[float, float]:
-    """Return a finite interval: half the value to one and a half of it where the physical one is not.
-
-    It is as long as ``ranges`` takes it to be.
-    """
+def _default_interval(low: float, high: float, number: float) -> tuple[float, float]:
+    """Return the physical interval if finite, else 0.5 to 1.5 times the value, of the length from ``ranges``."""
     if math.isfinite(high - low):
         return low, high
     length = abs(number) or 1.0
@@ -131,14 +128,14 @@ def _stand_in(low: float, high: float, number: float) -> tuple[float, float]:
     return start, start + length
 
 
-def _checked(name: str, given: Any, low: float, high: float) -> tuple[float, float]:
+def _check_interval(name: str, given: Any, low: float, high: float) -> tuple[float, float]:
     try:
         first, last = map(float, given)
     except (TypeError, ValueError):
         raise SceneCaptumError(f"bounds[{name!r}] must be (low, high), two numbers, not {given!r}.") from None
     if not (math.isfinite(last - first) and low <= first < last <= high):
         raise SceneCaptumError(
-            f"bounds[{name!r}] is ({first:g}, {last:g}); expected is a low and a higher number from {low:g} to "
-            f"{high:g}, the values that the parameter's largest element can have."
+            f"bounds[{name!r}] is ({first:g}, {last:g}), but must be a low and a higher number from {low:g} to "
+            f"{high:g}, the range of the parameter's largest element."
         )
     return first, last

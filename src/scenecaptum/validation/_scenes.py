@@ -1,4 +1,4 @@
-"""Measuring changed scenes with the same seeds, and how far a parameter can be moved in them."""
+"""Evaluating a metric on modified scenes with common random numbers, and how far a parameter may move."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ import torch
 
 from ..attr import SceneAttribution
 from ..attr._gradients import input_values, require_memory
-from ..attr._jackknife import through_view
+from ..attr._jackknife import with_image_transform
 from ..attr._metric import Metric, Target, TargetedMetric
 from ..attr._passes import channel_totals
-from ..attr._view import Denoise, Viewer
+from ..attr._view import Denoise, TransformSelector
 from ..errors import check_seed, whole_number
 
-# Of a parameter's range: how far a step goes at most, and the room below which it turns round at a bound.
-LONGEST, CRAMPED = 0.1, 0.01
+# Fractions of a parameter's range: the longest step, and the shortest before it is taken in the other direction.
+MAX_STEP, MIN_STEP = 0.1, 0.01
 
 
 class Scenes:
-    """Measures changed scenes, always with the same seeds, so that most of their noise cancels in differences.
+    """Evaluates a metric on modified scenes with common random numbers, so that noise cancels in differences.
 
     Parameters
     ----------
     renderer, metric, target
         As for ``VanillaSceneGradient``.
     values
-        The unchanged scene.
+        Parameter values of the unmodified scene.
     seeds
-        A seed for each replicate.
+        One seed per replicate.
     spp
-        Samples per pixel of each, or None where the renderer decides.
+        Samples per pixel of each replicate; None for the renderer's default.
     denoise
-        As for ``VanillaSceneGradient``; the unchanged scene decides for all.
+        As for ``VanillaSceneGradient``; decided once, on the unmodified scene.
 
     Attributes
     ----------
     metric
-        With its target, and its view of the pictures.
-    still
-        The measurement of the unchanged scene.
+        The metric with its target and image transform.
+    unmodified
+        Result of ``measure`` for the unmodified scene.
     """
 
     def __init__(
@@ -62,8 +62,8 @@ class Scenes:
         self.spp = spp
         require_memory(renderer, [spp], len(seeds))
         targeted, images = TargetedMetric(metric, target), self._images({})
-        (self.metric,) = through_view([targeted], list(images), Viewer(denoise, renderer))
-        self.still = self._pseudo_values(images)
+        (self.metric,) = with_image_transform([targeted], list(images), TransformSelector(denoise, renderer))
+        self.unmodified = self._pseudo_values(images)
 
     @classmethod
     def split(
@@ -77,7 +77,7 @@ class Scenes:
         replicates: int,
         denoise: Denoise = "auto",
     ) -> Scenes:
-        """Split the samples per pixel of every scene, the renderer's by default, over so many replicates."""
+        """Split the samples per pixel of every scene, the renderer's by default, over the replicates."""
         values = input_values(renderer, None)
         spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
@@ -85,9 +85,9 @@ class Scenes:
         return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count), denoise=denoise)
 
     def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        changed = {**self.values, **changes}
+        values = {**self.values, **changes}
         with torch.no_grad():
-            return torch.stack([self.renderer(changed, seed=seed, spp=self.spp) for seed in self.seeds])
+            return torch.stack([self.renderer(values, seed=seed, spp=self.spp) for seed in self.seeds])
 
     def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
@@ -95,32 +95,33 @@ class Scenes:
 
     def _pseudo_values(self, images: torch.Tensor) -> torch.Tensor:
         total, count = images.sum(0), len(images)
-        whole = self.metric.value(total / count)
-        without = [self.metric.value((total - image) / (count - 1)) for image in images]
-        return count * whole - (count - 1) * torch.tensor(without, dtype=torch.float64)
+        full = self.metric.value(total / count)
+        leave_one_out = [self.metric.value((total - image) / (count - 1)) for image in images]
+        return count * full - (count - 1) * torch.tensor(leave_one_out, dtype=torch.float64)
 
 
-def view_of(attribution: SceneAttribution) -> Denoise:
-    """Return ``denoise=`` for scenes that a metric shall see as it saw that of an attribution."""
+def denoise_of(attribution: SceneAttribution) -> Denoise:
+    """Return the ``denoise=`` that reproduces how an attribution's metric image was made."""
     picture = attribution.info.get("picture")
     return "auto" if picture is None else bool(picture["denoised"])
 
 
 def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
-    """Return the direction of a parameter's gradient, of length 1 over its channels; it broadcasts to the value.
+    """Return a parameter's gradient direction, of unit length over its channels; it broadcasts to the value.
 
-    Of a texture, all texels move alike: what single texels are said to do is mostly noise.
+    All texels of a texture move together: the gradients of single texels are mostly noise.
     """
     totals = channel_totals(gradient)
     direction: torch.Tensor = (totals / totals.double().norm()).to(totals)
     return direction.reshape(gradient.shape if gradient.ndim < 2 else (-1,)).to(value)
 
 
-def room(value: torch.Tensor, direction: torch.Tensor, low: float, high: float) -> float:
-    """Return how far every element can go in a direction before one meets a bound."""
-    direction = direction.expand_as(value)
-    towards = torch.where(direction > 0, high - value, value - low)
-    return (towards / direction.abs())[direction != 0].min().item()
+def distances_to_bounds(
+    value: torch.Tensor, direction: torch.Tensor, low: float, high: float
+) -> torch.Tensor:
+    """Return the step along a direction at which each element reaches a bound; infinite where it stays."""
+    distance = torch.where(direction > 0, high - value, value - low)
+    return torch.where(direction == 0, math.inf, distance / direction.abs())
 
 
 def mean_and_error(replicates: torch.Tensor) -> tuple[float, float]:

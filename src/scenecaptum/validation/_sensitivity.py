@@ -1,4 +1,4 @@
-"""Our gradients beside sampling-based sensitivity analysis: Morris's and Sobol's, through SALib."""
+"""Comparison of gradients with sampling-based sensitivity analysis: Morris's and Sobol's methods, from SALib."""
 
 from __future__ import annotations
 
@@ -14,51 +14,54 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr._gradients import Gradients, Point, input_values
-from ..attr._method import listed
+from ..attr._gradients import GradientEstimator, Point, input_values
+from ..attr._method import target_list
 from ..attr._metric import Metric, TargetedMetric
-from ..attr._passes import DEFAULT_PASSES, Budget
-from ..attr._view import Viewer
+from ..attr._passes import DEFAULT_REPLICATES, Budget
+from ..attr._view import TransformSelector
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ._dgsm import Derivatives, cost, jackknife_points, sample_derivatives, slopes
-from ._scalars import Intervals, Scalar, Values, factors_of, find_scalars
+from ._dgsm import Derivatives, interval_gradients, jackknife_points, render_count, sample_derivatives
+from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..attr._method import Result, Targets
 
-CLEAR = 2.0  # standard errors
-_LEAST = 2  # samples of any kind, below which nothing has an error
-_LEVELS = 4  # of Morris's grid
-_CONFIDENCE, _WIDTH = 0.95, 1.959964  # of SALib's intervals, and their half-width in standard errors
-_RESAMPLES = 200
+RESOLVED = 2.0  # standard errors between two ranks that count as distinct
+_MIN_SAMPLES = 2  # of any kind, for an error estimate
+_GRID_LEVELS = 4  # of Morris's design
+_CONFIDENCE, _HALF_WIDTH = (
+    0.95,
+    1.959964,
+)  # level of SALib's intervals, and their half-width in standard errors
+_BOOTSTRAP_RESAMPLES = 200
 
 
 @dataclass(frozen=True)
 class SensitivityIndex:
-    """What one method says of every parameter, and what that took.
+    """The sensitivity of every parameter by one method, and its cost.
 
     Attributes
     ----------
     method
-        Its name.
+        Name of the method.
     values, errors
-        By parameter name, with standard errors.
+        Sensitivities and standard errors by parameter name.
     renders
-        How many renders and backward passes it took, each counted by its samples: 1 for as many as ``spp``.
+        Number of renders and backward passes, in units of ``spp`` samples per pixel.
     renders_until_stable
-        How many it had taken when the set of the ``top`` parameters last changed.
+        Number of renders after which the set of the ``top`` parameters did not change any more.
     stable
-        Whether that was before the end; if not, it may change again.
+        Whether that was before the last sample; if not, the set may change again.
     top
-        That set, the largest first.
+        The most sensitive parameters, the largest first.
     resolved
-        Whether the last of them is told from the next one, by two standard errors; if not they are tied, and
-        which of them belongs to the set is partly chance.
+        Whether the last parameter in ``top`` differs from the next one by more than two standard errors; if not,
+        they are tied, and the set depends on chance.
     seconds
-        How long it took.
+        Wall-clock time.
     """
 
     method: str
@@ -74,23 +77,23 @@ class SensitivityIndex:
 
 @dataclass(frozen=True, repr=False)
 class SensitivityComparison:
-    """Four sensitivities of the same parameters over the same intervals; prints as a table.
+    """Sensitivities of the same parameters over the same intervals by four methods; prints as a table.
 
     Attributes
     ----------
     parameters
-        What was varied, with the interval of each, by falling total Sobol index.
+        The parameters with their intervals, in order of decreasing total Sobol index.
     local
-        Our plain gradient at the scene's own values, as the change over the interval: ``|∂M/∂θ| (high − low)``.
+        Plain gradient at the current values, scaled to the interval: ``|∂M/∂θ| (high − low)``.
     dgsm
-        The upper bound of the total Sobol index from our gradients at points over the intervals; the variance of
-        the metric in it is that of Sobol's samples.
+        Upper bound of the total Sobol index from gradients at points over the intervals, relative to the variance
+        of the metric in Sobol's samples.
     morris
-        ``μ*``, Morris's mean absolute elementary effect, as the change over the interval.
+        ``μ*``, Morris's mean absolute elementary effect, scaled to the interval.
     sobol
         The total Sobol index.
     metric
-        What was measured.
+        Name of the metric.
     """
 
     parameters: tuple[Scalar, ...]
@@ -102,23 +105,21 @@ class SensitivityComparison:
 
     @property
     def methods(self) -> tuple[SensitivityIndex, ...]:
-        """All four."""
+        """All four methods."""
         return self.local, self.dgsm, self.morris, self.sobol
 
     @property
     def agreement(self) -> dict[tuple[str, str], float]:
-        """Kendall's τ-b between the values of every two methods: 1 for the same order, 0 for unrelated ones."""
+        """Kendall's τ-b of every pair of methods: 1 for the same order, 0 for unrelated ones."""
         from scipy.stats import kendalltau
 
         return {
-            (one.method, other.method): float(
-                kendalltau(*([m.values[n] for n in one.values] for m in (one, other)))[0]
-            )
-            for one, other in combinations(self.methods, 2)
+            (a.method, b.method): float(kendalltau(*([m.values[n] for n in a.values] for m in (a, b)))[0])
+            for a, b in combinations(self.methods, 2)
         }
 
     def plot(self, figure: Any = None) -> Figure:
-        """Draw the methods side by side, and what each of them took."""
+        """Plot the methods side by side, with their costs."""
         from ..visualization import plot_sensitivity
 
         return plot_sensitivity(self, figure=figure)
@@ -131,7 +132,7 @@ class SensitivityComparison:
     __repr__ = __str__
 
 
-def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
+def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three sample sizes
     renderer: Any,
     metric: Metric,
     target: Targets = None,
@@ -147,12 +148,11 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     checkpoint: Folder = None,
     show_progress: bool = False,
 ) -> Result:
-    """Set our gradients beside Morris's elementary effects and Sobol's indices, with what each of them took.
+    """Compare gradients and DGSM with Morris's elementary effects and Sobol's indices, in results and cost.
 
-    All four answer for the same parameters over the same intervals. Morris's and Sobol's methods see the metric as
-    a black box: one takes ``trajectories · (parameters + 1)`` renders, the other ``base_samples · (parameters +
-    2)``, all under one seed, so that most of the noise cancels in their differences. A gradient takes a render and
-    a backward pass for all parameters together.
+    All four methods use the same parameters and intervals. Morris's and Sobol's methods treat the metric as a
+    black box: they need ``trajectories · (parameters + 1)`` and ``base_samples · (parameters + 2)`` renders, here
+    with common random numbers. A gradient needs one render and one backward pass for all parameters together.
 
     Example
     -------
@@ -168,24 +168,24 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     renderer, metric, target, parameters, bounds, points, seed, checkpoint, show_progress
         As for ``dgsm``.
     top
-        The size of the set that is to be stable; less where there are no more parameters.
+        Size of the set of most sensitive parameters whose stability is tracked; at most all parameters but one.
     trajectories
-        How many of Morris's, over a grid of four levels.
+        Number of Morris trajectories, on a grid of four levels.
     base_samples
-        How many of Sobol's base samples, a power of 2.
+        Number of Sobol base samples, a power of 2.
     spp
         Samples per pixel of each render and each gradient; the renderer's by default.
 
     Returns
     -------
     SensitivityComparison
-        A list of them for a list of targets, from the same renders: each tells the seconds of all targets.
+        A list for a list of targets, computed from the same renders; the seconds of each are those of all targets.
 
     Raises
     ------
     SceneCaptumError
-        Where SALib is missing (``pip install 'scenecaptum[compare]'``), there are fewer than two parameters, or as
-        ``dgsm``.
+        If SALib is missing (``pip install 'scenecaptum[compare]'``), there are fewer than two parameters, or as
+        for ``dgsm``.
 
     References
     ----------
@@ -195,35 +195,37 @@ def compare_sensitivity(  # noqa: PLR0913 -- those of dgsm, and three sizes
     2010 (total index). Herman and Usher, "SALib", Journal of Open Source Software, 2017.
     """
     renderer = with_checkpoint(renderer, checkpoint)
-    _salib()
+    _require_salib()
     values = input_values(renderer, None)
     scalars = find_scalars(renderer, values, parameters, bounds)
     if len(scalars) < 2:
-        raise SceneCaptumError(f"A comparison takes at least 2 parameters to rank, not {len(scalars)}.")
+        raise SceneCaptumError(
+            f"compare_sensitivity needs at least 2 parameters to rank, not {len(scalars)}."
+        )
     spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
     check_seed("seed", seed)
-    metrics = [TargetedMetric(metric, one) for one in listed(target)]
+    metrics = [TargetedMetric(metric, index) for index in target_list(target)]
     top = min(whole_number("top", top), len(scalars) - 1)
     base_samples = _power_of_two(base_samples)
-    scenes = _Scenes(renderer, metrics, scalars, values, seed, spp, show_progress)
+    black_box = _BlackBox(renderer, metrics, scalars, values, seed, spp, show_progress)
     derivatives = sample_derivatives(
         renderer, metrics, scalars, values, points, seed=seed, spp=spp, show_progress=show_progress
     )
-    local = _local(scenes, top)
-    morris = _morris(scenes, whole_number("trajectories", trajectories, _LEAST), top)
-    sobol, sampled = _sobol(scenes, base_samples, top)
-    bounds_of = [_dgsm(*pair, scalars, top) for pair in zip(derivatives, sampled, strict=True)]
-    columns = zip(local, bounds_of, morris, sobol, strict=True)
+    local = _local(black_box, top)
+    morris = _morris(black_box, whole_number("trajectories", trajectories, _MIN_SAMPLES), top)
+    sobol, sampled = _sobol(black_box, base_samples, top)
+    bounded = [_dgsm(*pair, scalars, top) for pair in zip(derivatives, sampled, strict=True)]
+    methods = zip(local, bounded, morris, sobol, strict=True)
     results = [
-        _comparison(scalars, four, TargetedMetric(metric, one.target).name)
-        for four, one in zip(columns, metrics, strict=True)
+        _comparison(scalars, of_metric, TargetedMetric(metric, m.target).name)
+        for of_metric, m in zip(methods, metrics, strict=True)
     ]
     return results if isinstance(target, list) else results[0]
 
 
 @dataclass(frozen=True)
-class _Scenes:
-    """What is varied, and how it is rendered."""
+class _BlackBox:
+    """The metrics as functions of the positions in the intervals."""
 
     renderer: Any
     metrics: Sequence[TargetedMetric]
@@ -235,56 +237,54 @@ class _Scenes:
 
     @property
     def problem(self) -> dict[str, Any]:
-        """What SALib takes: places between 0 and 1. A fresh one each time, since SALib writes into it."""
+        """SALib's problem definition on the unit cube; a new one for each call, since SALib modifies it."""
         count = len(self.scalars)
         return {"num_vars": count, "names": [s.name for s in self.scalars], "bounds": [[0.0, 1.0]] * count}
 
-    def state(self, number: int) -> int:
-        """Return a seed for one of SALib's random choices, never 0, which it would take for none."""
+    def salib_seed(self, number: int) -> int:
+        """Return a seed for SALib, never 0, which SALib takes for no seed."""
         return int(np.random.SeedSequence([self.seed, 6, number]).generate_state(1)[0]) or 1
 
-    def measure(self, places: np.ndarray, what: str) -> np.ndarray:
-        """Return the metrics at rows of places, ``(targets, rows)``, all rendered with one seed."""
-        seed = self.state(0)
-        found = []
+    def evaluate(self, design: np.ndarray, description: str) -> np.ndarray:
+        """Return the metrics at rows of positions, ``(targets, rows)``, rendered with common random numbers."""
+        seed = self.salib_seed(0)
+        rows = []
         with torch.no_grad():
-            for row in tqdm(places, disable=not self.show_progress, desc=what, unit="render"):
-                moved = {s.name: s.at(float(place)) for s, place in zip(self.scalars, row, strict=True)}
-                output = self.metrics[0].metric(
-                    self.renderer({**self.values, **moved}, seed=seed, spp=self.spp)
-                )
-                found.append([one.value_of(output) for one in self.metrics])
-        measured = np.array(found).T
-        for metric, values in zip(self.metrics, measured, strict=True):
+            for positions in tqdm(design, disable=not self.show_progress, desc=description, unit="render"):
+                inputs = {**self.values, **values_at(self.scalars, positions)}
+                output = self.metrics[0].metric(self.renderer(inputs, seed=seed, spp=self.spp))
+                rows.append([metric.value_of(output) for metric in self.metrics])
+        evaluated = np.array(rows).T
+        for metric, values in zip(self.metrics, evaluated, strict=True):
             if not np.ptp(values):
                 raise SceneCaptumError(
-                    f"The metric {metric.name} is {values[0]:g} at every place: there is nothing to rank."
+                    f"The metric {metric.name} is {values[0]:g} in every sampled scene: there is nothing to rank."
                 )
-        return measured
+        return evaluated
 
 
-def _local(scenes: _Scenes, top: int) -> list[SensitivityIndex]:
-    watch = Stopwatch(scenes.renderer)
-    budget = Budget.split(scenes.spp, DEFAULT_PASSES, scenes.seed)
+def _local(black_box: _BlackBox, top: int) -> list[SensitivityIndex]:
+    watch = Stopwatch(black_box.renderer)
+    budget = Budget.split(black_box.spp, DEFAULT_REPLICATES, black_box.seed)
     with tqdm(
-        total=2 * budget.passes[0], disable=not scenes.show_progress, desc="gradient", unit="pass"
+        total=2 * budget.replicates[0], disable=not black_box.show_progress, desc="gradient", unit="replicate"
     ) as bar:
-        viewer = Viewer("auto", scenes.renderer)
-        gradients = Gradients(scenes.renderer, scenes.metrics, budget, viewer, bar)
-        point = Point(scenes.values, factors=factors_of(scenes.scalars))
-        found = slopes(gradients, 0, point, scenes.scalars)
+        transform_selector = TransformSelector("auto", black_box.renderer)
+        gradients = GradientEstimator(black_box.renderer, black_box.metrics, budget, transform_selector, bar)
+        point = Point(black_box.values, factors=position_factors(black_box.scalars))
+        estimates = interval_gradients(gradients, 0, point, black_box.scalars)
     seconds = watch.seconds
     indices = []
-    for passes, adjoints in found:
-        count = len(passes)
-        means = passes.cumsum(0) / torch.arange(1, count + 1)[:, None]
+    for replicates, adjoints in estimates:
+        count = len(replicates)
+        means = replicates.cumsum(0) / torch.arange(1, count + 1)[:, None]
         indices.append(
             _index(
                 "gradient × range",
-                scenes.scalars,
+                black_box.scalars,
                 means.abs().numpy(),
-                (passes.std(0) / math.sqrt(count)).numpy(),
-                cost(adjoints) / count,
+                (replicates.std(0) / math.sqrt(count)).numpy(),
+                render_count(adjoints) / count,
                 top,
                 seconds,
             )
@@ -292,97 +292,108 @@ def _local(scenes: _Scenes, top: int) -> list[SensitivityIndex]:
     return indices
 
 
-def _dgsm(found: Derivatives, sampled: np.ndarray, scalars: Sequence[Scalar], top: int) -> SensitivityIndex:
-    """Bound the total indices, with the variance of the metric at Sobol's samples, which are there anyway."""
-    count, metric = len(found.values), torch.from_numpy(sampled)
+def _dgsm(
+    derivatives: Derivatives, sampled: np.ndarray, scalars: Sequence[Scalar], top: int
+) -> SensitivityIndex:
+    """Bound the total indices, with the variance of the metric in Sobol's samples, which are rendered anyway."""
+    count, metric = len(derivatives.values), torch.from_numpy(sampled)
     variance, variance_error = jackknife_points(lambda kept: metric[kept].var(), len(metric))
     if not variance > 0:
         raise SceneCaptumError(
-            f"The metric is {metric[0]:g} wherever it was looked at: there is nothing to rank."
+            f"The metric is {metric[0]:g} in every sampled scene: there is nothing to rank."
         )
-    nu, nu_error = jackknife_points(lambda kept: found.squares[kept].mean(0), count)
-    means = found.squares.cumsum(0) / torch.arange(1, count + 1)[:, None]
+    nu, nu_error = jackknife_points(lambda kept: derivatives.squares[kept].mean(0), count)
+    means = derivatives.squares.cumsum(0) / torch.arange(1, count + 1)[:, None]
     scale = 1 / (math.pi**2 * variance)
     error = scale * torch.hypot(nu_error, nu * variance_error / variance)
     bounds = (scale * means).numpy()
-    return _index("DGSM bound", scalars, bounds, error.numpy(), found.renders, top, found.seconds)
+    return _index("DGSM bound", scalars, bounds, error.numpy(), derivatives.renders, top, derivatives.seconds)
 
 
-def _morris(scenes: _Scenes, trajectories: int, top: int) -> list[SensitivityIndex]:
+def _morris(black_box: _BlackBox, trajectories: int, top: int) -> list[SensitivityIndex]:
     from SALib.analyze import morris as analysis
     from SALib.sample import morris
 
-    watch = Stopwatch(scenes.renderer)
-    places = morris.sample(scenes.problem, trajectories, num_levels=_LEVELS, seed=scenes.state(1))
-    each = len(scenes.scalars) + 1
-    measured = scenes.measure(places, "Morris")
+    watch = Stopwatch(black_box.renderer)
+    design = morris.sample(
+        black_box.problem, trajectories, num_levels=_GRID_LEVELS, seed=black_box.salib_seed(1)
+    )
+    renders_per_sample = len(black_box.scalars) + 1
+    evaluated = black_box.evaluate(design, "Morris")
     seconds = watch.seconds
 
-    def analyse(of_metric: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
-        found = analysis.analyze(
-            scenes.problem,
-            places[: count * each],
-            of_metric[: count * each],
+    def analyse(values: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
+        result = analysis.analyze(
+            black_box.problem,
+            design[: count * renders_per_sample],
+            values[: count * renders_per_sample],
             num_resamples=resamples,
             conf_level=_CONFIDENCE,
-            num_levels=_LEVELS,
-            seed=scenes.state(2),
+            num_levels=_GRID_LEVELS,
+            seed=black_box.salib_seed(2),
         )
-        return np.asarray(found["mu_star"], float), np.asarray(found["mu_star_conf"], float)
+        return np.asarray(result["mu_star"], float), np.asarray(result["mu_star_conf"], float)
 
     return [
-        _sampled("Morris μ*", scenes, partial(analyse, one), trajectories, each, top, seconds)
-        for one in measured
+        _sampling_index(
+            "Morris μ*", black_box, partial(analyse, values), trajectories, renders_per_sample, top, seconds
+        )
+        for values in evaluated
     ]
 
 
-def _sobol(scenes: _Scenes, base_samples: int, top: int) -> tuple[list[SensitivityIndex], np.ndarray]:
-    """Return the indices of each metric, and its values at the samples that are independent."""
+def _sobol(black_box: _BlackBox, base_samples: int, top: int) -> tuple[list[SensitivityIndex], np.ndarray]:
+    """Return the indices of each metric, and its values at the independent samples of the design."""
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol
 
-    watch = Stopwatch(scenes.renderer)
-    places = sobol.sample(scenes.problem, base_samples, calc_second_order=False, seed=scenes.state(3))
-    each = len(scenes.scalars) + 2
-    measured = scenes.measure(places, "Sobol")
+    watch = Stopwatch(black_box.renderer)
+    design = sobol.sample(
+        black_box.problem, base_samples, calc_second_order=False, seed=black_box.salib_seed(3)
+    )
+    renders_per_sample = len(black_box.scalars) + 2
+    evaluated = black_box.evaluate(design, "Sobol")
     seconds = watch.seconds
 
-    def analyse(of_metric: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
-        found = analysis.analyze(
-            scenes.problem,
-            of_metric[: count * each],
+    def analyse(values: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
+        result = analysis.analyze(
+            black_box.problem,
+            values[: count * renders_per_sample],
             calc_second_order=False,
             num_resamples=resamples,
             conf_level=_CONFIDENCE,
-            seed=scenes.state(4),
+            seed=black_box.salib_seed(4),
         )
-        return np.asarray(found["ST"], float), np.asarray(found["ST_conf"], float)
+        return np.asarray(result["ST"], float), np.asarray(result["ST_conf"], float)
 
     indices = [
-        _sampled("Sobol total", scenes, partial(analyse, one), base_samples, each, top, seconds)
-        for one in measured
+        _sampling_index(
+            "Sobol total", black_box, partial(analyse, values), base_samples, renders_per_sample, top, seconds
+        )
+        for values in evaluated
     ]
-    rows = measured.reshape(len(measured), base_samples, each)
+    rows = evaluated.reshape(len(evaluated), base_samples, renders_per_sample)
     return indices, np.concatenate([rows[..., 0], rows[..., -1]], axis=1)
 
 
-def _sampled(
+def _sampling_index(
     method: str,
-    scenes: _Scenes,
+    black_box: _BlackBox,
     analyse: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
     count: int,
-    each: int,
+    renders_per_sample: int,
     top: int,
     seconds: float,
 ) -> SensitivityIndex:
-    """Analyse all samples, and what the first of them alone would have said."""
-    running = np.full((count, len(scenes.scalars)), np.nan)
+    """Analyse all samples, and the first 2, 3, ... of them to see when the ranking becomes stable."""
+    running = np.full((count, len(black_box.scalars)), np.nan)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the first few samples may be all alike
-        for k in range(_LEAST, count + 1):
-            running[k - 1], _ = analyse(k, _LEAST)
-    running[-1], half_widths = analyse(count, _RESAMPLES)
-    return _index(method, scenes.scalars, running, half_widths / _WIDTH, each, top, seconds)
+        warnings.simplefilter("ignore")  # the first few samples may all be equal
+        for k in range(_MIN_SAMPLES, count + 1):
+            running[k - 1], _ = analyse(k, _MIN_SAMPLES)
+    running[-1], half_widths = analyse(count, _BOOTSTRAP_RESAMPLES)
+    errors = half_widths / _HALF_WIDTH
+    return _index(method, black_box.scalars, running, errors, renders_per_sample, top, seconds)
 
 
 def _index(
@@ -390,35 +401,36 @@ def _index(
     scalars: Sequence[Scalar],
     running: np.ndarray,
     errors: np.ndarray,
-    each: float,
+    renders_per_sample: float,
     top: int,
     seconds: float,
 ) -> SensitivityIndex:
-    """Put together what a method said after each of its samples, rows of ``running``, at a cost of ``each``."""
-    names = [one.name for one in scalars]
+    """Summarise a method from its estimates after each sample, the rows of ``running``."""
+    names = [scalar.name for scalar in scalars]
     order = np.argsort(-running[-1], kind="stable")
     last, following = order[top - 1], order[top]
-    settled = _settled(running, top)
+    stable_after = _samples_until_stable(running, top)
     return SensitivityIndex(
         method=method,
         values=dict(zip(names, running[-1].tolist(), strict=True)),
         errors=dict(zip(names, errors.tolist(), strict=True)),
-        renders=len(running) * each,
-        renders_until_stable=settled * each,
-        stable=settled < len(running),
+        renders=len(running) * renders_per_sample,
+        renders_until_stable=stable_after * renders_per_sample,
+        stable=stable_after < len(running),
         top=tuple(names[k] for k in order[:top]),
         resolved=bool(
-            running[-1, last] - running[-1, following] > CLEAR * math.hypot(errors[last], errors[following])
+            running[-1, last] - running[-1, following]
+            > RESOLVED * math.hypot(errors[last], errors[following])
         ),
         seconds=seconds,
     )
 
 
-def _settled(running: np.ndarray, top: int) -> int:
-    """Return after how many samples the set of the largest was what it is after all of them, and stayed so."""
+def _samples_until_stable(running: np.ndarray, top: int) -> int:
+    """Return the number of samples after which the set of the ``top`` largest values no longer changes."""
     sets = [frozenset(np.argsort(-row, kind="stable")[:top].tolist()) for row in running]
     count = len(sets)
-    while count > _LEAST and sets[count - 2] == sets[-1]:
+    while count > _MIN_SAMPLES and sets[count - 2] == sets[-1]:
         count -= 1
     return count
 
@@ -427,12 +439,12 @@ def _comparison(
     scalars: Sequence[Scalar], methods: tuple[SensitivityIndex, ...], metric: str
 ) -> SensitivityComparison:
     local, derivatives, morris, sobol = methods
-    ordered = tuple(sorted(scalars, key=lambda one: -sobol.values[one.name]))
+    ordered = tuple(sorted(scalars, key=lambda scalar: -sobol.values[scalar.name]))
     return SensitivityComparison(ordered, local, derivatives, morris, sobol, metric)
 
 
 def _power_of_two(count: int) -> int:
-    count = whole_number("base_samples", count, _LEAST)
+    count = whole_number("base_samples", count, _MIN_SAMPLES)
     if count & (count - 1):
         below = 2 ** (count.bit_length() - 1)
         raise SceneCaptumError(
@@ -441,11 +453,11 @@ def _power_of_two(count: int) -> int:
     return count
 
 
-def _salib() -> None:
+def _require_salib() -> None:
     try:
         import SALib  # noqa: F401
     except ImportError as error:
         raise SceneCaptumError(
-            "compare_sensitivity() needs SALib: pip install 'scenecaptum[compare]'. validation.dgsm() tells "
-            "global sensitivity without it."
+            "compare_sensitivity() needs SALib: pip install 'scenecaptum[compare]'. validation.dgsm() "
+            "estimates global sensitivity without it."
         ) from error

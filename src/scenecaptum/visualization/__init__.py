@@ -1,8 +1,8 @@
-"""Tables and figures of an attribution: they read results and compute nothing.
+"""Tables and figures of results.
 
-Importing this package loads neither matplotlib nor kornia; a figure loads them when it is drawn. Figures are
-drawn without pyplot, so no backend is chosen and nobody's ``rcParams`` change: save one with
-``figure.savefig(path)``; a notebook shows it by itself.
+Importing this package loads neither matplotlib nor kornia; they are loaded when a figure is drawn. Figures do not
+use pyplot, so no backend is selected and ``rcParams`` are not modified. Save a figure with
+``figure.savefig(path)``; notebooks display it automatically.
 """
 
 from ._ablation import ablation_text as ablation_text
@@ -19,10 +19,10 @@ from ._interactions import plot_interactions as plot_interactions
 from ._luminance_map import plot_luminance as plot_luminance
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
-from ._optimisation import optimisation_text as optimisation_text
-from ._optimisation import plot_optimisation as plot_optimisation
-from ._randomisation import plot_randomisation as plot_randomisation
-from ._randomisation import randomisation_text as randomisation_text
+from ._optimization import optimization_text as optimization_text
+from ._optimization import plot_optimization as plot_optimization
+from ._randomization import plot_randomization as plot_randomization
+from ._randomization import randomization_text as randomization_text
 from ._ranks import plot_rank_comparison as plot_rank_comparison
 from ._scene_tables import parameters_html as parameters_html
 from ._scene_tables import parameters_text as parameters_text

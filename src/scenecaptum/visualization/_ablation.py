@@ -1,11 +1,11 @@
-"""The ablation test as a table and a figure: prediction against measurement."""
+"""Table and figure of the ablation test: predictions and measurements."""
 
 from __future__ import annotations
 
 import textwrap
 from typing import TYPE_CHECKING
 
-from ._figures import LOWERS, RAISES, SMALL, TEXT, TITLE, UNCLEAR, WIDTH, figure_of, new_figure, small_print
+from ._figures import LOWERS, RAISES, SMALL, TEXT, TITLE, UNCLEAR, WIDTH, add_footnotes, figure_of, new_figure
 from ._numbers import shorten, with_error
 
 if TYPE_CHECKING:
@@ -18,12 +18,12 @@ _NAME_WIDTH, _NOTE_WIDTH = 36, 90
 _OUTCOMES = {
     RAISES: "measured: as predicted",
     LOWERS: "measured: not as predicted",
-    UNCLEAR: "measured: in the noise",
+    UNCLEAR: "measured: below the noise",
 }
 
 
 def ablation_text(test: AblationTest) -> str:
-    """Write the table for a terminal, and the verdict below it."""
+    """Format the table and the verdict for a terminal."""
     names = shorten([row.label for row in test.rows], _NAME_WIDTH)
     cells = [
         (
@@ -34,11 +34,11 @@ def ablation_text(test: AblationTest) -> str:
         )
         for name, row in zip(names, test.rows, strict=True)
     ]
-    head = ("moved along its gradient", "predicted", "measured", "step")
-    widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
+    header = ("moved along its gradient", "predicted", "measured", "step")
+    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     lines = [
         f"{name:{widths[0]}}  {predicted:>{widths[1]}}  {measured:>{widths[2]}}  {step:>{widths[3]}}"
-        for name, predicted, measured, step in (head, *cells)
+        for name, predicted, measured, step in (header, *cells)
     ]
     remarks = ["", *(_remark(row) for row in test.rows)]
     return "\n".join(
@@ -47,15 +47,15 @@ def ablation_text(test: AblationTest) -> str:
 
 
 def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
-    """Draw for each parameter how much the metric was predicted to change per unit, and how much it did.
+    """Plot the predicted and the measured slope of the metric for each parameter.
 
-    Parameters are in the computed order. Grey reaches up to what the noise hides, with 95 % confidence. Crosses
-    are what the paper's step measures, 0.01 of the gradient for every parameter.
+    Parameters are in order of decreasing saliency. Grey bars show the half-width of the 95 % confidence interval
+    of the measurement; crosses show the slope measured with the step of the paper, 0.01 of each gradient.
 
     Parameters
     ----------
     test
-        What to draw.
+        The result to plot.
     ax
         Axes to draw into; by default those of a new figure.
     """
@@ -64,20 +64,19 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
         ax = new_figure(WIDTH, 1.7 + 0.24 * len(rows)).add_subplot()
     ax.set_xscale("log")
     noise = [row.noise for row in rows]
-    # A bar on a logarithmic axis begins where the axis does, so that this is fixed before.
-    least = 0.5 * min(
+    # Bars on a logarithmic axis start at its lower limit, so the limit is set first.
+    lower = 0.5 * min(
         value
         for row in rows
         for value in (row.predicted, row.noise or row.predicted, abs(row.fixed or row.predicted))
     )
-    ax.set_xlim(least, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
-    places = range(len(rows))
-    ax.barh(
-        places, [max(one - least, 0) for one in noise], left=least, height=0.7, color="0.88", label="noise"
-    )
+    ax.set_xlim(lower, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
+    positions = range(len(rows))
+    lengths = [max(value - lower, 0) for value in noise]
+    ax.barh(positions, lengths, left=lower, height=0.7, color="0.88", label="noise")
     ax.scatter(
         [row.predicted for row in rows],
-        places,
+        positions,
         marker="D",
         s=34,
         facecolors="none",
@@ -85,22 +84,22 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
         label="predicted: the saliency",
         zorder=3,
     )
-    fixed = [(place, row) for place, row in enumerate(rows) if row.fixed]
+    fixed = [(y, row) for y, row in enumerate(rows) if row.fixed]
     ax.scatter(
         [abs(row.fixed or 0) for _, row in fixed],
-        [place for place, _ in fixed],
+        [y for y, _ in fixed],
         marker="x",
         s=26,
         linewidths=1,
         color="0.45",
-        label="on a step of 0.01 of the gradient",
+        label="measured with a step of 0.01 of the gradient",
         zorder=2,
     )
-    for colour, words in _OUTCOMES.items():
-        _draw_measured(ax, [(k, row) for k, row in enumerate(rows) if _colour(row) == colour], colour, words)
-    ax.set_yticks(places, shorten([row.label for row in rows], _NAME_WIDTH), fontsize=TEXT)
-    for label in ax.get_yticklabels():
-        label.set_parse_math(False)
+    for color, label in _OUTCOMES.items():
+        _draw_measured(ax, [(y, row) for y, row in enumerate(rows) if _color(row) == color], color, label)
+    ax.set_yticks(positions, shorten([row.label for row in rows], _NAME_WIDTH), fontsize=TEXT)
+    for tick_label in ax.get_yticklabels():
+        tick_label.set_parse_math(False)
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(axis="y", length=0)
@@ -118,29 +117,29 @@ def plot_ablation(test: AblationTest, ax: Axes | None = None) -> Figure:
         frameon=False,
         borderaxespad=0.2,
     )
-    above = 8 + 12 * -(-len(handles) // columns)
-    ax.set_title("Ablation test", loc="left", fontsize=TITLE, pad=above)
-    small_print(ax, textwrap.wrap(test.verdict, _NOTE_WIDTH), below=34)
+    padding = 8 + 12 * -(-len(handles) // columns)
+    ax.set_title("Ablation test", loc="left", fontsize=TITLE, pad=padding)
+    add_footnotes(ax, textwrap.wrap(test.verdict, _NOTE_WIDTH), below=34)
     return figure_of(ax)
 
 
-def _draw_measured(ax: Axes, placed: list[tuple[int, Ablated]], colour: str, words: str) -> None:
-    if placed:
+def _draw_measured(ax: Axes, rows: list[tuple[int, Ablated]], color: str, label: str) -> None:
+    if rows:
         ax.errorbar(
-            [abs(row.measured) for _, row in placed],
-            [place for place, _ in placed],
-            xerr=[row.measured_error for _, row in placed],
+            [abs(row.measured) for _, row in rows],
+            [y for y, _ in rows],
+            xerr=[row.measured_error for _, row in rows],
             fmt="o",
             markersize=4,
-            color=colour,
+            color=color,
             elinewidth=1.2,
             capsize=3,
-            label=words,
+            label=label,
             zorder=4,
         )
 
 
-def _colour(row: Ablated) -> str:
+def _color(row: Ablated) -> str:
     if not row.above_noise:
         return UNCLEAR
     return RAISES if row.agrees else LOWERS
@@ -152,5 +151,5 @@ def _pair(value: float, error: float) -> str:
 
 def _remark(row: Ablated) -> str:
     if not row.above_noise:
-        return "  in the noise"
+        return "  below the noise"
     return "" if row.agrees else "  not as predicted"

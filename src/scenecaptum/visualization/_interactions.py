@@ -1,4 +1,4 @@
-"""The interactions of parameters as a table and as a heatmap of the matrix."""
+"""Table and heatmap of the interactions of parameters."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import textwrap
 from typing import TYPE_CHECKING
 
-from ._figures import SMALL, TEXT, TITLE, figure_of, new_figure, small_print
+from ._figures import SMALL, TEXT, TITLE, add_footnotes, figure_of, new_figure
 from ._numbers import Format, shorten
 
 if TYPE_CHECKING:
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 _NAME_WIDTH, _COLUMN_WIDTH, _NOTE_WIDTH = 28, 16, 90
 _CELL = 0.72  # inches
-_DARK = 0.6  # of the largest value: where letters turn white
+_WHITE_TEXT_ABOVE = 0.6  # of the largest value
 
 
 def interactions_text(found: Interactions) -> str:
-    """Write the upper half of the matrix for a terminal, and the verdict below it."""
+    """Format the upper triangle of the matrix and the verdict for a terminal."""
     names = shorten(found.labels, _NAME_WIDTH)
     cells = _cells(found)
     numbers = [str(number) for number in range(1, len(names) + 1)]
@@ -31,22 +31,23 @@ def interactions_text(found: Interactions) -> str:
     lines = [
         "  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in grid
     ]
-    head = [f"second derivatives of {found.metric} {_per(found)}", ""]
+    head = [f"second derivatives of {found.metric} {_unit(found)}", ""]
     return "\n".join([*head, *lines, "", _KEY, found.verdict])
 
 
-_KEY = "0.0123(4) is 0.0123 ± 0.0004; a ? stands where that is not told from 0"
+_KEY = "0.0123(4) is 0.0123 ± 0.0004; ? marks values that are not significantly different from 0"
 
 
 def plot_interactions(found: Interactions, ax: Axes | None = None) -> Figure:
-    """Draw the matrix: red where parameters strengthen each other's effect, blue where they weaken it.
+    """Plot the matrix: red where parameters strengthen each other's effect, blue where they weaken it.
 
-    Each cell has its value with the error of the last digits in brackets; a grey one is not told from 0.
+    Each cell shows its value with the error of the last digits in brackets; grey cells do not differ significantly
+    from 0.
 
     Parameters
     ----------
     found
-        What to draw.
+        The result to plot.
     ax
         Axes to draw into; by default those of a new figure.
     """
@@ -54,17 +55,17 @@ def plot_interactions(found: Interactions, ax: Axes | None = None) -> Figure:
     names = shorten(found.labels, _NAME_WIDTH)
     if ax is None:
         ax = new_figure(2.6 + _CELL * max(count, 4), 1.7 + 0.55 * _CELL * max(count, 3)).add_subplot()
-    matrix, clear = found.matrix, found.told_apart
+    matrix, significant = found.matrix, found.significant
     largest = matrix.abs().max().item() or 1.0
-    # An element that is not told from 0 has no colour, and lets the grey behind show.
-    coloured = matrix.masked_fill(~clear, math.nan)
+    # Masked elements show the grey background.
+    masked = matrix.masked_fill(~significant, math.nan)
     ax.set_facecolor("0.92")
-    shown = ax.imshow(coloured.numpy(), cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto")
-    for (row, column), text in _written(found).items():
-        strong = clear[row, column] and matrix[row, column].abs() > _DARK * largest
-        colour = "white" if strong else "black" if clear[row, column] else "0.45"
-        ax.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=colour)
-    # Rows have the numbers of the columns, whose names would be upright.
+    shown = ax.imshow(masked.numpy(), cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto")
+    for (row, column), text in _formatted(found).items():
+        strong = significant[row, column] and matrix[row, column].abs() > _WHITE_TEXT_ABOVE * largest
+        color = "white" if strong else "black" if significant[row, column] else "0.45"
+        ax.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=color)
+    # Columns have numbers only: names would have to be vertical.
     ax.set_yticks(range(count), [f"{name}  {k}" for k, name in enumerate(names, 1)], fontsize=TEXT)
     ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=TEXT)
     for label in ax.get_yticklabels():
@@ -74,37 +75,39 @@ def plot_interactions(found: Interactions, ax: Axes | None = None) -> Figure:
     bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
     bar.ax.tick_params(labelsize=SMALL)
     bar.outline.set_visible(False)
-    title = textwrap.wrap(f"Interactions: second derivatives of {found.metric} {_per(found)}", 16 + 9 * count)
+    title = textwrap.wrap(
+        f"Interactions: second derivatives of {found.metric} {_unit(found)}", 16 + 9 * count
+    )
     ax.set_title("\n".join(title), loc="left", fontsize=TITLE, parse_math=False)
     width = int((2.6 + _CELL * max(count, 4)) * _NOTE_WIDTH / 7.2)
-    note = f"{found.verdict}. Grey: not told from 0."
-    small_print(ax, textwrap.wrap(note, width), below=22)
+    note = f"{found.verdict}. Grey: not significantly different from 0."
+    add_footnotes(ax, textwrap.wrap(note, width), below=22)
     return figure_of(ax)
 
 
-def _per(found: Interactions) -> str:
+def _unit(found: Interactions) -> str:
     return "per unit of either" if found.scale == "unit" else "over the range of either"
 
 
 def _cells(found: Interactions) -> list[list[str]]:
-    clear, written, count = found.told_apart, _written(found), len(found.names)
+    significant, formatted, count = found.significant, _formatted(found), len(found.names)
     return [
         [
-            written[row, column] + ("" if clear[row, column] else "?") if column >= row else ""
+            formatted[row, column] + ("" if significant[row, column] else "?") if column >= row else ""
             for column in range(count)
         ]
         for row in range(count)
     ]
 
 
-def _written(found: Interactions) -> dict[tuple[int, int], str]:
-    places = range(len(found.names))
+def _formatted(found: Interactions) -> dict[tuple[int, int], str]:
+    indices = range(len(found.names))
     matrix, errors = found.matrix, found.standard_error
-    return {(p, q): with_digits(matrix[p, q].item(), errors[p, q].item()) for p in places for q in places}
+    return {(p, q): concise(matrix[p, q].item(), errors[p, q].item()) for p in indices for q in indices}
 
 
-def with_digits(value: float, error: float) -> str:
-    """Write a value with the error of its last digits in brackets, ``'0.0123(4)'``."""
+def concise(value: float, error: float) -> str:
+    """Format a value with the error of its last digits in brackets, ``'0.0123(4)'``."""
     style = Format.of(value, error)
     number, decimals = style.write(value), style.place
     if error == 0:

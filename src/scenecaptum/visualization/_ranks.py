@@ -1,4 +1,4 @@
-"""Two rankings side by side: what one metric moves up and the other down."""
+"""Comparison of two rankings."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ._figures import (
     TITLE,
     UNCLEAR,
     WIDTH,
+    add_footnotes,
     figure_of,
     new_figure,
-    small_print,
 )
 from ._numbers import shorten
-from ._words import count_words, method_name, metric_name, pack
+from ._text import method_name, metric_name, pack, pluralize
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,25 +35,25 @@ _MEANINGS = {RAISES: "ranks higher on the right", LOWERS: "ranks lower on the ri
 
 
 class _Line(NamedTuple):
-    """A parameter's ranks, the places in the two columns that it is drawn at, and whether it clearly moves."""
+    """A parameter's ranks in both columns, its positions there, and whether the change of rank is significant."""
 
     label: str
     ranks: tuple[int, int]
-    places: tuple[int, int]
-    clear: bool
+    positions: tuple[int, int]
+    significant: bool
 
     @property
-    def colour(self) -> str:
+    def color(self) -> str:
         left, right = self.ranks
         return RAISES if right < left else LOWERS if right > left else UNCLEAR
 
     @property
     def dotted(self) -> bool:
-        return not self.clear and self.colour != UNCLEAR
+        return not self.significant and self.color != UNCLEAR
 
 
 class _Column(NamedTuple):
-    """One ranking: each parameter's saliency, its rank, and the first and last rank that it may have."""
+    """One ranking: saliency, rank and interval of possible ranks of each parameter."""
 
     saliency: dict[str, float]
     rank: dict[str, int]
@@ -61,15 +61,15 @@ class _Column(NamedTuple):
 
     @classmethod
     def of(cls, attribution: SceneAttribution, names: Sequence[str]) -> _Column:
-        all_of_them, errors = attribution.saliency(), attribution.saliency_error() or {}
-        saliency = {name: all_of_them[name] for name in names}
+        saliencies, errors = attribution.saliency(), attribution.saliency_error() or {}
+        saliency = {name: saliencies[name] for name in names}
         order = sorted(names, key=lambda name: -saliency[name])
         value = torch.tensor([saliency[name] for name in names], dtype=torch.float64)
         error = torch.tensor([errors.get(name, 0.0) for name in names], dtype=torch.float64)
-        ahead = value[None, :] - value[:, None]  # by how much the second is more salient than the first
+        difference = value[None, :] - value[:, None]
         noise = 2 * torch.hypot(error[None, :], error[:, None])
-        first = 1 + (ahead > noise).sum(1)
-        last = len(names) - (ahead < -noise).sum(1)
+        first = 1 + (difference > noise).sum(1)
+        last = len(names) - (difference < -noise).sum(1)
         return cls(
             saliency,
             {name: rank for rank, name in enumerate(order, start=1)},
@@ -80,27 +80,27 @@ class _Column(NamedTuple):
 def plot_rank_comparison(
     a: SceneAttribution, b: SceneAttribution, top: int = 12, ax: Axes | None = None
 ) -> Figure:
-    """Draw two rankings of the same parameters as columns, and lines from each rank to the other.
+    """Plot two rankings of the same parameters as columns, with lines between the ranks of each parameter.
 
-    A parameter that is among the ``top`` first in either ranking appears in both columns; where it is not among
-    the first it stands below the dashed line, in order, with its rank. Lines are blue where a parameter ranks
-    higher on the right than on the left, vermillion where it ranks lower, and dotted where noise may have done
-    it: where the ranks that it may have, given two standard errors, overlap. The title has Kendall's τ-b of the
-    saliencies of all parameters, shown or not: 1 for the same order, 0 for unrelated ones, −1 for the reverse.
+    Parameters among the ``top`` of either ranking appear in both columns; below the dashed line are those outside
+    the top of that column, with their ranks. Lines are blue if a parameter ranks higher on the right, vermillion
+    if it ranks lower, and dotted if the change is within the noise: if the intervals of its possible ranks, from
+    two standard errors, overlap. The title shows Kendall's τ-b of the saliencies of all parameters, shown or not:
+    1 for the same order, 0 for unrelated ones, −1 for the reverse.
 
     Parameters
     ----------
     a, b
-        What to compare: two metrics, methods or designs. Parameters that only one has are left out.
+        The results to compare: two metrics, methods or designs. Parameters that only one of them has are omitted.
     top
-        How many parameters of each to show.
+        Number of parameters of each ranking to show.
     ax
         Axes to draw into; by default those of a new figure.
 
     Raises
     ------
     SceneCaptumError
-        Where they share fewer than two parameters, or ``top`` is less than 1.
+        If they share fewer than two parameters, or ``top`` is less than 1.
 
     References
     ----------
@@ -111,7 +111,7 @@ def plot_rank_comparison(
     common = [name for name in a if name in b]
     if len(common) < 2:
         raise SceneCaptumError(
-            f"A comparison takes at least two parameters that both attributions have; these share {len(common)}."
+            f"A comparison needs at least two parameters that both attributions have; these share {len(common)}."
         )
     columns = _Column.of(a, common), _Column.of(b, common)
     lines = _lines({name: a.labels.get(name, name) for name in common}, columns, top)
@@ -119,32 +119,32 @@ def plot_rank_comparison(
     if ax is None:
         ax = new_figure(WIDTH, 1.3 + 0.2 * len(lines)).add_subplot()
     _draw_lines(ax, lines, top)
-    _draw_heads(ax, a, b, tau)
+    _draw_headers(ax, a, b, tau)
     left_out = len(set(a) ^ set(b))
-    remarks = [
+    notes = [
         f"ranks by saliency among {len(common)} parameters",
-        f"{count_words(len(common) - len(lines), 'parameter')} not shown" if len(common) > len(lines) else "",
+        f"{pluralize(len(common) - len(lines), 'parameter')} not shown" if len(common) > len(lines) else "",
         "dotted: within the noise, or tied" if any(line.dotted for line in lines) else "",
-        f"{count_words(left_out, 'parameter')} that only one of the two has left out" if left_out else "",
+        f"{pluralize(left_out, 'parameter')} that only one of the two has left out" if left_out else "",
     ]
-    small_print(ax, pack([remark for remark in remarks if remark], 80), below=6)
+    add_footnotes(ax, pack([note for note in notes if note], 80), below=6)
     return figure_of(ax)
 
 
 def kendall_tau(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return Kendall's rank correlation τ-b, which allows for ties; NaN where all of one are tied."""
-    one, other = (torch.tensor(values, dtype=torch.float64) for values in (a, b))
-    first, second = (torch.sign(values[:, None] - values[None, :]) for values in (one, other))
-    untied = float((first != 0).sum()) * float((second != 0).sum())
-    return float((first * second).sum()) / math.sqrt(untied) if untied else math.nan
+    """Return Kendall's rank correlation τ-b, which accounts for ties; NaN if all values of one are tied."""
+    tensors = (torch.tensor(values, dtype=torch.float64) for values in (a, b))
+    signs_a, signs_b = (torch.sign(values[:, None] - values[None, :]) for values in tensors)
+    untied = float((signs_a != 0).sum()) * float((signs_b != 0).sum())
+    return float((signs_a * signs_b).sum()) / math.sqrt(untied) if untied else math.nan
 
 
 def _lines(labels: Mapping[str, str], columns: tuple[_Column, _Column], top: int) -> list[_Line]:
     orders = [sorted(labels, key=column.rank.__getitem__) for column in columns]
     shown = set(orders[0][:top]) | set(orders[1][:top])
-    # All of the first have their own rank as their place; what is shown besides follows in order.
+    # The position of a top parameter is its rank; the others follow in order.
     left, right = (
-        {name: place for place, name in enumerate((n for n in order if n in shown), start=1)}
+        {name: position for position, name in enumerate((n for n in order if n in shown), start=1)}
         for order in orders
     )
     short = shorten([labels[name] for name in left], _NAME_WIDTH)
@@ -153,7 +153,7 @@ def _lines(labels: Mapping[str, str], columns: tuple[_Column, _Column], top: int
             label,
             (columns[0].rank[name], columns[1].rank[name]),
             (left[name], right[name]),
-            clear=_disjoint(columns[0].possible[name], columns[1].possible[name]),
+            significant=_disjoint(columns[0].possible[name], columns[1].possible[name]),
         )
         for name, label in zip(left, short, strict=True)
     ]
@@ -166,7 +166,7 @@ def _disjoint(a: tuple[int, int], b: tuple[int, int]) -> bool:
 def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
     for line in lines:
         style: dict[str, Any] = {"linewidth": 1.6, "linestyle": (0, (1, 1.5)) if line.dotted else "solid"}
-        ax.plot((0, 1), line.places, color=line.colour, marker="o", markersize=4, clip_on=False, **style)
+        ax.plot((0, 1), line.positions, color=line.color, marker="o", markersize=4, clip_on=False, **style)
         for side in (0, 1):
             _write_end(ax, line, side, faint=line.ranks[side] > top)
     if len(lines) > top:
@@ -179,25 +179,25 @@ def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
 
 
 def _write_end(ax: Axes, line: _Line, side: int, *, faint: bool) -> None:
-    """Write the rank at the end of a line, and beyond it the name, in columns of their own."""
-    outward = 1 if side else -1
-    for text, away in ((str(line.ranks[side]), 7), (line.label, 9 + 2.4 * TEXT)):
+    """Write the rank and the name at the end of a line, in separate columns."""
+    sign = 1 if side else -1
+    for text, distance in ((str(line.ranks[side]), 7), (line.label, 9 + 2.4 * TEXT)):
         ax.annotate(
             text,
-            (side, line.places[side]),
-            xytext=(outward * away, 0),
+            (side, line.positions[side]),
+            xytext=(sign * distance, 0),
             textcoords="offset points",
             ha="left" if side else "right",
             va="center",
             fontsize=TEXT,
-            color=ax.xaxis.label.get_color() if line.colour == UNCLEAR else line.colour,
+            color=ax.xaxis.label.get_color() if line.color == UNCLEAR else line.color,
             alpha=0.6 if faint else 1.0,
             parse_math=False,
         )
 
 
-def _draw_heads(ax: Axes, a: SceneAttribution, b: SceneAttribution, tau: float) -> None:
-    """Name the two columns, and say above them how alike they are."""
+def _draw_headers(ax: Axes, a: SceneAttribution, b: SceneAttribution, tau: float) -> None:
+    """Write the names of the columns, the legend and Kendall's τ."""
     from matplotlib.lines import Line2D
 
     for x, name, align in ((0, _names(a, b)[0], "right"), (1, _names(a, b)[1], "left")):
@@ -214,8 +214,7 @@ def _draw_heads(ax: Axes, a: SceneAttribution, b: SceneAttribution, tau: float) 
             parse_math=False,
         )
     entries = [
-        Line2D([], [], color=colour, marker="o", markersize=4, label=text)
-        for colour, text in _MEANINGS.items()
+        Line2D([], [], color=color, marker="o", markersize=4, label=text) for color, text in _MEANINGS.items()
     ]
     ax.legend(
         handles=entries,
@@ -226,13 +225,15 @@ def _draw_heads(ax: Axes, a: SceneAttribution, b: SceneAttribution, tau: float) 
         fontsize=SMALL,
         frameon=False,
     )
-    said = "not defined: one has all saliencies alike" if math.isnan(tau) else f"{tau:.2f}".replace("-", "−")
-    ax.set_title(f"Kendall's τ = {said}", fontsize=TITLE, pad=36)
+    value = (
+        "not defined: all saliencies of one are equal" if math.isnan(tau) else f"{tau:.2f}".replace("-", "−")
+    )
+    ax.set_title(f"Kendall's τ = {value}", fontsize=TITLE, pad=36)
 
 
 def _names(a: SceneAttribution, b: SceneAttribution) -> tuple[str, str]:
-    """Name two attributions by their metrics, or by what else tells them apart."""
-    for describe in (metric_name, method_name, lambda one: str(one.info.get("scene", ""))):
+    """Return names for two attributions: by metric, else by method or scene."""
+    for describe in (metric_name, method_name, lambda attribution: str(attribution.info.get("scene", ""))):
         names = describe(a), describe(b)
         if names[0] != names[1]:
             return names

@@ -1,4 +1,4 @@
-"""A scene's parameters and the plan of its renderer, for terminals and for notebooks."""
+"""Tables of scene parameters and of the render plan, for terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ._numbers import columns, cut, pad, shorten
 from ._table import STYLE
-from ._words import count_words
+from ._text import pluralize
 
 if TYPE_CHECKING:
     from ..rendering import RenderPlan
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from ..scene._parameters import Parameter
 
 _COLUMNS = ("name", "kind", "shape", "bounds", "owner", "status")
-_NARROWEST_NAME, _NARROWEST_OWNER = 30, 12
-# What a narrow terminal does without, first to last: the name mostly tells the owner, and the kind the bounds.
-_DISPENSABLE = ("owner", "bounds", "shape", "kind")
+_MIN_NAME_WIDTH, _OWNER_WIDTH = 30, 12
+# Columns that are omitted in narrow terminals, in this order.
+_OPTIONAL_COLUMNS = ("owner", "bounds", "shape", "kind")
 
 
 def parameters_text(parameters: SceneParameters) -> str:
-    """Lay out a line for each parameter; in a terminal none is wider than it is, and reasons stand below."""
+    """Format one line per parameter; in a terminal within its width, with the reasons as footnotes."""
     rows = {name: _row(parameter) for name, parameter in parameters.items()}
-    whole = _grid(_COLUMNS, list(rows.values()))
+    full = _grid(_COLUMNS, list(rows.values()))
     width = _terminal_width()
-    if width is None or not rows or max(map(columns, whole)) <= width:
-        return "\n".join(whole)
+    if width is None or not rows or max(map(columns, full)) <= width:
+        return "\n".join(full)
     reasons = _groups((p.name, p.problem or p.caution) for p in parameters.values())
     numbers = {text: number for number, text in enumerate(reasons, start=1)}
     short = [[*rows[p.name][:-1], _short_status(p, numbers)] for p in parameters.values()]
@@ -40,25 +40,26 @@ def parameters_text(parameters: SceneParameters) -> str:
 
 
 def parameters_html(parameters: SceneParameters) -> str:
-    """Lay out what can be differentiated as a table, and what cannot, folded up, by the reason why not."""
-    good = [parameter for parameter in parameters.values() if not parameter.problem]
+    """Format the differentiable parameters as a table, and the others in collapsed lists, grouped by reason."""
+    differentiable = [parameter for parameter in parameters.values() if not parameter.problem]
     reasons = _groups((parameter.name, parameter.problem) for parameter in parameters.values())
-    folded = [
-        f"<details><summary>{count_words(len(names), 'parameter')} not differentiable: {html.escape(text)}"
+    collapsed = [
+        f"<details><summary>{pluralize(len(names), 'parameter')} not differentiable: {html.escape(text)}"
         f"</summary><div>{html.escape(', '.join(names))}</div></details>"
         for text, names in reasons.items()
     ]
-    rows = "\n".join(f"<tr>{_cells(_row(parameter), 'td')}</tr>" for parameter in good)
+    rows = "\n".join(f"<tr>{_cells(_row(parameter), 'td')}</tr>" for parameter in differentiable)
     return (
         f'<div class="scenecaptum">\n{STYLE}\n'
-        f"<div><b>{count_words(len(parameters), 'parameter')}</b>, {len(good)} of them differentiable</div>\n"
+        f"<div><b>{pluralize(len(parameters), 'parameter')}</b>, {len(differentiable)} of them differentiable"
+        "</div>\n"
         f"<table>\n<thead><tr>{_cells(_COLUMNS, 'th')}</tr></thead>\n<tbody>\n{rows}\n</tbody>\n</table>\n"
-        f'<div class="notes">{"".join(folded)}</div>\n</div>'
+        f'<div class="notes">{"".join(collapsed)}</div>\n</div>'
     )
 
 
 def plan_text(plan: RenderPlan) -> str:
-    """Write one decision a line, in a terminal no wider than it is."""
+    """Format one decision per line; in a terminal within its width."""
     width, column = _terminal_width(), max(len(decision) for decision, _ in plan.decisions)
     lines = [(f"{decision.ljust(column)}  {reason}", column + 2) for decision, reason in plan.decisions]
     for text, names in _groups(plan.differences).items():
@@ -69,11 +70,11 @@ def plan_text(plan: RenderPlan) -> str:
 
 
 def plan_html(plan: RenderPlan) -> str:
-    """Lay out the decisions and their reasons as a table, and below it what each exception is for."""
+    """Format the decisions and their reasons as a table, with finite differences and cautions below it."""
     rows = "\n".join(f"<tr>{_cells(pair, 'td')}</tr>" for pair in plan.decisions)
     notes = [
-        f"<div><b>{html.escape(what)}</b> {html.escape(', '.join(names))}: {html.escape(text)}</div>"
-        for what, pairs in (("Finite difference for", plan.differences), ("Caution:", plan.cautions))
+        f"<div><b>{html.escape(title)}</b> {html.escape(', '.join(names))}: {html.escape(text)}</div>"
+        for title, pairs in (("Finite difference for", plan.differences), ("Caution:", plan.cautions))
         for text, names in _groups(pairs).items()
     ]
     return (
@@ -95,31 +96,33 @@ def _short_status(parameter: Parameter, numbers: Mapping[str, int]) -> str:
 
 
 def _fit(rows: Sequence[Sequence[str]], width: int) -> list[str]:
-    """Shorten names and owners, and leave out columns, until lines are at most so wide."""
-    heads = (*_COLUMNS[:-1], "differentiable")
-    kept = {head: [head, *column] for head, column in zip(heads, zip(*rows, strict=True), strict=True)}
-    kept["owner"] = shorten(kept["owner"], _NARROWEST_OWNER)
-    for leaving in (None, *_DISPENSABLE):
-        kept.pop(leaving or "", None)
-        others = sum(2 + max(map(columns, column)) for head, column in kept.items() if head != "name")
-        if width - others >= _NARROWEST_NAME:
+    """Shorten names and owners, and omit columns, until lines fit into the width."""
+    headers = (*_COLUMNS[:-1], "differentiable")
+    kept = {
+        header: [header, *column] for header, column in zip(headers, zip(*rows, strict=True), strict=True)
+    }
+    kept["owner"] = shorten(kept["owner"], _OWNER_WIDTH)
+    for omitted in (None, *_OPTIONAL_COLUMNS):
+        kept.pop(omitted or "", None)
+        others = sum(2 + max(map(columns, column)) for header, column in kept.items() if header != "name")
+        if width - others >= _MIN_NAME_WIDTH:
             break
     kept["name"] = shorten(kept["name"], max(width - others, 1))
     first, *rest = (list(row) for row in zip(*kept.values(), strict=True))
     return [cut(line, width, 0) for line in _grid(first, rest)]
 
 
-def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(columns, column)) for column in zip(heads, *rows, strict=True)]
-    widths[-1] = 0  # nothing stands beside the last
+def _grid(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(columns, column)) for column in zip(headers, *rows, strict=True)]
+    widths[-1] = 0  # no padding after the last column
     return [
         "  ".join(pad(cell, width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in (heads, *rows)
+        for row in (headers, *rows)
     ]
 
 
 def _groups(pairs: Iterable[tuple[str, str | None]]) -> dict[str, list[str]]:
-    """Group names by what is said of them."""
+    """Group names by their text, without those that have none."""
     groups: dict[str, list[str]] = {}
     for name, text in pairs:
         if text:
@@ -138,7 +141,7 @@ def _cells(row: Iterable[str], tag: str) -> str:
 
 
 def _terminal_width() -> int | None:
-    """Return the terminal's width; None where output goes elsewhere, to a file or a search, and may be wide."""
+    """Return the terminal's width; None if the output goes to a file or a pipe."""
     if os.environ.get("COLUMNS", "").isdecimal() or (sys.stdout is not None and sys.stdout.isatty()):
         return shutil.get_terminal_size().columns
     return None

@@ -1,4 +1,4 @@
-"""How specific saliency is to the metric: bars above maps, metrics side by side."""
+"""Figure of several attributions side by side: rankings and saliency maps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ._bars import bar_legend, draw_bars, top_rows
-from ._figures import SMALL, TEXT, TITLE, figure_of, letters, new_figure, title_of
-from ._maps import Scale, check_scale, draw_colour_bar, draw_map, heat_of
-from ._words import axis_words
+from ._figures import SMALL, TEXT, TITLE, characters_per_line, figure_of, figure_title, new_figure
+from ._maps import ColorScale, check_scale, draw_colorbar, draw_map, heatmap_array
+from ._text import axis_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from ..attr import Ranked, SceneAttribution
 
-_COLUMN, _TALLEST = 3.6, 3.6  # inches
-_NARROW_NAME = 26
+_COLUMN_WIDTH, _MAX_MAP_HEIGHT = 3.6, 3.6  # inches
+_NAME_WIDTH = 26
 
 
 def plot_specificity(
@@ -28,22 +28,22 @@ def plot_specificity(
     *,
     shared: bool = False,
     signed: bool = False,
-    scale: Scale = "sqrt",
+    scale: ColorScale = "sqrt",
     figure: Any = None,
 ) -> Figure:
-    """Draw for each of several attributions its ranking as bars and, below, its saliency map.
+    """Plot the ranking and, below it, the saliency map of each of several attributions.
 
-    It is to show that metrics of one picture depend on different things.
+    It shows how different metrics of one image depend on different parameters.
 
     Parameters
     ----------
     attributions
-        One for each column; usually several metrics of one renderer.
+        One per column; usually several metrics of one renderer.
     top
-        How many bars.
+        Number of bars.
     shared
-        Give all maps one scale, that of the most salient object in any of them, which takes metrics in the same
-        unit; by default each map has its own.
+        Use one scale for all maps, relative to the most salient object in any of them. The metrics must have the
+        same unit. By default each map has its own scale.
     signed, scale
         As for ``plot_heatmap``.
     figure
@@ -52,56 +52,57 @@ def plot_specificity(
     Raises
     ------
     SceneCaptumError
-        Where there is no attribution, or one does not know what its pixels show.
+        If there is no attribution, or one has no map of the surfaces in its image.
     """
     if not attributions:
-        raise SceneCaptumError("plot_specificity takes at least one attribution.")
+        raise SceneCaptumError("plot_specificity needs at least one attribution.")
     check_scale(scale)
     maximum = _shared_maximum(attributions) if shared else None
-    heats = [heat_of(one, signed=signed, maximum=maximum or None) for one in attributions]
-    rows = [top_rows(one, top) for one in attributions]
+    heats = [heatmap_array(a, signed=signed, maximum=maximum or None) for a in attributions]
+    rows = [top_rows(attribution, top) for attribution in attributions]
     bars = 1.5 + 0.19 * max(map(len, rows))
-    maps = 0.1 + min(max(_COLUMN * heat.shape[0] / heat.shape[1] for heat in heats), _TALLEST)
+    maps = 0.1 + min(max(_COLUMN_WIDTH * heat.shape[0] / heat.shape[1] for heat in heats), _MAX_MAP_HEIGHT)
     if figure is None:
-        figure = new_figure(_COLUMN * len(attributions) + 0.7, bars + maps)
-    # A grid of its own for either row lets the maps be as wide as bars and names together.
+        figure = new_figure(_COLUMN_WIDTH * len(attributions) + 0.7, bars + maps)
+    # Separate subfigures let the maps be as wide as bars and names together.
     upper, lower = figure.subfigures(2, 1, height_ratios=[bars, maps])
 
     columns = len(attributions)
-    for ax, one, ranked in zip(upper.subplots(1, columns, squeeze=False)[0], attributions, rows, strict=True):
-        _draw_ranking(ax, one, ranked)
-    _draw_heads(upper, attributions)
+    axes = upper.subplots(1, columns, squeeze=False)[0]
+    for ax, attribution, ranked in zip(axes, attributions, rows, strict=True):
+        _draw_ranking(ax, attribution, ranked)
+    _draw_titles(upper, attributions)
     _draw_legend(upper, attributions, rows)
     axes = lower.subplots(1, columns, squeeze=False)[0]
     mapped = [draw_map(ax, heat, signed=signed, scale=scale) for ax, heat in zip(axes, heats, strict=True)]
-    place: dict[str, Any] = {"ax": list(axes), "aspect": 18, "pad": 0.02}
-    bar = draw_colour_bar(mapped[-1], scale, signed, **place)
+    location: dict[str, Any] = {"ax": list(axes), "aspect": 18, "pad": 0.02}
+    bar = draw_colorbar(mapped[-1], scale, signed, **location)
     bar.set_label(f"relative to the strongest\n{'of all' if shared else 'in each'}", fontsize=SMALL)
     return figure_of(axes[0])
 
 
-def _doubtful(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[bool]:
+def _inaccurate(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[bool]:
     cautions = attribution.info.get("cautions") or {}
     return [row.name in cautions for row in rows]
 
 
 def _draw_ranking(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked]) -> None:
-    draw_bars(ax, attribution, rows, _doubtful(attribution, rows), name_width=_NARROW_NAME)
+    draw_bars(ax, attribution, rows, _inaccurate(attribution, rows), name_width=_NAME_WIDTH)
     ax.tick_params(axis="both", labelsize=SMALL)
     ax.locator_params(axis="x", nbins=4)
-    words = textwrap.fill(axis_words(attribution), letters(0.68 * _COLUMN, SMALL))
-    ax.set_xlabel(words, fontsize=SMALL, parse_math=False)
+    label = textwrap.fill(axis_label(attribution), characters_per_line(0.68 * _COLUMN_WIDTH, SMALL))
+    ax.set_xlabel(label, fontsize=SMALL, parse_math=False)
 
 
-def _draw_heads(figure: Any, attributions: Sequence[SceneAttribution]) -> None:
-    """Write each column's title in its middle, names included: above the bars alone a long one would be cut."""
+def _draw_titles(figure: Any, attributions: Sequence[SceneAttribution]) -> None:
+    """Write each column's title centred over bars and names; a long one would not fit over the bars alone."""
     from matplotlib.transforms import blended_transform_factory
 
-    for number, (ax, one) in enumerate(zip(figure.axes, attributions, strict=True)):
+    for index, (ax, attribution) in enumerate(zip(figure.axes, attributions, strict=True)):
         ax.text(
-            (number + 0.5) / len(attributions),
+            (index + 0.5) / len(attributions),
             1.03,
-            title_of(one, letters(0.85 * _COLUMN, TITLE)),
+            figure_title(attribution, characters_per_line(0.85 * _COLUMN_WIDTH, TITLE)),
             transform=blended_transform_factory(figure.transSubfigure, ax.transAxes),
             ha="center",
             fontsize=TEXT,
@@ -115,8 +116,8 @@ def _draw_legend(
     pairs = zip(attributions, rows, strict=True)
     entries = {
         entry.get_label(): entry
-        for one, ranked in pairs
-        for entry in bar_legend(one, ranked, any(_doubtful(one, ranked)))
+        for attribution, ranked in pairs
+        for entry in bar_legend(attribution, ranked, any(_inaccurate(attribution, ranked)))
     }
     if entries:
         figure.legend(

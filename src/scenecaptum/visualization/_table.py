@@ -10,31 +10,31 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from ._numbers import Format, align_decimals, columns, cut, pad, shorten, with_error
-from ._words import (
+from ._text import (
     caution_groups,
-    convergence_words,
-    count_words,
-    doubt_groups,
+    convergence_notes,
     method_name,
     metric_line,
     pack,
+    pluralize,
     quantity,
-    sampling_words,
+    sampling_notes,
     scene_cautions,
+    untrusted_groups,
 )
 
 if TYPE_CHECKING:
     from ..attr import Ranked, SceneAttribution
 
-ROWS = 40
-_MOST_CHANNELS = 4
-_WIDTH = 100  # where there is no terminal
-_NARROWEST_NAME = 16
-_WIDEST_NAME = 80
+DEFAULT_ROWS = 40
+_MAX_CHANNELS = 4
+_DEFAULT_WIDTH = 100  # without a terminal
+_MIN_NAME_WIDTH = 16
+_MAX_NAME_WIDTH = 80
 
 
 class _Row(NamedTuple):
-    """One line of the table; ``gradient`` is padded so that its numbers stand below each other."""
+    """One line of the table; the numbers in ``gradient`` are padded to align."""
 
     rank: str
     name: str
@@ -51,38 +51,37 @@ class _Table:
     notes: list[str]
 
 
-def table_text(attribution: SceneAttribution, top: int | None = ROWS) -> str:
-    """Lay out the ranking for a terminal, no line wider than it is.
+def table_text(attribution: SceneAttribution, top: int | None = DEFAULT_ROWS) -> str:
+    """Format the ranking for a terminal, within its width.
 
     Parameters
     ----------
     attribution
-        What to show.
+        The result to show.
     top
-        How many parameters; None shows all.
+        Number of parameters; None for all.
     """
     table = _table(attribution, top)
-    width = shutil.get_terminal_size(fallback=(_WIDTH, 24)).columns
-    lines = [
-        part
-        for line in pack(table.heading, width)
-        for part in textwrap.wrap(line, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
-    ]
+    width = shutil.get_terminal_size(fallback=(_DEFAULT_WIDTH, 24)).columns
+
+    def wrap(text: str) -> list[str]:
+        return textwrap.wrap(text, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
+
+    lines = [part for line in pack(table.heading, width) for part in wrap(line)]
     lines += ["", *_grid([table.columns, *table.rows], width)]
-    for note in table.notes:
-        lines += textwrap.wrap(note, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
+    lines += [part for note in table.notes for part in wrap(note)]
     return "\n".join(cut(line, width, 0) for line in lines)
 
 
-def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
-    """Lay out the ranking for a notebook, light or dark: it borrows the page's colours.
+def table_html(attribution: SceneAttribution, top: int | None = DEFAULT_ROWS) -> str:
+    """Format the ranking as HTML for a notebook, with the colours of the page.
 
     Parameters
     ----------
     attribution
-        What to show.
+        The result to show.
     top
-        How many parameters; None shows all.
+        Number of parameters; None for all.
     """
     table = _table(attribution, top)
     metric, *rest = (html.escape(part) for part in table.heading)
@@ -97,7 +96,7 @@ def table_html(attribution: SceneAttribution, top: int | None = ROWS) -> str:
     )
 
 
-# Notebooks bring styles of their own for tables; with the class named twice these are specific enough to win.
+# The class is repeated so that these rules are more specific than the table styles of notebooks.
 STYLE = """<style>
 .scenecaptum { color: inherit; font-size: 0.9em; }
 .scenecaptum table { border-collapse: collapse; border: none; margin: 0.5em 0; width: auto; display: table; }
@@ -131,12 +130,12 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
     marks = {name: markers[text] for text, names in groups.items() for name in names}
-    doubts = doubt_groups(attribution)
-    for names in doubts.values():
-        if len(names) < len(attribution):  # what holds for all need not be said of each
+    untrusted = untrusted_groups(attribution)
+    for names in untrusted.values():
+        if len(names) < len(attribution):  # no marks if all rows would have one
             marks |= {name: f"{marks.get(name, '')}?" for name in names}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
-    names = shorten([row.label for row in shown], _WIDEST_NAME)
+    names = shorten([row.label for row in shown], _MAX_NAME_WIDTH)
     saliency, gradients = _saliency(shown), _gradients(shown)
     return _Table(
         heading=_heading(attribution),
@@ -152,10 +151,10 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
             for index, row in enumerate(shown)
         ],
         notes=[
-            *_hidden(ranking, len(shown)),
+            *_hidden_note(ranking, len(shown)),
             *(["Σ totals over the texels, vertices or faces"] if textures else []),
-            *(_caution(markers[text], text, names) for text, names in groups.items()),
-            *(_doubt(reason, names, len(attribution)) for reason, names in doubts.items()),
+            *(_caution_note(markers[text], text, names) for text, names in groups.items()),
+            *(_untrusted_note(reason, names, len(attribution)) for reason, names in untrusted.items()),
             *(f"!  {text}" for text in scene_cautions(attribution)),
         ],
     )
@@ -165,52 +164,52 @@ def _heading(attribution: SceneAttribution) -> list[str]:
     return [
         metric_line(attribution),
         method_name(attribution),
-        *sampling_words(attribution),
-        *convergence_words(attribution),
+        *sampling_notes(attribution),
+        *convergence_notes(attribution),
     ]
 
 
 def _gradient_heading(attribution: SceneAttribution, rows: Iterable[Ranked]) -> str:
-    colours = any(len(row.total) == 3 for row in rows)
-    return f"{quantity(attribution)}{': R, G, B' if colours else ''}"
+    has_color = any(len(row.total) == 3 for row in rows)
+    return f"{quantity(attribution)}{': R, G, B' if has_color else ''}"
 
 
-def _hidden(ranking: Sequence[Ranked], shown: int) -> list[str]:
+def _hidden_note(ranking: Sequence[Ranked], shown: int) -> list[str]:
     if shown >= len(ranking):
         return []
     largest = with_error(ranking[shown].saliency, ranking[shown].saliency_error)[0]
     return [f"… and {len(ranking) - shown} more of at most {largest}; .ranking() lists all"]
 
 
-def _caution(marker: str, text: str, names: Sequence[str]) -> str:
-    return f"{marker.ljust(2)} {text} ({count_words(len(names), 'parameter')})"
+def _caution_note(marker: str, text: str, names: Sequence[str]) -> str:
+    return f"{marker.ljust(2)} {text} ({pluralize(len(names), 'parameter')})"
 
 
-def _doubt(reason: str, names: Sequence[str], count: int) -> str:
-    whose = "all parameters" if len(names) == count else count_words(len(names), "parameter")
-    return f"?  {reason} ({whose})"
+def _untrusted_note(reason: str, names: Sequence[str], count: int) -> str:
+    affected = "all parameters" if len(names) == count else pluralize(len(names), "parameter")
+    return f"?  {reason} ({affected})"
 
 
 def _saliency(rows: Sequence[Ranked]) -> list[str]:
-    written = [with_error(row.saliency, row.saliency_error) for row in rows]
-    values = align_decimals([value for value, _ in written])
-    errors = align_decimals([error for _, error in written])
+    formatted = [with_error(row.saliency, row.saliency_error) for row in rows]
+    values = align_decimals([value for value, _ in formatted])
+    errors = align_decimals([error for _, error in formatted])
     return [f"{v} ± {e}" if e.strip() else v for v, e in zip(values, errors, strict=True)]
 
 
 def _gradients(rows: Sequence[Ranked]) -> list[str]:
-    """Write each row's channels below those of the others; a scalar stands in the first channel's place."""
-    written = [_channels(row) for row in rows]
-    fitting = [row for row in written if len(row) <= _MOST_CHANNELS]
+    """Format the channels of each row, aligned over the rows; rows with many channels as a range."""
+    formatted = [_channels(row) for row in rows]
+    fitting = [row for row in formatted if len(row) <= _MAX_CHANNELS]
     padded: list[list[str]] = []
     for channel in range(max(map(len, fitting), default=0)):
         padded.append(align_decimals([row[channel] if channel < len(row) else "" for row in fitting]))
     lines = iter("  ".join(channels).rstrip() for channels in zip(*padded, strict=True))
-    return [next(lines) if len(row) <= _MOST_CHANNELS else _range(row) for row in written]
+    return [next(lines) if len(row) <= _MAX_CHANNELS else _range(row) for row in formatted]
 
 
 def _channels(row: Ranked) -> list[str]:
-    """Write the channels to the saliency's place; three digits do, with no error beside them."""
+    """Format the channels to the decimal place of the saliency, with at most three digits."""
     style = Format.of(row.saliency, row.saliency_error).at_most(3, row.saliency)
     return [style.write_signed(value) for value in row.total]
 
@@ -221,15 +220,15 @@ def _range(numbers: Sequence[str]) -> str:
 
 
 def _grid(rows: Sequence[_Row], width: int) -> list[str]:
-    """Lay out columns; long names give way first, then the gradients are left out."""
+    """Format the rows within a width: shorten long names first, then omit the gradients."""
     rank, name, mark, saliency, gradient = (max(map(columns, column)) for column in zip(*rows, strict=True))
-    taken = rank + 2 + (mark + 1 if mark else 0) + 2 + saliency
-    if gradient and width - taken - 2 - gradient < min(name, _NARROWEST_NAME):
+    fixed = rank + 2 + (mark + 1 if mark else 0) + 2 + saliency
+    if gradient and width - fixed - 2 - gradient < min(name, _MIN_NAME_WIDTH):
         rows, gradient = [row._replace(gradient="") for row in rows], 0
-    name = min(name, max(width - taken - (gradient + 2 if gradient else 0), 1))
+    name = min(name, max(width - fixed - (gradient + 2 if gradient else 0), 1))
     lines = []
     for row, short in zip(rows, shorten([row.name for row in rows], name), strict=True):
-        named = f"{row.rank:>{rank}}  {pad(short, name)}"
-        marked = f"{named} {row.mark:<{mark}}" if mark else named
-        lines.append(f"{marked}  {row.saliency:<{saliency}}  {row.gradient}".rstrip())
+        line = f"{row.rank:>{rank}}  {pad(short, name)}"
+        line += f" {row.mark:<{mark}}" if mark else ""
+        lines.append(f"{line}  {row.saliency:<{saliency}}  {row.gradient}".rstrip())
     return lines

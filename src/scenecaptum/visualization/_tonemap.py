@@ -1,4 +1,4 @@
-"""Linear radiance to a picture that a screen can show."""
+"""Tone mapping of linear radiance for display."""
 
 from __future__ import annotations
 
@@ -6,34 +6,32 @@ import os
 
 import torch
 
-from .._writing import whole_file
 from ..errors import SceneCaptumError
+from ..files import atomic_write
 from ..metrics._picture import channels_first, channels_last, check_image
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _MIDDLE_GREY = 0.18
-_LARGEST = 1e30  # far above any radiance, and its square root is still a float
-_SHADOW = 1e-3  # of the bright level: what is darker says nothing about the exposure
+_MAX_RADIANCE = 1e30  # far above any radiance; avoids overflow
+_SHADOW_THRESHOLD = 1e-3  # relative to the bright level; darker pixels do not affect the exposure
 _BRIGHT_QUANTILE = 0.95
-_BRIGHTEST_EXPOSED = (
-    8.0  # three stops over white: daylight in a window may fill its panes, but not hide the view
-)
+_MAX_EXPOSED = 8.0  # of the bright level: three stops over white, so that windows do not burn out completely
 _KNEE = 0.6
 
 
 def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.Tensor:
-    """Turn linear radiance into sRGB for display; finite for any input.
+    """Convert linear radiance to sRGB for display; finite for any input.
 
-    Values up to a knee are shown linearly; above it a shoulder approaches full brightness. It acts on the
-    largest of the three channels and scales the others alike, so a lamp or window keeps its hue.
+    The curve is linear up to a knee; above it a shoulder approaches full brightness. It is applied to the largest
+    channel and the others are scaled by the same factor, so a lamp or window keeps its hue.
 
     Parameters
     ----------
     image
         ``(H, W, 3)`` linear radiance.
     exposure
-        What radiance is multiplied by. By default the log-average luminance of the lit pixels becomes middle
-        grey, unless that would wash out the bright ones.
+        Factor applied to the radiance. By default the log-average luminance of the lit pixels becomes middle grey,
+        unless that would overexpose the bright ones.
 
     Returns
     -------
@@ -43,7 +41,7 @@ def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.T
     Raises
     ------
     SceneCaptumError
-        Where the image has another shape, or the exposure is not positive.
+        If the image has another shape, or the exposure is not positive.
 
     References
     ----------
@@ -54,55 +52,55 @@ def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.T
     check_image(image)
     if exposure is not None and not exposure > 0:
         raise SceneCaptumError(f"exposure must be a positive factor, not {exposure!r}.")
-    radiance = image.detach().float().nan_to_num(0.0, _LARGEST, 0.0).clamp(0.0, _LARGEST)
+    radiance = image.detach().float().nan_to_num(0.0, _MAX_RADIANCE, 0.0).clamp(0.0, _MAX_RADIANCE)
     factor = automatic_exposure(radiance) if exposure is None else exposure
-    shown = _shoulder((radiance * factor).clamp(max=_LARGEST))
+    shown = _shoulder((radiance * factor).clamp(max=_MAX_RADIANCE))
     encoded: torch.Tensor = kornia.color.linear_rgb_to_rgb(channels_first(shown))
     return channels_last(encoded).clamp(0.0, 1.0)
 
 
 def save_render(image: torch.Tensor, path: str | os.PathLike[str], exposure: float | None = None) -> None:
-    """Write a render as a PNG of exactly its own width and height.
+    """Write a render as a PNG of the same width and height.
 
     Parameters
     ----------
     image
         ``(H, W, 3)`` linear radiance.
     path
-        Where to write it.
+        The file to write.
     exposure
         As in ``display_image``.
 
     Raises
     ------
     SceneCaptumError
-        Where the image has another shape, or the file cannot be written.
+        If the image has another shape, or the file cannot be written.
     """
     from PIL import Image
 
     pixels = (display_image(image, exposure) * 255).round().to(torch.uint8)
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         Image.fromarray(pixels.numpy(force=True)).save(partial, format="PNG")
 
 
 def automatic_exposure(radiance: torch.Tensor) -> float:
-    """Return the factor that brings a picture's log-average luminance to middle grey, within limits."""
+    """Return the exposure that maps the log-average luminance to middle grey, within limits."""
     luminance = (radiance.double() @ radiance.new_tensor(_LUMINANCE).double()).flatten()
     lit = luminance[luminance > 0]
     if not len(lit):
         return 1.0
     bright = _quantile(lit, _BRIGHT_QUANTILE)
-    middle = float(lit[lit >= _SHADOW * bright].log().mean().exp())
-    return min(_MIDDLE_GREY / middle, _BRIGHTEST_EXPOSED / bright)
+    middle = float(lit[lit >= _SHADOW_THRESHOLD * bright].log().mean().exp())
+    return min(_MIDDLE_GREY / middle, _MAX_EXPOSED / bright)
 
 
 def _quantile(values: torch.Tensor, fraction: float) -> float:
-    # torch.quantile refuses pictures of more than 16 million pixels.
+    # torch.quantile is limited to 16 million elements.
     return float(values.kthvalue(max(round(fraction * len(values)), 1)).values)
 
 
 def _shoulder(radiance: torch.Tensor) -> torch.Tensor:
-    """Compress what lies above the knee, with the slope kept there, towards 1."""
+    """Compress values above the knee towards 1, with a continuous slope."""
     peak = radiance.amax(-1, keepdim=True)
     over = (peak - _KNEE).clamp_min(0) / (1 - _KNEE)
     compressed = _KNEE + (1 - _KNEE) * over / (1 + over)

@@ -1,4 +1,4 @@
-"""What accuracy costs, as a table, a line of advice and a figure."""
+"""Table, recommendation and figure of the cost and accuracy of settings."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from ..rendering._plan import STOCK
-from ._figures import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure, small_print
-from ._words import pack
+from ._figures import SMALL, TEXT, TITLE, WIDTH, add_footnotes, figure_of, new_figure
+from ._text import pack
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from ..tradeoff import Measured, Setting, Tradeoff
 
-# What is varied, with a marker and a colour of its own (Okabe and Ito's) in the figure; and where its value is
-# written, in points to the right and up, so that those of settings side by side keep apart.
-_FAMILIES = {
+# Label, marker and colour (Okabe and Ito's) of each varied option in the figure, and the offset of its annotations
+# in points, chosen so that those of neighbouring settings do not overlap.
+_STYLES = {
     "spp": ("spp", "o", "#0072B2", (0, 6)),
     "primal_spp": ("spp of the primal", "^", "#56B4E9", (-6, 4)),
     "gradient_spp": ("spp of the gradient", "v", "#009E73", (6, -9)),
@@ -26,12 +26,12 @@ _FAMILIES = {
     "replicates": ("replicates", "P", "#E69F00", (0, -13)),
     "integrator": ("integrator", "X", "#000000", (-6, 5)),
 }
-_HEAD = ("", "seconds", "error", "bias", "Spearman", "Kendall", "top 5")
+_HEADER = ("", "seconds", "error", "bias", "Spearman", "Kendall", "top 5")
 _NOTE_WIDTH = 96
 
 
 def tradeoff_text(trade: Tradeoff, tolerance: float) -> str:
-    """Write ``trade`` for a terminal, with the reference and the advice for ``tolerance`` below it."""
+    """Format ``trade`` for a terminal, with the reference and the recommendation for ``tolerance``."""
     front = trade.front
     cells = [
         (
@@ -39,18 +39,18 @@ def tradeoff_text(trade: Tradeoff, tolerance: float) -> str:
             f"{row.seconds:.3g}",
             _percent(*row.relative_error),
             _bias(row),
-            _share(row.spearman.value),
-            _share(row.kendall.value),
+            _correlation(row.spearman.value),
+            _correlation(row.kendall.value),
             f"{100 * row.top.value:.0f} %",
         )
         for row in trade.rows
     ]
-    widths = [max(map(len, column)) for column in zip(_HEAD, *cells, strict=True)]
+    widths = [max(map(len, column)) for column in zip(_HEADER, *cells, strict=True)]
     lines = [
         "  ".join(
             [f"{line[0]:{widths[0]}}", *(f"{c:>{w}}" for c, w in zip(line[1:], widths[1:], strict=True))]
         )
-        for line in (_HEAD, *cells)
+        for line in (_HEADER, *cells)
     ]
     marks = ["", *("  *" if row in front else "" for row in trade.rows)]
     return "\n".join(
@@ -59,7 +59,7 @@ def tradeoff_text(trade: Tradeoff, tolerance: float) -> str:
             "",
             *(line + mark for line, mark in zip(lines, marks, strict=True)),
             "",
-            "* no other is both faster and nearer;  bias: ≤ where it is not told from 0",
+            "* on the Pareto front of time and error;  bias: ≤ upper limit where not significant",
             reference_words(trade),
             trade.recommendation(tolerance),
         ]
@@ -67,31 +67,32 @@ def tradeoff_text(trade: Tradeoff, tolerance: float) -> str:
 
 
 def reference_words(trade: Tradeoff) -> str:
-    """Say what the settings are compared with, and how good that is itself."""
+    """Describe the reference and its accuracy."""
     reference = trade.reference
     return (
-        f"reference: {setting_words(reference.setting)}, itself known to {_percent_of(reference.relative_error)}; "
-        f"its halves rank with Kendall's τ {_share(reference.kendall_of_halves)}"
+        f"reference: {setting_words(reference.setting)}, relative error {_percent_of(reference.relative_error)}; "
+        f"rankings of its halves have Kendall's τ {_correlation(reference.kendall_of_halves)}"
     )
 
 
 def recommendation_text(trade: Tradeoff, tolerance: float) -> str:
-    """Return one line from ``trade``: what to use for a relative error of ``tolerance``, or what is in the way."""
+    """Return the recommended setting in ``trade`` for a relative error of ``tolerance``, or why there is none."""
     best = trade.cheapest(tolerance)
     if best is not None:
         return (
             f"For an error of {_percent_of(tolerance)}: {setting_words(best.setting)} ({best.seconds:.2g} s), "
-            f"{_percent(*best.relative_error)} off, {100 * best.top.value:.0f} % of the first five right."
+            f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct."
         )
-    nearest = min(trade.rows, key=lambda row: row.relative_error.value)
-    error, bias = nearest.relative_error.value, nearest.bias.value if nearest.bias.told else 0.0
-    found = f"No setting is within {_percent_of(tolerance)}: the nearest, {setting_words(nearest.setting)},"
+    closest = min(trade.rows, key=lambda row: row.relative_error.value)
+    error, bias = closest.relative_error.value, closest.bias.value if closest.bias.significant else 0.0
+    start = f"No setting is within {_percent_of(tolerance)}: the best, {setting_words(closest.setting)},"
     if bias >= tolerance:
-        return f"{found} has a bias of {_percent_of(bias)}, which more samples do not lower."
-    # What is not bias falls as one over the root of the samples.
-    more = ((error + nearest.relative_error.error) ** 2 - bias**2) / (tolerance**2 - bias**2)
-    spp = math.ceil(more * max(nearest.setting.primal_spp, nearest.setting.gradient_spp))
-    return f"{found} is {_percent(*nearest.relative_error)} off; about {_round(spp)} spp should do."
+        return f"{start} has a bias of {_percent_of(bias)}, which more samples do not reduce."
+    # The error without bias is proportional to 1/√spp.
+    factor = ((error + closest.relative_error.error) ** 2 - bias**2) / (tolerance**2 - bias**2)
+    spp = math.ceil(factor * max(closest.setting.primal_spp, closest.setting.gradient_spp))
+    start += f" has an error of {_percent(*closest.relative_error)}"
+    return f"{start}; about {_round_up(spp)} spp should suffice."
 
 
 def setting_words(setting: Setting) -> str:
@@ -110,14 +111,14 @@ def setting_words(setting: Setting) -> str:
 
 
 def plot_tradeoff(trade: Tradeoff, ax: Axes | None = None) -> Figure:
-    """Draw relative error against seconds, a marker for each setting and a family of markers for what it varies.
+    """Plot the relative error over the time, with one marker per setting and one style per varied option.
 
-    A line joins the settings that no other beats in both; up to the dashed line the reference cannot judge.
+    The grey line is the Pareto front; the dashed line is the error of the reference itself.
 
     Parameters
     ----------
     trade
-        What to draw.
+        The result to plot.
     ax
         Axes to draw into; by default those of a new figure.
     """
@@ -136,41 +137,41 @@ def plot_tradeoff(trade: Tradeoff, ax: Axes | None = None) -> Figure:
     )
     own = trade.rows[0]
     _draw(ax, [own], "*", "0.35", f"own: {setting_words(own.setting)}", size=11)
-    for key, (label, marker, colour, away) in _FAMILIES.items():
+    for key, (label, marker, color, offset) in _STYLES.items():
         rows = [row for row in trade.rows if row.varied == key]
         if rows:
-            _draw(ax, rows, marker, colour, label)
+            _draw(ax, rows, marker, color, label)
             for row in rows:
-                _write_value(ax, row, colour, away)
+                _annotate(ax, row, color, offset)
     if trade.reference.relative_error > 0:
         ax.axhline(trade.reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
     _finish(ax, trade)
     return figure_of(ax)
 
 
-def _draw(ax: Axes, rows: list[Measured], marker: str, colour: str, label: str, *, size: float = 5.5) -> None:
+def _draw(ax: Axes, rows: list[Measured], marker: str, color: str, label: str, *, size: float = 5.5) -> None:
     ax.errorbar(
         [row.seconds for row in rows],
         [row.relative_error.value for row in rows],
         yerr=[min(row.relative_error.error, 0.9 * row.relative_error.value) for row in rows],
         fmt=marker,
         markersize=size,
-        color=colour,
+        color=color,
         elinewidth=1,
         label=label,
         zorder=3,
     )
 
 
-def _write_value(ax: Axes, row: Measured, colour: str, away: tuple[float, float]) -> None:
+def _annotate(ax: Axes, row: Measured, color: str, offset: tuple[float, float]) -> None:
     ax.annotate(
         _value(row),
         (row.seconds, row.relative_error.value),
-        xytext=away,
+        xytext=offset,
         textcoords="offset points",
-        ha="right" if away[0] < 0 else "left" if away[0] > 0 else "center",
+        ha="right" if offset[0] < 0 else "left" if offset[0] > 0 else "center",
         fontsize=SMALL - 0.5,
-        color=colour,
+        color=color,
         parse_math=False,
         zorder=4,
     )
@@ -180,9 +181,9 @@ def _finish(ax: Axes, trade: Tradeoff) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.margins(x=0.12, y=0.1)
-    for axis, write in ((ax.xaxis, lambda x, _: f"{x:g}"), (ax.yaxis, lambda y, _: f"{100 * y:g} %")):
+    for axis, format_tick in ((ax.xaxis, lambda x, _: f"{x:g}"), (ax.yaxis, lambda y, _: f"{100 * y:g} %")):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(write))
+        axis.set_major_formatter(FuncFormatter(format_tick))
         axis.set_minor_formatter(NullFormatter())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(labelsize=SMALL)
@@ -201,18 +202,18 @@ def _finish(ax: Axes, trade: Tradeoff) -> None:
     )
     lines = -(-len(ax.get_legend_handles_labels()[0]) // columns)
     ax.set_title(
-        f"What accuracy costs: {trade.metric}",
+        f"Cost and accuracy: {trade.metric}",
         loc="left",
         fontsize=TITLE,
         pad=10 + 12 * lines,
         parse_math=False,
     )
     remarks = [
-        "grey line: no setting is both faster and nearer",
-        f"dashed: how well the reference ({setting_words(trade.reference.setting)}) is known itself",
-        f"bars: one standard error, of {trade.runs} runs",
+        "grey line: Pareto front",
+        f"dashed: error of the reference ({setting_words(trade.reference.setting)})",
+        f"error bars: one standard error, from {trade.runs} runs",
     ]
-    small_print(ax, pack(remarks, _NOTE_WIDTH), below=34)
+    add_footnotes(ax, pack(remarks, _NOTE_WIDTH), below=34)
 
 
 def _name(row: Measured, own: Setting) -> str:
@@ -237,13 +238,13 @@ def _depth(setting: Setting) -> str:
 
 
 def _bias(row: Measured) -> str:
-    if not row.bias.told:
-        return f"≤ {_percent_of(row.bias.limit)}"
+    if not row.bias.significant:
+        return f"≤ {_percent_of(row.bias.upper_limit)}"
     return _percent(row.bias.value, row.bias.error)
 
 
 def _percent(value: float, error: float) -> str:
-    """``'4.1 ± 0.3 %'``: the error to one digit."""
+    """``'4.1 ± 0.3 %'``, with one digit of the error."""
     value, error = 100 * value, 100 * error
     if error == 0 or not math.isfinite(error):
         return f"{value:.3g} %"
@@ -255,11 +256,11 @@ def _percent_of(value: float) -> str:
     return f"{100 * value:.2g} %" if value < 0.995 else f"{100 * value:.0f} %"
 
 
-def _share(value: float) -> str:
+def _correlation(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.3f}"
 
 
-def _round(number: int) -> str:
-    """Write two digits of a number."""
+def _round_up(number: int) -> str:
+    """Round up to two significant digits."""
     unit: int = 10 ** max(len(str(number)) - 2, 0)
     return str(-(-number // unit) * unit)

@@ -1,3 +1,3 @@
-"""The report: results as one HTML file to explore in a browser, with no network and nothing to install."""
+"""The report: results as one self-contained HTML file to explore in a browser."""
 
 from ._write import write_report as write_report

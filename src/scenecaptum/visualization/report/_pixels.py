@@ -1,4 +1,4 @@
-"""Pictures and the objects that their pixels show, as short strings."""
+"""Compact string encodings of images and of the objects that their pixels show."""
 
 from __future__ import annotations
 
@@ -11,71 +11,76 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ...scene import SurfaceMap
+from ...projection import SurfaceMap
 from .._maps import diverging
 from .._tonemap import display_image
 
-LAYERS = 3  # objects kept for each pixel; where more meet, the largest three share what they cover
-_FULL = 255
-_QUALITY = 95
+LAYERS = 3  # objects per pixel; the largest three are scaled to the total coverage
+_FULL_COVERAGE = 255
+_JPEG_QUALITY = 95
 
 
 def encode_picture(image: torch.Tensor) -> str:
-    """Return a render as a data URL: a JPEG, for a PNG of a noisy render is four times as large."""
+    """Return a render as a JPEG data URL; a PNG of a noisy render is four times as large."""
     from PIL import Image
 
     pixels = (display_image(image) * 255).round().to(torch.uint8).numpy(force=True)
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="JPEG", quality=_QUALITY, subsampling=0)
+    Image.fromarray(pixels).save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
     return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 def encode_surfaces(surfaces: SurfaceMap) -> tuple[dict[str, str], NDArray[np.int64]]:
-    """Return which objects each pixel shows, and the indices of those that any pixel shows.
+    """Return the objects that each pixel shows, and the indices of all visible objects.
 
     Returns
     -------
     dict
-        ``objects``: ``LAYERS`` planes of little-endian 16-bit indices into the second element, the largest first;
-        ``weights``: as many planes of bytes, the fraction that each covers. Both deflated, in base64.
+        ``objects``: ``LAYERS`` planes of little-endian 16-bit indices into the visible objects, the largest first;
+        ``weights``: as many planes of bytes, the fraction that each covers. Both are deflated and in base64.
+    ndarray
+        Indices of the visible objects in ``surfaces.objects``.
     """
     shown, local = np.unique(surfaces.object_index.astype(np.int64), return_inverse=True)
     pixel, fraction = surfaces.pixel.astype(np.int64), surfaces.fraction.astype(np.float64)
     count = surfaces.shape[0] * surfaces.shape[1]
     order = np.lexsort((local, -fraction, pixel))
     pixel, local, fraction = pixel[order], local[order], fraction[order]
-    place = np.arange(len(pixel)) - np.searchsorted(pixel, pixel)  # 0 for the largest of its pixel
-    kept = place < LAYERS
+    layer = np.arange(len(pixel)) - np.searchsorted(pixel, pixel)  # 0 for the largest object of a pixel
+    kept = layer < LAYERS
     covered = np.bincount(pixel, fraction, count)
-    stretch = covered / np.maximum(np.bincount(pixel[kept], fraction[kept], count), 1e-9)
+    scale = covered / np.maximum(np.bincount(pixel[kept], fraction[kept], count), 1e-9)
 
     objects = np.zeros((LAYERS, count), dtype="<u2")
-    objects[place[kept], pixel[kept]] = local[kept]
+    objects[layer[kept], pixel[kept]] = local[kept]
     exact = np.zeros((LAYERS, count))
-    exact[place[kept], pixel[kept]] = fraction[kept] * stretch[pixel[kept]] * _FULL
+    exact[layer[kept], pixel[kept]] = fraction[kept] * scale[pixel[kept]] * _FULL_COVERAGE
     weights = exact.round()
-    # The largest takes up the rounding, so that a covered pixel is covered in whole.
-    weights[0] = np.clip((covered * _FULL).round(), 0, _FULL) - weights[1:].sum(0)
-    planes = {"objects": objects.tobytes(), "weights": weights.clip(0, _FULL).astype(np.uint8).tobytes()}
-    return {name: _deflated(plane) for name, plane in planes.items()}, shown
+    # The largest absorbs the rounding, so that the weights of a pixel sum to its coverage.
+    weights[0] = np.clip((covered * _FULL_COVERAGE).round(), 0, _FULL_COVERAGE) - weights[1:].sum(0)
+    planes = {
+        "objects": objects.tobytes(),
+        "weights": weights.clip(0, _FULL_COVERAGE).astype(np.uint8).tobytes(),
+    }
+    return {name: _deflate(plane) for name, plane in planes.items()}, shown
 
 
 def encode_map(painted: torch.Tensor, *, signed: bool) -> str:
-    """Return a map from 0 or −1 to 1 as bytes, of which signed ones have 0 at 128; deflated, in base64.
+    """Return a map with values from 0 (signed: −1) to 1 as bytes (signed: 0 at 128), deflated and in base64.
 
-    They hold fourth roots, so that what is small keeps its digits for a logarithmic scale.
+    The bytes store fourth roots, to keep the precision of small values for a logarithmic scale.
     """
     roots = painted.sign() * painted.abs().pow(0.25)
-    places = 128 + 127 * roots if signed else 255 * roots
-    return _deflated(places.round().to(torch.uint8).numpy(force=True).tobytes())
+    levels = 128 + 127 * roots if signed else 255 * roots
+    return _deflate(levels.round().to(torch.uint8).numpy(force=True).tobytes())
 
 
-def colour_maps() -> dict[str, str]:
+def color_maps() -> dict[str, str]:
     """Return the figures' sequential and diverging colour maps, 256 RGB triples of bytes in base64."""
     from matplotlib import colormaps
 
-    def table(colours: Any) -> str:
-        triples = np.ascontiguousarray(colours(np.linspace(0, 1, 256), bytes=True)[:, :3])
+    def table(colormap: Any) -> str:
+        triples = np.ascontiguousarray(colormap(np.linspace(0, 1, 256), bytes=True)[:, :3])
         return base64.b64encode(triples.tobytes()).decode()
 
     return {
@@ -84,5 +89,5 @@ def colour_maps() -> dict[str, str]:
     }
 
 
-def _deflated(data: bytes) -> str:
+def _deflate(data: bytes) -> str:
     return base64.b64encode(zlib.compress(data, 9)).decode()

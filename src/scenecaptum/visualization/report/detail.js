@@ -88,7 +88,7 @@ function hintOf(result) {
   return [make("p", { class: "muted" }, hint), hidden].filter(Boolean);
 }
 
-const FACTS = ["scene", "method", "metric", "quantity", "seed", "spp", "passes", "resolution", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
+const FACTS = ["scene", "method", "metric", "quantity", "seed", "spp", "replicates", "resolution", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
 
 function drawFacts(result) {
   const words = { spp: "samples per pixel", max_depth: "longest path", seconds: "time" };

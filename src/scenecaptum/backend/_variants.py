@@ -1,14 +1,4 @@
-"""Make Mitsuba ready: select a differentiable variant on a compiler that works, or explain what is missing.
-
-Dr.Jit compiles rendering kernels with LLVM (CPU) or CUDA (GPU), and takes its choice of LLVM when it is first
-imported; so whatever needs Mitsuba calls `activate`, which chooses before it imports.
-
-Example
--------
->>> import scenecaptum as sc
->>> mi = sc.activate()
->>> scene = mi.load_dict(mi.cornell_box())
-"""
+"""Select a variant, import Mitsuba, and hold the lock of the process while Dr.Jit works."""
 
 from __future__ import annotations
 
@@ -20,25 +10,23 @@ from collections.abc import Iterator
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from ._diagnosis import Diagnosis, default_variant, diagnose, no_llvm_message
+from ..errors import BackendError, near_misses
+from ._diagnosis import default_variant, no_llvm_message
 from ._llvm import OLDEST_LLVM, PATH_VARIABLE, choose_llvm, prepare_llvm
-from .errors import BackendError, near_misses
 
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["Diagnosis", "activate", "default_variant", "device", "diagnose", "dispose", "exclusively", "main"]
-
 # Dr.Jit's state belongs to the whole process, and torch may run a backward pass on another thread.
 _LOCK = threading.RLock()
-_depth = 0  # of nested calls of ``exclusively``, by the thread that holds the lock
+_depth = 0  # of nested ``exclusively`` calls, in the thread that holds the lock
 _disposed: list[Any] = []
 
 _is_forked = False
 
 
 def _note_fork() -> None:
-    global _is_forked  # noqa: PLW0603 -- it is a fact about the process
+    global _is_forked  # noqa: PLW0603 -- a property of the process
     _is_forked = _is_forked or _active_variant() is not None
 
 
@@ -47,18 +35,18 @@ if hasattr(os, "register_at_fork"):
 
 
 def activate(variant: str | None = None) -> ModuleType:
-    """Make Mitsuba ready for differentiable rendering and return the ``mitsuba`` module.
+    """Prepare Mitsuba for differentiable rendering and return the ``mitsuba`` module.
 
-    Call it before importing ``mitsuba`` or ``drjit`` yourself; calling it again costs nothing. If it is
-    the first to import Mitsuba, it quietens the log to errors; ``mi.set_log_level`` turns it up again.
+    Call it before importing ``mitsuba`` or ``drjit`` yourself; repeated calls cost nothing. If it is the first to
+    import Mitsuba, it sets the log level to errors only; ``mi.set_log_level`` changes it.
 
     Parameters
     ----------
     variant
         A differentiable Mitsuba variant: ``"llvm_ad_rgb"`` or ``"cuda_ad_rgb"`` for a ``SceneRenderer``, which
-        renders in RGB. If omitted, a differentiable variant that is already active stays; otherwise it is
-        ``cuda_ad_rgb`` where a trial render on a CUDA device succeeds, else ``llvm_ad_rgb``. Scenes belong to the
-        variant they were loaded under, so load them again after a change.
+        renders in RGB. By default an active differentiable variant is kept; otherwise it is ``cuda_ad_rgb`` if a
+        test render on a CUDA device succeeds, else ``llvm_ad_rgb``. Scenes belong to the variant under which they
+        were loaded, so load them again after a change.
 
     Returns
     -------
@@ -68,8 +56,8 @@ def activate(variant: str | None = None) -> ModuleType:
     Raises
     ------
     BackendError
-        If no usable LLVM or CUDA exists, the variant is unknown or cannot be differentiated, or this process was
-        forked from one that had a variant: its threads are gone, and a render would wait for them for ever.
+        If no usable LLVM or CUDA exists, the variant is unknown or not differentiable, or this process was forked
+        from one with an active variant: it lacks Dr.Jit's threads, and a render would wait for them forever.
 
     Example
     -------
@@ -84,7 +72,7 @@ def activate(variant: str | None = None) -> ModuleType:
     first = "mitsuba" not in sys.modules
     mi = _import_mitsuba()
     if first:
-        mi.set_log_level(mi.LogLevel.Error)  # its warnings would break progress bars and reports apart
+        mi.set_log_level(mi.LogLevel.Error)  # its warnings would disrupt progress bars and reports
     _check_variant(wanted, mi.variants(), asked=variant is not None)
     _check_compiler(wanted)
     if mi.variant() != wanted:
@@ -94,18 +82,18 @@ def activate(variant: str | None = None) -> ModuleType:
 
 @contextlib.contextmanager
 def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
-    """Have Mitsuba to this thread alone, under a differentiable variant, and give back the caller's afterwards.
+    """Lock Mitsuba for this thread, under a differentiable variant, and restore the caller's variant afterwards.
 
     Parameters
     ----------
     variant
-        The variant; by default the active one if it renders RGB with derivatives, else ``default_variant()``.
+        The variant; by default the active one if it is a differentiable RGB variant, else ``default_variant()``.
     """
     global _depth  # noqa: PLW0603 -- like the lock that guards it
-    _refuse_after_fork()  # before the lock: a thread that the fork has left behind may hold it
+    _refuse_after_fork()  # before the lock, which a thread of the parent process may have held
     with _LOCK:
-        callers = _active_variant()
-        if variant is None and callers is not None and not callers.endswith("_ad_rgb"):
+        previous = _active_variant()
+        if variant is None and previous is not None and not previous.endswith("_ad_rgb"):
             variant = default_variant()
         mi = activate(variant)
         _depth += 1
@@ -113,15 +101,15 @@ def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
             yield mi
         finally:
             _depth -= 1
-            if callers is not None and mi.variant() != callers:
-                mi.set_variant(callers)
+            if previous is not None and mi.variant() != previous:
+                mi.set_variant(previous)
             if not _depth:
                 _disposed.clear()
 
 
-def dispose(what: Any) -> None:
-    """Let go of what holds a scene once no kernel is being recorded: going then, it would end the process."""
-    _disposed.append(what)
+def dispose(owner: Any) -> None:
+    """Drop the owner of a scene when no kernel is being recorded: freeing a scene then aborts the process."""
+    _disposed.append(owner)
     if not _is_forked and _LOCK.acquire(blocking=False):
         try:
             if not _depth:
@@ -131,7 +119,7 @@ def dispose(what: Any) -> None:
 
 
 def device() -> torch.device:
-    """Return the torch device on which the active variant's images and gradients live."""
+    """Return the torch device of the active variant's images and gradients."""
     import torch  # this module must stay importable without torch
 
     variant: str = activate().variant()
@@ -141,8 +129,8 @@ def device() -> torch.device:
 def _refuse_after_fork() -> None:
     if _is_forked:
         raise BackendError(
-            "This process was forked from one in which Mitsuba was ready to render, and its threads did not come "
-            "along: a render would hang. Start workers with the method 'spawn' (for a DataLoader "
+            "This process was forked from one with an active Mitsuba variant, and a fork does not copy its "
+            "threads: a render would hang. Start workers with the method 'spawn' (for a DataLoader "
             "multiprocessing_context='spawn'), and load the scene in the worker."
         )
 
@@ -155,7 +143,7 @@ def _active_variant() -> str | None:
 
 def _import_mitsuba() -> ModuleType:
     try:
-        import mitsuba  # its import fixes the choice of LLVM, so it comes last
+        import mitsuba  # last, because its import loads LLVM
     except ImportError as error:
         raise BackendError(
             f"Mitsuba cannot be imported: {error}. Fix: pip install 'mitsuba>=3.9,<3.10'"
@@ -165,7 +153,7 @@ def _import_mitsuba() -> ModuleType:
 
 
 def _check_variant(wanted: str, known: list[str], *, asked: bool) -> None:
-    """Raise unless the variant exists and has derivatives."""
+    """Raise unless the variant exists and is differentiable."""
     differentiable = [name for name in known if "_ad_" in name]
     if wanted not in known:
         hint = near_misses(wanted, differentiable)
@@ -175,14 +163,14 @@ def _check_variant(wanted: str, known: list[str], *, asked: bool) -> None:
     if wanted not in differentiable:
         cause = "" if asked else f" It was set by mi.set_variant({wanted!r}): remove that line."
         raise BackendError(
-            f"Mitsuba's variant {wanted!r} cannot be differentiated; one with '_ad_' in its name is needed."
+            f"Mitsuba's variant {wanted!r} cannot be differentiated; use one with '_ad_' in its name."
             f"{cause} Fix: call scenecaptum.activate({default_variant()!r})."
         )
 
 
 def _check_compiler(variant: str) -> None:
-    """Raise where Dr.Jit, as it was imported, would abort or fail on this variant."""
-    import drjit as dr  # importing it loads LLVM
+    """Raise if the imported Dr.Jit would abort or fail on this variant."""
+    import drjit as dr  # which loads LLVM
 
     if variant.startswith("cuda"):
         if not dr.has_backend(dr.JitBackend.CUDA):
@@ -196,20 +184,9 @@ def _check_compiler(variant: str) -> None:
     library = choose_llvm()
     if library is None:
         raise BackendError(no_llvm_message())
-    loaded = f"LLVM {version}, which it cannot compile with" if version else "no LLVM that it could load"
+    loaded = f"LLVM {version}, which it cannot use" if version else "no LLVM library that it could load"
     raise BackendError(
-        f"Dr.Jit was imported with {loaded}, and this cannot be changed any more. Fix: call "
+        f"Dr.Jit was imported with {loaded}, and this cannot be changed afterwards. Fix: call "
         f"scenecaptum.activate() before importing mitsuba or drjit, or start Python with "
         f"{PATH_VARIABLE}={library.path}"
     )
-
-
-def main() -> int:
-    """Print the diagnosis and return the exit status: 0 when scenes can be rendered, else 1."""
-    diagnosis = diagnose()
-    print(diagnosis)
-    return 0 if diagnosis.ok else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Say what this machine has for rendering, what is missing, and the command that provides it."""
+"""Report what this machine has for rendering, what is missing, and the command that installs it."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from ._llvm import (
     trial_failure,
 )
 
-# --------------------------------------------------------------------------------------- what is there
+# --------------------------------------------------------------------------------------- variants
 
 
 def default_variant() -> str:
-    """Return ``cuda_ad_rgb`` where that really renders (tried once per process), else ``llvm_ad_rgb``."""
+    """Return ``cuda_ad_rgb`` if a test render with it succeeds (once per process), else ``llvm_ad_rgb``."""
     return "cuda_ad_rgb" if _cuda_problem() is None else "llvm_ad_rgb"
 
 
 def _cuda_problem() -> str | None:
-    """Return why CUDA cannot be used, or None; without an NVIDIA driver this is a look at two files."""
+    """Return why CUDA cannot be used, or None. Without an NVIDIA driver this only checks for two files."""
     if not any(map(os.path.exists, ("/dev/nvidiactl", "/dev/dxg"))):  # Linux, and Linux under Windows
         return "no NVIDIA driver"
     return trial_failure("cuda_ad_rgb")
 
 
-# --------------------------------------------------------------------------------------- what is missing
+# --------------------------------------------------------------------------------------- LLVM
 
 
 def no_llvm_message() -> str:
-    """Return what was found instead of a usable LLVM, and the fix."""
-    found = "\n".join(f"  {_llvm_name(one)}, {one.path}: {_verdict(one)}" for one in llvm_libraries())
+    """Return a message with the LLVM libraries found, none of them usable, and the fix."""
+    found = "\n".join(f"  {_llvm_name(lib)}, {lib.path}: {_verdict(lib)}" for lib in llvm_libraries())
     return (
         f"Rendering on the CPU needs an LLVM library, version {OLDEST_LLVM} or newer "
-        f"(best {MEASURED_LLVM[0]} to {MEASURED_LLVM[-1]}). "
+        f"(recommended: {MEASURED_LLVM[0]} to {MEASURED_LLVM[-1]}). "
         + (f"Found only:\n{found}" if found else "Found none.")
         + f"\nFix: {_fix()}"
     )
@@ -55,17 +55,17 @@ def _llvm_name(library: LLVMLibrary) -> str:
 
 
 def _verdict(library: LLVMLibrary) -> str:
-    """Return what is known about a library, running nothing that has not been run already."""
+    """Return whether a library is usable; an unmeasured version is tried, once per process."""
     if library.problem is not None:
         return library.problem
     if library.measured:
         return "usable"
     failure = trial_failure("llvm_ad_rgb", library)
-    return "usable, as a trial showed" if failure is None else f"fails: {failure}"
+    return "usable (test render succeeded)" if failure is None else f"fails: {failure}"
 
 
 def _fix() -> str:
-    """Return the one command that provides LLVM on this platform, or failing that the way to one."""
+    """Return the command that installs LLVM on this platform, or else instructions."""
     if os.environ.get("CONDA_PREFIX"):
         return "conda install -c conda-forge libllvm19"
     if sys.platform == "darwin":
@@ -84,7 +84,7 @@ def _fix() -> str:
 def _apt_fix(sudo: str) -> str:
     if package := _apt_package():
         return f"{sudo}apt-get install {package}"
-    # Lists never fetched, as in containers, look like those of a system too old or too new to have the package.
+    # Package lists that were never fetched (containers) look like those of a system without the package.
     return (
         f"{sudo}apt-get update && {sudo}apt-get install libllvm19. If apt knows no such package: "
         f"conda install -c conda-forge libllvm19, and set {PATH_VARIABLE} to its shared library"
@@ -92,7 +92,7 @@ def _apt_fix(sudo: str) -> str:
 
 
 def _apt_package() -> str | None:
-    """Return the best LLVM package in apt's lists, one of a measured version if possible; None without any."""
+    """Return the best LLVM package in apt's lists, preferably of a measured version; None if there is none."""
     unmeasured = range(MEASURED_LLVM[0] - 1, OLDEST_LLVM - 1, -1)
     names = [f"libllvm{version}" for version in (*MEASURED_LLVM, *unmeasured)]
     try:
@@ -110,7 +110,7 @@ def _is_root() -> bool:
 
 
 def _os_release() -> set[str]:
-    """Return the names this Linux distribution goes by, its ancestors' included."""
+    """Return the ids of this Linux distribution and of those it derives from."""
     try:
         release = platform.freedesktop_os_release()
     except OSError:
@@ -118,12 +118,12 @@ def _os_release() -> set[str]:
     return {release.get("ID", ""), *release.get("ID_LIKE", "").split()}
 
 
-# --------------------------------------------------------------------------------------- the whole picture
+# --------------------------------------------------------------------------------------- diagnosis
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What this machine has for rendering, as a table that prints itself, the verdict, and the fix if any."""
+    """What this machine has for rendering; prints as a table with a verdict, and the fix if there is one."""
 
     rows: tuple[tuple[str, str], ...]
     ok: bool
@@ -141,7 +141,7 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Look at everything rendering needs and try it in another process, so that nothing can break this one.
+    """Check everything that rendering needs, with a test render in another process to protect this one.
 
     Example
     -------
@@ -154,7 +154,7 @@ def diagnose() -> Diagnosis:
     LLVM 15   too old, Dr.Jit aborts on it (needs 17+): /usr/lib/x86_64-linux-gnu/libLLVM-15.so.1
     CUDA      not used: no NVIDIA driver
     Variant   llvm_ad_rgb
-    Renderer  a test image came out right
+    Renderer  test render succeeded
     Cores     4
     """
     libraries = llvm_libraries()
@@ -168,7 +168,7 @@ def diagnose() -> Diagnosis:
         *_llvm_rows(libraries, chosen),
         ("CUDA", "usable" if cuda is None else f"not used: {cuda}"),
         ("Variant", variant),
-        ("Renderer", failure or "a test image came out right"),
+        ("Renderer", failure or "test render succeeded"),
         ("Cores", str(_cores())),
     )
     return Diagnosis(rows, ok=failure is None, fix=fix)
@@ -177,7 +177,7 @@ def diagnose() -> Diagnosis:
 def _render_failure(chosen: LLVMLibrary | None, cuda: str | None, *, tried: bool) -> str | None:
     if not tried:
         return "not tried"
-    # CUDA was tried already, to know its problem.
+    # CUDA was already tried, in ``_cuda_problem``.
     return None if cuda is None else trial_failure("llvm_ad_rgb", chosen)
 
 
@@ -192,7 +192,7 @@ def _installed(package: str) -> str | None:
 
 
 def _first_fix(packages: dict[str, str | None], *, usable: bool) -> str | None:
-    """Return the command to run first, or None when everything needed is there."""
+    """Return the first command to run, or None if nothing is missing."""
     missing = [_PACKAGES[name] for name, version in packages.items() if version is None]
     if missing:
         return f"{Path(sys.executable).name} -m pip install {' '.join(missing)}"
@@ -200,19 +200,19 @@ def _first_fix(packages: dict[str, str | None], *, usable: bool) -> str | None:
 
 
 def _llvm_rows(libraries: list[LLVMLibrary], chosen: LLVMLibrary | None) -> list[tuple[str, str]]:
-    """Return one row per library, the chosen one first; unmeasured ones are not tried needlessly."""
+    """Return one row per library, the chosen one first; others of unmeasured versions are not tried."""
     if not libraries:
         return [("LLVM", "none found")]
     rows = []
-    for library in sorted(libraries, key=lambda one: (one == chosen, one.version or 0), reverse=True):
-        needless = (
+    for library in sorted(libraries, key=lambda lib: (lib == chosen, lib.version or 0), reverse=True):
+        skip_trial = (
             library.problem is None and not library.measured and chosen is not None and library != chosen
         )
-        verdict = "untried" if needless else _verdict(library)
+        verdict = "not tried" if skip_trial else _verdict(library)
         rows.append((_llvm_name(library), f"{verdict}{', chosen' * (library == chosen)}: {library.path}"))
     return rows
 
 
 def _cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

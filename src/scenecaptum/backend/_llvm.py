@@ -1,8 +1,8 @@
-"""Find the LLVM libraries of this machine, judge them, and point Dr.Jit at the one to use.
+"""Find and check the LLVM libraries of this machine, and select one for Dr.Jit.
 
-Dr.Jit 1.5 aborts the whole process on LLVM 16 and older, which many systems still have as their default, and
-it takes its choice when it is first imported. So libraries are judged by the bytes of their files, never by
-loading them, and doubtful ones are tried in another process.
+Dr.Jit 1.5 aborts the process with LLVM 16 and older, still the default of many systems, and it loads LLVM when
+it is first imported. Libraries are therefore checked by the bytes of their files, without loading them, and
+untested versions are tried in another process.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from .errors import BackendError
+from ..errors import BackendError
 
 OLDEST_LLVM = 17
 """Dr.Jit 1.5 emits ``fminimum``, which LLVM 16 and older cannot compile: they abort the process."""
 
 MEASURED_LLVM = range(19, 23)
-"""Versions believed without a trial: 19 and 22 were measured to work."""
+"""Versions used without a trial: 19 and 22 were measured to work."""
 
 PATH_VARIABLE = "DRJIT_LIBLLVM_PATH"
-"""The environment variable by which Dr.Jit, and a user, chooses a library."""
+"""The environment variable that selects Dr.Jit's LLVM library."""
 
 _LIBRARY_NAME = re.compile(r"libLLVM([-.]\d[\w.]*)?\.(so|dylib)[\d.]*")
 _VERSION_MARKS = (re.compile(rb"libLLVM[-.](?:so\.)?(\d+)"), re.compile(rb"LLVM version (\d+)"))
 
-# A 2×2 render tries ray tracing (Embree, OptiX) as well as compilation; `minimum` is what LLVM 16 trips over.
+# A 2×2 render tests ray tracing (Embree, OptiX) as well as compilation; LLVM 16 fails on `minimum`.
 _TRIAL = """
 import sys
 if sys.argv[1].startswith("cuda"):
@@ -52,12 +52,12 @@ assert abs(brightness[0] - 1) < 1e-3, f"a white sky rendered as {brightness[0]}"
 """
 
 
-# --------------------------------------------------------------------------------------- find and judge
+# --------------------------------------------------------------------------------------- find and check
 
 
 @dataclass(frozen=True)
 class LLVMLibrary:
-    """An LLVM library and what its file says about it; ``problem`` is None for one that may be used."""
+    """An LLVM library, its version and its problem, None for a usable one."""
 
     path: Path
     version: int | None
@@ -70,7 +70,7 @@ class LLVMLibrary:
 
 
 def llvm_libraries() -> list[LLVMLibrary]:
-    """Return every LLVM library found on this machine, judged by its file alone, each real file once."""
+    """Return every LLVM library on this machine, checked by its file alone, each real file once."""
     return [_inspect(path) for path in dict.fromkeys(map(_real, _library_files()))]
 
 
@@ -79,7 +79,7 @@ def _real(path: Path) -> Path:
 
 
 def _library_files() -> Iterator[Path]:
-    """Yield the files that may be LLVM libraries, an explicitly chosen one first."""
+    """Yield the files that may be LLVM libraries, the one in ``DRJIT_LIBLLVM_PATH`` first."""
     if explicit := os.environ.get(PATH_VARIABLE):
         yield Path(explicit)
     for path in _linker_cache():
@@ -92,13 +92,13 @@ def _library_files() -> Iterator[Path]:
 def _libraries_in(folder: Path) -> list[Path]:
     try:
         return sorted(path for path in folder.glob("libLLVM*") if _LIBRARY_NAME.fullmatch(path.name))
-    except OSError:  # a folder we may not read holds nothing that we could use
+    except OSError:  # an unreadable folder has no usable library
         return []
 
 
 def _linker_cache() -> list[Path]:
-    """Return the libraries that the dynamic linker knows (Linux; empty elsewhere)."""
-    ldconfig = shutil.which("ldconfig") or "/sbin/ldconfig"  # a plain user's PATH often lacks /sbin
+    """Return the libraries in the dynamic linker's cache (Linux; empty elsewhere)."""
+    ldconfig = shutil.which("ldconfig") or "/sbin/ldconfig"  # often not in the PATH of ordinary users
     if not os.access(ldconfig, os.X_OK) or not sys.platform.startswith("linux"):
         return []
     listing = subprocess.run([ldconfig, "-p"], capture_output=True, text=True, errors="replace", check=False)
@@ -124,19 +124,19 @@ def _library_folders() -> Iterator[Path]:
 
 
 def _unpacked() -> Path:
-    """Return the folder where ``scripts/provide-llvm`` unpacks packages that it may not install."""
+    """Return the folder into which ``scripts/provide-llvm`` unpacks packages that it may not install."""
     return Path(sys.prefix, "lib", "llvm")
 
 
 def _inspect(path: Path) -> LLVMLibrary:
-    """Judge one file by its bytes."""
+    """Check one file by its bytes."""
     try:
-        version, foreign = _read_version(path), _is_foreign(path)
+        version, wrong_architecture = _read_version(path), _has_wrong_architecture(path)
     except OSError as error:
         return LLVMLibrary(path, None, f"unreadable: {error.strerror or error}")
     if version is None:
         return LLVMLibrary(path, None, "not an LLVM library")
-    if foreign:
+    if wrong_architecture:
         return LLVMLibrary(path, version, "built for another processor")
     if version < OLDEST_LLVM:
         return LLVMLibrary(path, version, f"too old, Dr.Jit aborts on it (needs {OLDEST_LLVM}+)")
@@ -145,7 +145,7 @@ def _inspect(path: Path) -> LLVMLibrary:
 
 @cache
 def _read_version(path: Path) -> int | None:
-    """Return the major version that the library's file states, without loading it; None if it states none."""
+    """Return the major version stated in the library's file, without loading it; None if there is none."""
     with path.open("rb") as file:
         if not os.fstat(file.fileno()).st_size:  # an empty file cannot be mapped
             return None
@@ -156,7 +156,7 @@ def _read_version(path: Path) -> int | None:
     return None
 
 
-def _is_foreign(path: Path) -> bool:
+def _has_wrong_architecture(path: Path) -> bool:
     """Whether an ELF library was built for another processor than this Python was."""
     ours = _elf_machine(Path(sys.executable)) if sys.executable else b""  # empty where Python is embedded
     theirs = _elf_machine(path)
@@ -164,20 +164,20 @@ def _is_foreign(path: Path) -> bool:
 
 
 def _elf_machine(path: Path) -> bytes:
-    """Return word size, byte order and processor of an ELF file; empty for anything else."""
+    """Return word size, byte order and machine of an ELF file; empty for any other file."""
     with path.open("rb") as file:
         header = file.read(20)
     return header[4:6] + header[18:20] if header.startswith(b"\x7fELF") else b""
 
 
-# --------------------------------------------------------------------------------------- choose and try
+# --------------------------------------------------------------------------------------- select and try
 
 
 def choose_llvm(libraries: list[LLVMLibrary] | None = None) -> LLVMLibrary | None:
     """Return the library that Dr.Jit should use, or None if there is none.
 
-    A usable ``DRJIT_LIBLLVM_PATH`` wins. Otherwise the newest of the measured versions is taken; only where
-    none of those exists are unmeasured ones tried, newest first, each in a process of its own.
+    A usable ``DRJIT_LIBLLVM_PATH`` has priority. Otherwise it is the newest of the measured versions. Only if
+    there is none, unmeasured versions are tried, newest first, each in its own process.
     """
     libraries = llvm_libraries() if libraries is None else libraries
     explicit = os.environ.get(PATH_VARIABLE)
@@ -186,20 +186,20 @@ def choose_llvm(libraries: list[LLVMLibrary] | None = None) -> LLVMLibrary | Non
     def preference(library: LLVMLibrary) -> tuple[bool, bool, int]:
         return library.path == chosen_by_user, library.measured, library.version or 0
 
-    usable = sorted((one for one in libraries if one.problem is None), key=preference, reverse=True)
-    return next((one for one in usable if one.measured or trial_failure("llvm_ad_rgb", one) is None), None)
+    usable = sorted((lib for lib in libraries if lib.problem is None), key=preference, reverse=True)
+    return next((lib for lib in usable if lib.measured or trial_failure("llvm_ad_rgb", lib) is None), None)
 
 
 @cache
 def trial_failure(variant: str, library: LLVMLibrary | None = None) -> str | None:
-    """Render four pixels in a throw-away process; return what went wrong, or None if they came out right.
+    """Render four pixels in a subprocess; return an error message, or None on success.
 
     Parameters
     ----------
     variant
         The Mitsuba variant to render with.
     library
-        The LLVM library to render with; Dr.Jit's own choice if omitted.
+        The LLVM library to render with; Dr.Jit's default if omitted.
     """
     environment = dict(os.environ)
     if library is not None:
@@ -219,32 +219,32 @@ def trial_failure(variant: str, library: LLVMLibrary | None = None) -> str | Non
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    return None if result.returncode == 0 else _last_words(result)
+    return None if result.returncode == 0 else _error_line(result)
 
 
-def _last_words(result: subprocess.CompletedProcess[str]) -> str:
-    """Return the line of a failed process's output that says why it failed."""
+def _error_line(result: subprocess.CompletedProcess[str]) -> str:
+    """Return the line of a failed process's output with the reason."""
     lines = [line.strip() for line in result.stderr.splitlines() if line.strip()]
     abort = next((line for line in lines if line.startswith("LLVM ERROR")), None)
     return abort or (lines[-1] if lines else f"the process ended with status {result.returncode}")
 
 
 def _siblings(path: Path) -> dict[str, Path]:
-    """Return the libraries unpacked beside one that ``scripts/provide-llvm`` unpacked, by file name."""
+    """Return the libraries that ``scripts/provide-llvm`` unpacked together with ``path``, by file name."""
     folder = _unpacked()
     if not path.is_relative_to(_real(folder)):
         return {}
-    return {one.name: one for one in folder.rglob("*.so*") if one.is_file()}
+    return {file.name: file for file in folder.rglob("*.so*") if file.is_file()}
 
 
 def _load_dependencies(path: Path, siblings: dict[str, Path]) -> None:
-    """Load an unpacked library after those it needs, which the dynamic linker would not find by itself.
+    """Load an unpacked library after its dependencies, which the dynamic linker would not find by itself.
 
-    The linker's complaint names the one that is missing, so exactly the needed ones are loaded, in order.
+    The linker's error names the missing library, so exactly the required ones are loaded, in order.
     """
     while True:
         try:
-            # Not RTLD_GLOBAL: names match loaded libraries anyway, and symbols must not leak.
+            # Not RTLD_GLOBAL: dependencies are matched by name anyway, and symbols must not leak.
             ctypes.CDLL(str(path))
         except OSError as error:
             missing = siblings.pop(str(error).split(":", 1)[0], None)
@@ -258,7 +258,7 @@ def _load_dependencies(path: Path, siblings: dict[str, Path]) -> None:
 
 
 def prepare_llvm() -> LLVMLibrary | None:
-    """Point Dr.Jit, and every process started from this one, at the library to use; None if there is none."""
+    """Select the library for Dr.Jit in this process and its subprocesses; None if there is none."""
     library = choose_llvm()
     if library is not None:
         if siblings := _siblings(library.path):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.autograd import forward_ad
 
-from .._finite import check_gradient, check_image
 from ..errors import SceneCaptumError
+from ..finite import check_gradient, check_image
 
 if TYPE_CHECKING:
     from ._checkpointed import CheckpointedEngine
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RenderCall:
-    """One call of the renderer: everything that its forward and backward passes need beside the values."""
+    """Arguments of one call of the renderer, for its forward and backward passes; all but the values."""
 
     engine: Engine | CheckpointedEngine
     names: tuple[str, ...]
@@ -30,7 +30,7 @@ class RenderCall:
     check: Callable[[dict[str, torch.Tensor]], None]
 
     def values(self, tensors: tuple[torch.Tensor, ...]) -> dict[str, torch.Tensor]:
-        """Name the tensors and cut them off torch's graph, dual numbers included."""
+        """Return the tensors by name, detached from torch's graph and from dual numbers."""
         plain = (forward_ad.unpack_dual(tensor).primal.detach() for tensor in tensors)
         return dict(zip(self.names, plain, strict=True))
 
@@ -43,7 +43,7 @@ class Render(torch.autograd.Function):
         values = call.values(tensors)
         call.check(values)
         image = call.engine.primal(values, call.seed, call.spp)
-        check_image(image, f"The render with seed {call.seed}", call.engine.shows)
+        check_image(image, f"The render with seed {call.seed}", call.engine.describe_pixels)
         return image
 
     @staticmethod
@@ -57,27 +57,27 @@ class Render(torch.autograd.Function):
     def backward(ctx: Any, adjoint: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         if torch._C._functorch.is_legacy_batchedtensor(adjoint):
             raise SceneCaptumError(
-                "is_grads_batched=True and functional.jacobian(vectorize=True) use torch's old batching, which "
-                "cannot call a renderer. Use torch.func.jacrev, or vectorize=False: the cost is the same."
+                "is_grads_batched=True and functional.jacobian(vectorize=True) use torch's legacy batching, which "
+                "cannot call a renderer. Use torch.func.jacrev, or vectorize=False; the cost is the same."
             )
         needed = ctx.needs_input_grad[1:]
         tracked = tuple(name for name, need in zip(ctx.call.names, needed, strict=True) if need)
-        gradients = iter(_adjoint(ctx.call, tracked, adjoint, *ctx.saved_tensors))
+        gradients = iter(_vjp(ctx.call, tracked, adjoint, *ctx.saved_tensors))
         return None, *(next(gradients) if need else None for need in needed)
 
     @staticmethod
     def jvp(ctx: Any, _: None, *tangents: torch.Tensor | None) -> torch.Tensor:
         given = zip(ctx.call.names, tangents, strict=True)
         moving = {name: tangent for name, tangent in given if tangent is not None}
-        return _tangent(ctx.call, tuple(moving), *moving.values(), *ctx.saved_tensors)
+        return _jvp(ctx.call, tuple(moving), *moving.values(), *ctx.saved_tensors)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:
-        return _one_by_one(Render, info, in_dims, inputs), 0
+        return _map_over_batch(Render, info, in_dims, inputs), 0
 
 
 class _Derivative(torch.autograd.Function):
-    """A first derivative of ``Render``, itself a function so that it can be batched; it has none of its own."""
+    """A first derivative of ``Render``: a function, so that it can be batched, without derivatives of its own."""
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
@@ -87,14 +87,14 @@ class _Derivative(torch.autograd.Function):
     def backward(ctx: Any, *_: Any) -> Any:
         raise SceneCaptumError(
             "A render can be differentiated once, not twice: path replay has no second derivatives. For "
-            "Hessian-vector products take differences of gradients with a shared seed; drop create_graph=True "
-            "where only first derivatives are wanted."
+            "Hessian-vector products use differences of gradients with a common seed. Drop create_graph=True if "
+            "only first derivatives are needed."
         )
 
     jvp = backward
 
 
-class Adjoint(_Derivative):
+class RenderVJP(_Derivative):
     """The vector–Jacobian product: a gradient for each name in ``tracked``."""
 
     @staticmethod
@@ -102,13 +102,13 @@ class Adjoint(_Derivative):
         call: RenderCall, tracked: tuple[str, ...], adjoint: torch.Tensor, *tensors: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
         check_image(adjoint, f"The derivative with respect to the render with seed {call.seed}")
-        gradients = call.engine.adjoint(
+        gradients = call.engine.vjp(
             call.values(tensors),
             tracked,
             adjoint,
             call.seed_grad,
             call.spp_grad,
-            choose=call.seed_grad != call.seed,
+            importance_sampling=call.seed_grad != call.seed,
         )
         for name, gradient in zip(tracked, gradients, strict=True):
             check_gradient(name, gradient, f"seed {call.seed_grad}")
@@ -116,33 +116,35 @@ class Adjoint(_Derivative):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[Any, Any]:
-        gradients = _one_by_one(Adjoint, info, in_dims, inputs)
+        gradients = _map_over_batch(RenderVJP, info, in_dims, inputs)
         return gradients, (0,) * len(gradients)
 
 
-class Tangent(_Derivative):
-    """The Jacobian–vector product along one tangent for each name in ``moving``, then all the values."""
+class RenderJVP(_Derivative):
+    """The Jacobian–vector product; ``tensors`` are a tangent for each name in ``moving``, then all values."""
 
     @staticmethod
     def forward(call: RenderCall, moving: tuple[str, ...], *tensors: torch.Tensor) -> torch.Tensor:
         tangents = dict(zip(moving, tensors, strict=False))
         values = call.values(tensors[len(moving) :])
-        image = call.engine.tangent(values, tangents, call.seed_grad, call.spp_grad)
-        check_image(image, f"The derivative of the render with seed {call.seed_grad}", call.engine.shows)
+        image = call.engine.jvp(values, tangents, call.seed_grad, call.spp_grad)
+        check_image(
+            image, f"The derivative of the render with seed {call.seed_grad}", call.engine.describe_pixels
+        )
         return image
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:
-        return _one_by_one(Tangent, info, in_dims, inputs), 0
+        return _map_over_batch(RenderJVP, info, in_dims, inputs), 0
 
 
 render: Callable[..., torch.Tensor] = Render.apply
-_adjoint: Callable[..., tuple[torch.Tensor, ...]] = Adjoint.apply
-_tangent: Callable[..., torch.Tensor] = Tangent.apply
+_vjp: Callable[..., tuple[torch.Tensor, ...]] = RenderVJP.apply
+_jvp: Callable[..., torch.Tensor] = RenderJVP.apply
 
 
-def _one_by_one(function: Any, info: Any, in_dims: tuple[Any, ...], inputs: tuple[Any, ...]) -> Any:
-    """Apply a function to each element of a batch in turn, and stack what comes out."""
+def _map_over_batch(function: Any, info: Any, in_dims: tuple[Any, ...], inputs: tuple[Any, ...]) -> Any:
+    """Apply a function to each element of a batch in turn, and stack the results."""
     results = []
     for index in range(info.batch_size):
         element = (

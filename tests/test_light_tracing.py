@@ -1,4 +1,4 @@
-"""Derivatives from samples that start on a glossy surface: those of path replay, with less noise."""
+"""Light tracing from glossy surfaces gives the derivatives of path replay, with less noise."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LENS = {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 4.0}
 
 
 def both(renderer: SceneRenderer, adjoint: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return ``(seeds, numbers)`` gradients by path replay alone, and with samples that start on surfaces."""
+    """Return ``(seeds, numbers)`` gradients by path replay alone, and with light tracing."""
 
     def gradient(seed: int, seed_grad: int | None) -> torch.Tensor:
         leaves = renderer.leaves()
@@ -31,8 +31,8 @@ def both(renderer: SceneRenderer, adjoint: torch.Tensor) -> tuple[torch.Tensor, 
         return torch.cat([leaf.grad.flatten() for leaf in leaves.values()]).double()
 
     replayed = torch.stack([gradient(seed, None) for seed in seeds(SEEDS)])
-    started = torch.stack([gradient(shifted(), 100 + seed) for seed in seeds(SEEDS)])
-    return replayed, started
+    traced = torch.stack([gradient(shifted(), 100 + seed) for seed in seeds(SEEDS)])
+    return replayed, traced
 
 
 def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
@@ -53,10 +53,10 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
     ],
     ids=["two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor"],
 )
-def test_what_a_glossy_ball_does_to_its_surroundings(
+def test_derivatives_of_the_surroundings_of_a_glossy_ball(
     mi: Any, ball: dict[str, Any], changes: dict[str, dict[str, Any]], spp: int
 ) -> None:
-    """The adjoint is that of all pixels that do not show the ball: path replay has little to add."""
+    """The adjoint is 0 on pixels that show the ball, so that little is left to path replay."""
     scene = room(mi, ball)
     for name, change in changes.items():
         scene[name] |= change
@@ -67,7 +67,7 @@ def test_what_a_glossy_ball_does_to_its_surroundings(
 
 
 def test_a_low_roughness_is_less_noisy(mi: Any) -> None:
-    """Of a metal box in the Cornell box, beside another input that is found by path replay as ever."""
+    """For a metal box in the Cornell box, next to another input that uses path replay alone."""
     from scenecaptum.scene.bundled import cornell_box
 
     scene = cornell_box()
@@ -75,14 +75,14 @@ def test_a_low_roughness_is_less_noisy(mi: Any) -> None:
     scene["sensor"]["film"] |= {"width": 16, "height": 16}
     names = ["tall_box.alpha.value", "light.emitter.radiance.value"]
     renderer = SceneRenderer(scene, names, spp=16, max_depth=4)
-    replayed, started = both(renderer, torch.ones(16, 16, 3) / (16 * 16 * 3))
-    assert_agree(replayed, started)
-    assert replayed.var(0)[0] > 4 * started.var(0)[0]
+    replayed, traced = both(renderer, torch.ones(16, 16, 3) / (16 * 16 * 3))
+    assert_agree(replayed, traced)
+    assert replayed.var(0)[0] > 4 * traced.var(0)[0]
 
 
-def test_what_cannot_be_started_from_is_found_by_path_replay(mi: Any) -> None:
-    """Where particles cannot be connected to the camera or a bump map bends their paths."""
-    from scenecaptum.rendering._from_surfaces import find_surfaces
+def test_path_replay_is_used_where_light_tracing_is_not_possible(mi: Any) -> None:
+    """Light paths cannot be connected to the camera, or a bump map makes scattering non-reciprocal."""
+    from scenecaptum.rendering.integrators.light_tracing import find_sampled_shapes
 
     relief = mi.Bitmap(np.random.default_rng(shifted()).uniform(0, 0.1, (8, 8, 1)).astype(np.float32))
     bumpy = {"type": "bumpmap", "map": {"type": "bitmap", "bitmap": relief, "raw": True}, "nested": METAL}
@@ -92,28 +92,30 @@ def test_what_cannot_be_started_from_is_found_by_path_replay(mi: Any) -> None:
         for name, change in changes.items():
             scene[name] |= change
         renderer = SceneRenderer(scene, "*alpha*", spp=4)
-        graph, worn = renderer._graph, renderer.surfaces.parameters
-        found = find_surfaces(graph, worn, renderer._sensors[0], renderer.plan, list(renderer.inputs))
+        graph, params_by_shape = renderer._graph, renderer.surfaces.parameters
+        found = find_sampled_shapes(
+            graph, params_by_shape, renderer._sensors[0], renderer.plan, list(renderer.inputs)
+        )
         assert (found is None) == bool(changes), changes
 
 
 @pytest.mark.parametrize(("inputs", "expected"), [("*alpha*", True), ("materials", False)])
-def test_the_plan_says_what_is_started_from(mi: Any, inputs: str, expected: bool) -> None:
-    """One roughness among six other parameters would have them pay for it."""
+def test_the_plan_names_light_tracing(mi: Any, inputs: str, expected: bool) -> None:
+    """For one roughness among six other parameters it would take samples from these."""
     plan = SceneRenderer(room(mi, METAL), inputs, spp=4).plan
-    assert ("1 of them from their surfaces" in str(plan)) == expected
+    assert ("1 of them by light tracing" in str(plan)) == expected
 
 
-def test_what_is_left_to_path_replay_is_sampled_where_it_varies(mi: Any) -> None:
-    """Only pixels that show the ball have any; a highlight is where the derivative is, not where it is bright."""
+def test_what_is_left_to_path_replay_is_importance_sampled(mi: Any) -> None:
+    """Only on pixels that show the ball, and by the derivative of the highlight, not its brightness."""
     renderer = SceneRenderer(room(mi, METAL | {"alpha": 0.05}), "*alpha*", spp=16)
     (name,) = renderer.inputs
     leaves = renderer.leaves()
     renderer(leaves, seed=shifted(), seed_grad=shifted(1)).mean().backward()
-    ((_, noise), (_, alike)) = next(iter(renderer._engines[0]._interest.values()))
+    ((_, noise), (_, by_surface)) = next(iter(renderer._engines[0]._importance_maps.values()))
     shown = torch.from_numpy(renderer.surfaces.shown([name]))
-    near = torch.nn.functional.max_pool2d(shown[None], 5, 1, 2)[0]  # a grazed pixel, and its neighbours
+    near = torch.nn.functional.max_pool2d(shown[None], 5, 1, 2)[0]  # partly covered pixels, and neighbours
     assert noise.any()
     assert not noise[near == 0].any()
-    assert alike.sum() == pytest.approx(1)
+    assert by_surface.sum() == pytest.approx(1)
     assert noise.max() > 3 * noise[near > 0].mean()

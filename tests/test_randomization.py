@@ -1,4 +1,4 @@
-"""The randomisation check: it tells what depends on a network's weights from what does not."""
+"""The randomisation check distinguishes attributions that depend on a network's weights from those that do not."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from toy import ToyRenderer
 
 from scenecaptum import InputXGradientScene, metrics
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.validation import randomisation_check
-from scenecaptum.validation._randomisation import _ranks, _reset
+from scenecaptum.validation import randomization_check
+from scenecaptum.validation._randomization import _ranks, _reset
 
 
 class Lamps(ToyRenderer):
@@ -51,22 +51,22 @@ class Deaf(Network):
 
 
 def test_a_network_that_has_learnt_something_is_told_from_random_ones():
-    check = randomisation_check(Lamps(), Network())
+    check = randomization_check(Lamps(), Network())
     assert check.ranking_changes, str(check)
     assert check.signs_change, str(check)
     assert check.magnitudes[0].min() > 0.9
     assert check.magnitudes[-1].mean() < 0.7
-    assert "depends on what the network has learnt, by its ranking and its signs" in check.verdict
+    assert "the attribution depends on the learnt weights, in its ranking and its signs" in check.verdict
 
 
 def test_a_metric_that_ignores_its_weights_is_found_out():
-    checks = [randomisation_check(Lamps(noise=1.0), Deaf(), stages=1, seed=seed) for seed in seeds(4)]
+    checks = [randomization_check(Lamps(noise=1.0), Deaf(), stages=1, seed=seed) for seed in seeds(4)]
     # Each happens by chance once in 70.
     assert sum(check.ranking_changes + check.signs_change for check in checks) <= 2
     for check in checks:
         own, random = check.magnitudes
         assert abs(own.mean() - random.mean()) < allowed(8) * own.std(), str(check)
-    assert any("cannot be told to depend" in check.verdict for check in checks)
+    assert any("shows no dependence" in check.verdict for check in checks)
 
 
 def test_signs_may_tell_where_magnitudes_do_not():
@@ -76,13 +76,13 @@ def test_signs_may_tell_where_magnitudes_do_not():
         def forward(self, image):
             return super().forward(image) * self.last.bias.sign().squeeze()
 
-    check = randomisation_check(Lamps(), Either(), stages=1, draws=6)
+    check = randomization_check(Lamps(), Either(), stages=1, draws=6)
     assert set(check.signed[1].sign().tolist()) == {1.0, -1.0}, "draw more"
     assert check.magnitudes.min() > 0.9
 
 
 def test_noise_is_not_taken_for_change():
-    check = randomisation_check(Lamps(noise=100.0), Deaf(), seed=shifted(1))
+    check = randomization_check(Lamps(noise=100.0), Deaf(), seed=shifted(1))
     assert check.magnitudes[0].mean() < 0.9, "there is too little noise for this test"
     assert not check.ranking_changes
     assert not check.signs_change
@@ -98,21 +98,21 @@ def test_layers_become_random_from_the_output_on():
                 seen.append(state)
             return super().forward(image)
 
-    check = randomisation_check(Lamps(), Watching(), draws=2)
+    check = randomization_check(Lamps(), Watching(), draws=2)
     assert check.layers == ("last", "first", "")
-    assert check.randomised == (0, 1, 2, 3)
+    assert check.randomized == (0, 1, 2, 3)
     own, *stages = seen
     changed = [{name for name in own if stage[name] != own[name]} for stage in stages]
     last, first = {"last.weight", "last.bias"}, {"first.weight", "first.bias"}
     assert changed == [last, last | first, last | first | {"scale"}] * 2
-    assert all(stages[0][name] == stages[2][name] for name in last), "what is random stays as it is"
+    assert all(stages[0][name] == stages[2][name] for name in last), "randomised layers stay as they are"
     assert stages[0]["last.weight"] != stages[3]["last.weight"], "draws differ"
 
 
 def test_the_metric_is_left_as_it_is_and_so_is_the_generator():
     network = Network()
     before, torch_state = copy.deepcopy(network.state_dict()), torch.get_rng_state()
-    first, second = (randomisation_check(Lamps(), network, draws=2, seed=shifted(3)) for _ in range(2))
+    first, second = (randomization_check(Lamps(), network, draws=2, seed=shifted(3)) for _ in range(2))
     torch.testing.assert_close(network.state_dict(), before, rtol=0, atol=0)
     assert torch.equal(torch.get_rng_state(), torch_state)
     assert torch.equal(first.signed, second.signed)
@@ -131,7 +131,7 @@ def test_ranks_of_ties_are_their_mean():
 
 
 def test_other_methods_can_be_checked():
-    check = randomisation_check(Lamps(), Network(), method=InputXGradientScene, stages=1, draws=2)
+    check = randomization_check(Lamps(), Network(), method=InputXGradientScene, stages=1, draws=2)
     assert check.method == "InputXGradientScene"
     assert check.magnitudes.shape == check.signed.shape == (2, 2)
 
@@ -143,18 +143,18 @@ def test_what_does_not_fit_is_said():
             self.inputs = {name: self.inputs[name] for name in ("lamp 0", "lamp 1", "lamp 2")}
             self.matrix = self.matrix[..., :3]
 
-    with pytest.raises(SceneCaptumError, match=r"mean has none\. Give a torch\.nn\.Module"):
-        randomisation_check(Lamps(), torch.mean)
+    with pytest.raises(SceneCaptumError, match=r"mean has none\. Pass a torch\.nn\.Module"):
+        randomization_check(Lamps(), torch.mean)
     with pytest.raises(SceneCaptumError, match="MeanLuminance has none"):
-        randomisation_check(Lamps(), metrics.MeanLuminance())
+        randomization_check(Lamps(), metrics.MeanLuminance())
     with pytest.raises(SceneCaptumError, match="at least 4 parameters, not 3"):
-        randomisation_check(Few(), Network())
+        randomization_check(Few(), Network())
     with pytest.raises(SceneCaptumError, match="draws must be a whole number of at least 2"):
-        randomisation_check(Lamps(), Network(), draws=1)
+        randomization_check(Lamps(), Network(), draws=1)
 
 
 def test_table_and_figure():
-    check = randomisation_check(Lamps(), Network(), draws=2)
+    check = randomization_check(Lamps(), Network(), draws=2)
     lines = str(check).splitlines()
     assert "Network, VanillaSceneGradient" in lines[0]
     assert lines[3].split()[:4] == ["0", "of", "3", "none"]
@@ -166,7 +166,7 @@ def test_table_and_figure():
 def test_on_the_shape_classifier(mi, cornell):
     metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
     # A network's derivative is noisy at few samples, and then nothing could be told.
-    check = randomisation_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
+    check = randomization_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
     assert len(check.layers) == 9
     assert check.layers[0] == "model.head"
     assert check.signs_change, str(check)

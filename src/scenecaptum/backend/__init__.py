@@ -1,0 +1,26 @@
+"""Import Mitsuba with a differentiable variant and a working LLVM, or explain what is missing.
+
+Dr.Jit compiles rendering kernels with LLVM (CPU) or CUDA (GPU) and loads LLVM when it is first imported. All
+code that needs Mitsuba therefore calls ``activate``, which selects an LLVM library before the import.
+
+Example
+-------
+>>> import scenecaptum as sc
+>>> mi = sc.activate()
+>>> scene = mi.load_dict(mi.cornell_box())
+"""
+
+from ._diagnosis import Diagnosis as Diagnosis
+from ._diagnosis import default_variant as default_variant
+from ._diagnosis import diagnose as diagnose
+from ._variants import activate as activate
+from ._variants import device as device
+from ._variants import dispose as dispose
+from ._variants import exclusively as exclusively
+
+
+def main() -> int:
+    """Print the diagnosis and return the exit status: 0 if scenes can be rendered, else 1."""
+    diagnosis = diagnose()
+    print(diagnosis)
+    return 0 if diagnosis.ok else 1

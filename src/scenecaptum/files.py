@@ -1,0 +1,76 @@
+"""Atomic file writes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from .errors import SceneCaptumError
+
+_partial_files: set[Path] = set()  # temporary paths currently being written
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path to write to; it replaces ``path`` once the file is complete and flushed to disk.
+
+    If writing fails (disk full, read-only folder), the temporary file is deleted and an existing file stays
+    unchanged. A path that was yielded before is yielded unchanged, so writers can be nested.
+
+    Example
+    -------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with atomic_write(Path(folder, "numbers.txt")) as partial:
+    ...         _ = partial.write_text("1 2 3")
+    ...     os.listdir(folder)
+    ['numbers.txt']
+
+    Raises
+    ------
+    SceneCaptumError
+        If the file cannot be written.
+    """
+    if Path(path) in _partial_files:
+        yield Path(path)
+        return
+    try:
+        # Write through a symbolic link instead of replacing it.
+        path = Path(os.path.realpath(path))
+    except ValueError as error:  # invalid file name
+        raise write_error(Path(path), error) from error
+    try:
+        if path.exists() and not path.is_file():
+            # Write directly to a pipe or a device such as /dev/null, which root could otherwise replace.
+            yield path
+            return
+        # The suffix stays, because writers choose the format by it.
+        partial = path.with_name(f".{os.getpid()}-{threading.get_ident()}-{path.name}")
+        _partial_files.add(partial)
+        try:
+            yield partial
+            _flush(partial)
+            os.replace(partial, path)
+        finally:
+            _partial_files.discard(partial)
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise write_error(path, error) from error
+
+
+def write_error(path: Path, error: Exception) -> SceneCaptumError:
+    """Return an error with the reason why a file cannot be written."""
+    reason = getattr(error, "strerror", None) or error
+    return SceneCaptumError(
+        f"{path} cannot be written: {reason}. Free disk space or choose another path; existing files were not "
+        "changed."
+    )
+
+
+def _flush(path: Path) -> None:
+    """Flush a file to disk; otherwise a crash could leave an empty file under the new name."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())

@@ -1,0 +1,348 @@
+"""Projection from parameters to pixels: each pixel gets the saliency of the objects it shows.
+
+``heatmap`` maps an attribution to pixels, ``shared_maximum`` returns a common scale for several maps, and
+``export`` writes maps to files.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..errors import SceneCaptumError, near_misses
+from ..files import atomic_write
+
+if TYPE_CHECKING:
+    from ..attr import SceneAttribution
+    from ._surfaces import SurfaceMap, TexelMap
+
+Names: TypeAlias = "str | Sequence[str] | None"
+MapScale: TypeAlias = Literal["linear", "log"]
+
+IMAGE = 3  # number of axes
+
+
+def heatmap(
+    attribution: SceneAttribution,
+    *,
+    parameter: Names = None,
+    signed: bool = False,
+    scale: MapScale = "linear",
+    decades: float = 3.0,
+    maximum: float | None = None,
+    texels: bool = False,
+    surfaces: SurfaceMap | None = None,
+) -> torch.Tensor:
+    """Return the metric saliency map: the saliency of the objects in each pixel, weighted by coverage.
+
+    Example
+    -------
+    >>> heatmap(attribution, parameter="*.reflectance.*", signed=True)  # doctest: +SKIP
+    >>> top = shared_maximum([before, after])  # doctest: +SKIP
+    >>> heatmap(before, maximum=top), heatmap(after, maximum=top)  # doctest: +SKIP
+
+    The saliency of an object is the ℓ2 norm over the parameters of all its materials, emitters and media; for an
+    attribution to groups, over the groups that contain any of these. The map is normalized by the largest saliency
+    of any object, parameter or group, visible or not. It never exceeds 1, and its maximum is below 1 if the most
+    salient object is not visible.
+
+    Parameters
+    ----------
+    attribution
+        The attribution to map.
+    parameter
+        A name or glob of the attribution's parameters (or groups), or a list of these: only they are mapped and
+        determine the scale. By default all.
+    signed
+        Whether to give an object's saliency the sign of the sum over all its channels and parameters: positive if
+        increasing all of them equally would increase the metric. Objects of opposite sign cancel within a pixel.
+    scale
+        ``"linear"``, or ``"log"``: 1 at the maximum, and 0 at and below the maximum divided by 10 to the power
+        of ``decades``; the sign is kept.
+    decades
+        Number of powers of ten that a logarithmic map covers.
+    maximum
+        Saliency that maps to 1; larger values are clipped. See ``shared_maximum``. If it is 0, the map is 0.
+    texels
+        Whether to map bitmaps and environment maps per texel, and mesh attributes per vertex or face, instead of
+        uniformly over their objects. A pixel then gets the norm of the mean gradient per unit of texture over its
+        texels: for a uniform gradient this is the saliency of the whole texture, and a region that matters ten
+        times as much per area is ten times as bright. Gradients of single texels are noisy, and the largest
+        determines the scale; use more samples or set ``maximum``.
+    surfaces
+        The surface map to use instead of the directly visible objects: ``renderer.see_through()``.
+
+    Returns
+    -------
+    Tensor
+        ``(H, W)`` in [0, 1], or in [-1, 1] if signed.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the attribution has no surface map, a name matches nothing, no texels are available, or a scale option
+        is invalid.
+    """
+    if scale not in ("linear", "log"):
+        raise SceneCaptumError(f'scale must be "linear" or "log", not {scale!r}.')
+    if not decades > 0:
+        raise SceneCaptumError(f"decades must be positive, not {decades!r}.")
+    surfaces = _surfaces_of(attribution, surfaces)
+    magnitude, sign, largest = _entries(attribution, surfaces, parameter, texels)
+    if maximum is not None:
+        if not 0 <= maximum < math.inf:
+            raise SceneCaptumError(f"maximum must be finite and not negative, not {maximum!r}.")
+        largest = maximum
+
+    height, width = surfaces.shape
+    result = torch.zeros(height * width)
+    if largest > 0:
+        values = sign * magnitude if signed else magnitude
+        result.index_add_(
+            0,
+            torch.from_numpy(surfaces.pixel).long(),
+            torch.from_numpy(surfaces.fraction) * torch.from_numpy(values).float() / largest,
+        )
+    # The fractions of a pixel sum to 1 up to rounding.
+    result = result.clamp(-1, 1).reshape(height, width)
+    return _log_scale(result, decades) if scale == "log" else result
+
+
+def shared_maximum(
+    attributions: Iterable[SceneAttribution],
+    *,
+    parameter: Names = None,
+    texels: bool = False,
+    surfaces: SurfaceMap | None = None,
+) -> float:
+    """Return a common ``maximum`` for heatmaps that are to be compared: the largest of their own.
+
+    Parameters
+    ----------
+    attributions
+        The attributions of the heatmaps, in the same unit.
+    parameter, texels, surfaces
+        As for ``heatmap``.
+
+    Returns
+    -------
+    float
+        0 if all attributions are 0.
+
+    Raises
+    ------
+    SceneCaptumError
+        As ``heatmap``.
+    """
+    return max(
+        (_entries(a, _surfaces_of(a, surfaces), parameter, texels)[2] for a in attributions), default=0.0
+    )
+
+
+def export(
+    what: SceneAttribution | torch.Tensor,
+    path: str | os.PathLike[str],
+    *,
+    colours: str | None = None,
+    limits: tuple[float, float] | None = None,
+    **options: Any,
+) -> None:
+    """Write a map to a file: ``.png``, ``.exr`` or ``.npy``.
+
+    - ``.png``: 8 bits, greyscale or with a colour map.
+    - ``.exr``: 32-bit floats. For an attribution the render is in R, G and B, the map in ``saliency``, and the
+      objects are a Cryptomatte, with which compositing software selects them; a map is in Y.
+    - ``.npy``: the array, for ``numpy.load``.
+
+    Parameters
+    ----------
+    what
+        An attribution, whose heatmap is written; or a map ``(H, W)`` or an image ``(H, W, 3)``, such as
+        ``renderer.derivative_image`` returns.
+    path
+        Output path; its suffix selects the format.
+    colours
+        Name of a matplotlib colour map for a PNG; greyscale by default.
+    limits
+        Values that a PNG shows as black and white, or as the ends of the colour map. By default 0 and 1, or -1 and
+        1 for a signed map.
+    **options
+        Options of ``heatmap``, if ``what`` is an attribution.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the format or colour map is unknown, the shape is not that of an image, or the file cannot be written.
+    """
+    if isinstance(what, Mapping):
+        values = heatmap(what, **options).numpy(force=True)
+    elif options:
+        raise SceneCaptumError(f"{', '.join(options)}: only for an attribution; a map is written unchanged.")
+    else:
+        values = _to_array(what)
+    path = Path(path)
+    if path.suffix not in (".npy", ".png", ".exr"):
+        raise SceneCaptumError(f"{path} must end in .png, .exr or .npy.")
+    with atomic_write(path) as partial:
+        if path.suffix == ".npy":
+            # numpy.save to a path does not report why writing failed.
+            content = io.BytesIO()
+            np.save(content, values)
+            partial.write_bytes(content.getbuffer())
+        elif path.suffix == ".png":
+            signed = options.get("signed", values.min() < 0)
+            _write_png(values, partial, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
+        else:
+            attribution = what if isinstance(what, Mapping) else None
+            partial.write_bytes(_exr(values, attribution, options.get("surfaces")))
+
+
+def _to_array(values: torch.Tensor) -> NDArray[np.float32]:
+    if (
+        not isinstance(values, torch.Tensor)
+        or values.ndim not in (2, IMAGE)
+        or values.shape[2:] not in ((), (3,))
+    ):
+        actual = tuple(values.shape) if isinstance(values, torch.Tensor) else type(values).__name__
+        raise SceneCaptumError(
+            f"Only an attribution, a map (H, W) or an image (H, W, 3) can be written, not {actual}."
+        )
+    return values.float().numpy(force=True)
+
+
+def _write_png(
+    values: NDArray[np.float32], path: Path, colours: str | None, limits: tuple[float, float]
+) -> None:
+    from matplotlib import colormaps
+    from PIL import Image
+
+    low, high = limits
+    if not low < high:
+        raise SceneCaptumError(f"limits must be two numbers, the lower first, not {limits!r}.")
+    normalized = np.clip((values - low) / (high - low), 0, 1)
+    if colours is not None:
+        if colours not in colormaps or values.ndim == IMAGE:
+            raise SceneCaptumError(
+                f"colours must name a matplotlib colour map and be used with a map (H, W), not {colours!r} with "
+                f"{values.shape}.{near_misses(str(colours), colormaps)}"
+            )
+        normalized = colormaps[colours](normalized)[..., :3]
+    Image.fromarray(np.round(normalized * 255).astype(np.uint8)).save(path)
+
+
+def _exr(
+    values: NDArray[np.float32], attribution: SceneAttribution | None, surfaces: SurfaceMap | None
+) -> bytes:
+    from ..backend import exclusively
+    from ._cryptomatte import layers
+
+    if attribution is None:
+        with exclusively() as mi:
+            return _exr_bytes(mi, mi.Bitmap(np.ascontiguousarray(values)))
+    channels, metadata = layers(_surfaces_of(attribution, surfaces))
+    channels = {"saliency": values, **channels}
+    if attribution.image is not None:
+        image = attribution.image.numpy(force=True)
+        channels = {**dict(zip("RGB", np.moveaxis(image, -1, 0), strict=True)), **channels}
+    stack = np.stack([channel.astype(np.float32) for channel in channels.values()], axis=-1)
+    with exclusively() as mi:
+        bitmap = mi.Bitmap(stack, channel_names=list(channels))
+        for key, value in metadata.items():
+            bitmap.metadata()[key] = value
+        return _exr_bytes(mi, bitmap)
+
+
+def _exr_bytes(mi: Any, bitmap: Any) -> bytes:
+    # Encode in memory, since Mitsuba does not report every file error.
+    stream = mi.MemoryStream()
+    bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    return bytes(stream.raw_buffer())
+
+
+def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> SurfaceMap:
+    surfaces = attribution.surfaces if given is None else given
+    if surfaces is None:
+        raise SceneCaptumError(
+            "This attribution does not know which object each pixel shows: only a SceneRenderer does."
+        )
+    return surfaces
+
+
+def _entries(
+    attribution: SceneAttribution, surfaces: SurfaceMap, parameter: Names, texels: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return the saliency and sign of each entry of the surface map, and the largest saliency."""
+    selected = _select(attribution, parameter)
+    saliency = {name: value for name, value in attribution.saliency().items() if name in selected}
+    total = {name: attribution[name].double().sum().item() for name in selected}
+    params_by_object = _params_by_object(attribution, surfaces, saliency)
+    textures = _texel_maps(attribution, surfaces, selected) if texels else {}
+
+    objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
+    largest = max([*objects, *saliency.values()], default=0.0)
+    if textures:
+        params_by_object = [names - textures.keys() for names in params_by_object]
+        objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
+    magnitude = np.array(objects)[surfaces.object_index]
+    sums = np.array([math.fsum(total[name] for name in names) for names in params_by_object])
+    effect = sums[surfaces.object_index]
+    for name, texel_map in textures.items():
+        density = texel_map.density(attribution[name].numpy(force=True), len(surfaces.pixel))
+        magnitude = np.hypot(magnitude, np.linalg.norm(density, axis=-1))
+        effect += density.sum(-1)
+        largest = max(largest, float(magnitude.max(initial=0.0)))
+    return magnitude, np.sign(effect), largest
+
+
+def _texel_maps(
+    attribution: SceneAttribution, surfaces: SurfaceMap, selected: Collection[str]
+) -> dict[str, TexelMap]:
+    """Return the texel maps of the selected textures; groups have none."""
+    texel_maps = {name: surfaces.texels[name] for name in selected if name in surfaces.texels}
+    if not texel_maps and any(attribution[name].ndim in (2, IMAGE) for name in selected):
+        raise SceneCaptumError(
+            "It is not known which texels the pixels show: attribute with a SceneRenderer of one camera, or give "
+            "surfaces=renderer.surfaces_with_texels(...)."
+        )
+    return texel_maps
+
+
+def _select(attribution: SceneAttribution, parameter: Names) -> list[str]:
+    if parameter is None:
+        return list(attribution)
+    patterns = [parameter] if isinstance(parameter, str) else list(parameter)
+    selected: dict[str, None] = {}
+    for pattern in patterns:
+        # Exact names first: a name may contain brackets.
+        exact = pattern in attribution
+        matched = [pattern] if exact else [name for name in attribution if fnmatchcase(name, pattern)]
+        if not matched:
+            raise SceneCaptumError(
+                f"parameter={pattern!r} matches none of the {len(attribution)} parameters of the attribution."
+                f"{near_misses(pattern, attribution)}"
+            )
+        selected |= dict.fromkeys(matched)
+    return list(selected)
+
+
+def _params_by_object(
+    attribution: SceneAttribution, surfaces: SurfaceMap, saliency: Mapping[str, float]
+) -> list[set[str]]:
+    """Return, for each object, the parameters or parameter groups that its appearance depends on."""
+    groups = attribution.info.get("groups") or {name: [name] for name in saliency}
+    group_of = {name: group for group, members in groups.items() for name in members if group in saliency}
+    return [{group_of[name] for name in used if name in group_of} for used in surfaces.parameters]
+
+
+def _log_scale(values: torch.Tensor, decades: float) -> torch.Tensor:
+    magnitude = (1 + values.abs().log10() / decades).clamp(0, 1)
+    return magnitude * values.sign()

@@ -1,0 +1,214 @@
+"""How each parameter is differentiated: by path replay where that is correct, else by finite differences.
+
+Where path replay is correct was measured: see ``benchmarks/derivatives.py`` and ``docs/derivatives.md``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+
+from ..scene import Parameter
+
+# Path replay divides by the BSDF value, so the indirect part of the derivative is lost where that is exactly 0.
+# Mitsuba's Fresnel term loses its slope to rounding where an index is 0. The slope at this small value is used
+# instead, which equals the slope at 0 up to an error of the same order.
+SINGULARITY_OFFSETS = {"reflectance": 1e-3, "ior": 3e-3}
+
+JUST_ABOVE_ONE = 1.001
+
+# Up to this roughness the derivative of path replay is so noisy that light tracing from the surface is used.
+LOW_ROUGHNESS = 0.2
+
+# Step of a central difference, by kind: large enough for its signal to exceed the noise, small enough for the
+# curvature to be negligible.
+STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "media": 0.02, "emitters": 0.05}
+STEP_NEAR_ONE = 0.004  # for an index near 1, where the curvature is greater
+RELATIVE_STEP = 0.05  # relative to the value, for parameters without a natural scale
+
+# Scale factors of emitters that Mitsuba does not track, each with that of the same emitter's other light. The
+# image is linear in them.
+EMITTER_SCALES = {"sky_scale": "sun_scale", "sun_scale": "sky_scale"}
+
+# Weights of principled lobes that are skipped, and so never sampled, where the weight is at a bound.
+LOBE_WEIGHTS = (
+    "metallic",
+    "spec_trans",
+    "clearcoat",
+    "sheen",
+    "flatness",
+    "diff_trans",
+    "specular",
+    "spec_tint",
+    "sheen_tint",
+)
+
+
+@dataclass(frozen=True)
+class FiniteDifference:
+    """A finite difference with common random numbers.
+
+    Attributes
+    ----------
+    points
+        Pairs of a shift from the value and the weight of the image rendered there.
+    reason
+        Why path replay is not used.
+    off
+        Other parameters that are set to 0 in all of these renders.
+    """
+
+    points: tuple[tuple[torch.Tensor, torch.Tensor], ...]
+    reason: str
+    off: tuple[str, ...] = ()
+
+
+def finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDifference | None:
+    """Return the finite difference that a parameter needs at a value, or None where path replay is correct."""
+    reason = reason_against_replay(parameter, value)
+    if reason is None:
+        return None
+    if parameter.kind == "emitters" and parameter.role in EMITTER_SCALES:
+        # Mitsuba divides its samples between sky and sun by brightness: the other would add noise and cost
+        # samples.
+        other = parameter.name.removesuffix(parameter.role) + EMITTER_SCALES[parameter.role]
+        return FiniteDifference(_off_to_on(value), reason, (other,))
+    step = _step(parameter, value)
+    low, high = _smooth_interval(parameter, value)
+    if bool((value - step > low).all() and (value + step < high).all()):
+        return FiniteDifference(_central(step), reason)
+    upwards = value + 2 * step <= high
+    return FiniteDifference(_one_sided(torch.where(upwards, step, -step)), reason)
+
+
+def _central(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+    return (h, 1 / (2 * h)), (-h, -1 / (2 * h))
+
+
+def _one_sided(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+    """Return the points of a one-sided difference of second order."""
+    # Not at the bound itself, where the image may jump because a lobe is skipped or a formula branches.
+    first = 1e-3
+    return (
+        (first * h, -3 / ((1 - first) * (2 - first) * h)),
+        (h, (2 + first) / ((1 - first) * h)),
+        (2 * h, -(1 + first) / ((2 - first) * h)),
+    )
+
+
+def _off_to_on(value: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+    """Return the points of a difference between a light switched off and on.
+
+    The image is linear in the scale of a light: any step is exact, and the largest has the least noise.
+    """
+    on = torch.where(value > 0, value, 1.0)
+    return (on - value, 1 / on), (-value, -1 / on)
+
+
+def low_roughness_names(parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor]) -> list[str]:
+    """Return the parameters with a low roughness, or none where they are less than half of all parameters.
+
+    Their light tracing takes samples from the other parameters.
+    """
+    names = [
+        n for n, v in values.items() if parameters[n].kind == "roughness" and bool((v <= LOW_ROUGHNESS).any())
+    ]
+    return names if 2 * len(names) >= len(values) else []
+
+
+def clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
+    """Return the value, moved away from where path replay would lose the derivative."""
+    if value.ndim > 1:
+        # Only textures with black texels are copied.
+        if not _has_black(parameter, value):
+            return value
+        return torch.where(value == 0, SINGULARITY_OFFSETS["reflectance"], value)
+    if parameter.role == "eta" and "Plastic" in parameter.plugin:
+        # At an index of exactly 1 there is no Fresnel term; closer to 1 its slope is lost to rounding.
+        return torch.where(value == 1, JUST_ABOVE_ONE, value)
+    offset = SINGULARITY_OFFSETS.get(parameter.kind)
+    return value if offset is None else value.clamp_min(offset)
+
+
+def _has_black(parameter: Parameter, texels: torch.Tensor) -> bool:
+    return parameter.kind == "reflectance" and not bool(texels.all())
+
+
+def is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:
+    """Whether the image does not depend on a parameter: a metal of index 0 reflects all light, whatever its ``k``.
+
+    This needs a rule of its own, because ``clamp_off_singularity`` of the index would give ``k`` a slope.
+    """
+    if parameter.role != "k":
+        return False
+    index = values.get(re.sub(r"\bk\b(?!.*\bk\b)", "eta", parameter.name))
+    return index is not None and not index.any()
+
+
+def reason_against_replay(parameter: Parameter, value: torch.Tensor) -> str | None:
+    """Return why path replay is wrong for a parameter at a value, or None where it is correct."""
+    if len(parameter.shape) > 1:
+        return None
+    if not parameter.tracked:
+        return (
+            f"Mitsuba's {parameter.plugin} keeps it, or values derived from it, outside the derivative graph"
+        )
+    for applies, reason in _RULES:
+        if applies(parameter, value):
+            return reason
+    return None
+
+
+def _blends_specular(p: Parameter, value: torch.Tensor) -> bool:
+    return p.specular_inside and p.plugin in ("MaskBSDF", "BlendBSDF") and p.role in ("opacity", "weight")
+
+
+def _ior_near_one(p: Parameter, value: torch.Tensor) -> bool:
+    # Our own plastics use one-sided slopes at 1.
+    dielectric = p.role == "eta" and "Conductor" not in p.plugin and "Plastic" not in p.plugin
+    return dielectric and bool(((value - 1).abs() < 0.1).any())
+
+
+def _lobe_switched_off(p: Parameter, value: torch.Tensor) -> bool:
+    at_bound = bool(((value == p.bounds.low) | (value == p.bounds.high)).any())
+    return at_bound and (p.role in LOBE_WEIGHTS or p.kind == "opacity")
+
+
+def _narrow_hair(p: Parameter, value: torch.Tensor) -> bool:
+    return p.plugin == "Hair" and p.kind == "roughness" and bool((value <= 0.1).any())
+
+
+def _blocked(p: Parameter, value: torch.Tensor) -> bool:
+    return p.role in ("specular_transmittance", "specular_reflectance") and bool((value == 0).any())
+
+
+_RULES = (
+    (_blends_specular, "it blends a perfectly specular lobe with others"),
+    (_ior_near_one, "near 1 the reflectance has a kink, and few samples contribute to its slope"),
+    (_lobe_switched_off, "at this bound a lobe is skipped and never sampled"),
+    (_narrow_hair, "this plugin samples narrow lobes differently from how it evaluates them"),
+    (_blocked, "at 0 the lobe has no throughput to replay"),
+)
+
+
+def _step(p: Parameter, value: torch.Tensor) -> torch.Tensor:
+    if p.kind == "roughness":
+        return RELATIVE_STEP * value
+    if p.kind in STEPS and p.kind != "emitters" and p.bounds.high <= 2:
+        return torch.full_like(value, STEPS[p.kind])
+    if p.kind == "ior":
+        return torch.where((value - 1).abs() < 0.1, STEP_NEAR_ONE, torch.full_like(value, STEPS["ior"]))
+    return torch.where(value == 0, torch.full_like(value, 0.02), RELATIVE_STEP * value.abs())
+
+
+def _smooth_interval(p: Parameter, value: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the interval around the value in which the image is a smooth function of it."""
+    low = torch.full_like(value, p.bounds.low)
+    high = torch.full_like(value, p.bounds.high)
+    if p.role == "eta" and "Conductor" not in p.plugin:
+        low = torch.where(value >= 1, low.clamp_min(1.0), low)
+        high = torch.where(value < 1, high.clamp_max(1.0), high)
+    return low, high

@@ -1,0 +1,329 @@
+"""Derivatives of a material by light tracing that starts on its surface.
+
+Imported only once a variant is active (see ``SceneRenderer``).
+
+Path replay finds a surface outside the camera's view only by chance, and the emitter in its reflection by
+chance again. The derivative with respect to a low roughness is large, of one sign in the middle of the lobe and
+of the other sign around it, and cancels only over many samples of the lobe. Here a light subpath is built that
+ends at a sampled point of the surface. The lobe is then sampled in strata, and each sample continues as a light
+path that connects to the camera at every surface it hits.
+
+Light that the surface sends to the camera directly or by specular reflection is not found by these paths. It is
+left to path replay, which then ends its paths at their first non-specular vertex.
+
+References
+----------
+Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, chapter 5 (particles, shading normals).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...scene._graph import SceneGraph
+from .._backward import filtered_adjoint
+from .._plan import RenderPlan
+from .._sampler import SobolSampler
+
+LOBE_STRATA = 16  # a square number
+PATHS_PER_SAMPLE = 2  # light paths per path-replay sample, for direct and for indirect light each
+CONNECTABLE_SENSORS = ("PerspectiveCamera", "ThinLensCamera")
+
+
+@dataclass
+class SampledShapes:
+    """Shapes whose surfaces are sampled, with their probabilities, in Dr.Jit arrays.
+
+    Attributes
+    ----------
+    index
+        Indices into ``scene.shapes()``.
+    cdf
+        Cumulative probabilities of the shapes.
+    density
+        Probability density of a point, per unit of area.
+    mask
+        For each of Dr.Jit's shape indices, whether the shape is sampled.
+    """
+
+    index: mi.UInt32
+    cdf: mi.Float
+    density: mi.Float
+    mask: mi.Bool
+
+
+def find_sampled_shapes(
+    graph: SceneGraph,
+    params_by_shape: Sequence[Collection[str]],
+    sensor: Any,
+    plan: RenderPlan,
+    names: Sequence[str],
+) -> SampledShapes | None:
+    """Return the shapes that use any of the named parameters, with equal total probability per parameter.
+
+    ``params_by_shape`` are the parameters that each shape of the scene uses. Returns None where light paths cannot
+    be connected to the camera, where a shape cannot be sampled, or where a bump or normal map makes scattering
+    non-reciprocal.
+    """
+    film = sensor.film()
+    if (
+        plan.integrator != "scenecaptum_replay"
+        or plan.hide_emitters
+        or sensor.class_name() not in CONNECTABLE_SENSORS
+        or list(film.size()) != list(film.crop_size())
+        or graph.class_names() & {"Instance", "BumpMap", "NormalMap"}
+    ):
+        return None
+    shapes = graph.scene.shapes()
+    areas, probabilities = np.ones(len(shapes)), np.zeros(len(shapes))
+    for name in names:
+        users = [k for k in range(len(shapes)) if name in params_by_shape[k]]
+        try:
+            areas[users] = [_area(shapes[k]) for k in users]
+        except (RuntimeError, NotImplementedError):
+            return None
+        if users:
+            probabilities[users] += areas[users] / areas[users].sum()
+    index = np.flatnonzero(probabilities)
+    if not len(index):
+        return None
+    jit_indices = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes[k]))[0]) for k in index]
+    mask = np.zeros(max(jit_indices) + 1, bool)
+    mask[jit_indices] = True
+    probabilities = probabilities[index] / probabilities.sum()
+    return SampledShapes(
+        mi.UInt32(index),
+        mi.Float(probabilities.cumsum()),
+        mi.Float(probabilities / areas[index]),
+        mi.Bool(mask),
+    )
+
+
+def _area(shape: Any) -> float:
+    """Return a shape's area, from the pdf of a sampled point; raises where points cannot be sampled."""
+    return float(1 / shape.sample_position(0.0, mi.Point2f(0.5)).pdf[0])
+
+
+@dataclass
+class LightSubpath:
+    """Light subpaths that end at sampled surface points: the points, the incident directions and the light.
+
+    ``radiance`` has for each subpath the incident radiance of at most 1, 2, … ``lengths`` segments, divided by the
+    probability density of the subpath's end.
+    """
+
+    si: Any
+    incident: Any
+    active: Any
+    radiance: Any
+    lengths: int
+
+
+@dataclass
+class CameraAdjoint:
+    """Where light paths are connected: a sensor, the adjoint of its image, and its film's filter.
+
+    ``adjoint`` and ``profile`` are those of ``AdjointSampledIntegrator.render_backward_pixels``.
+    """
+
+    sensor: Any
+    adjoint: Any
+    profile: tuple[Any, int]
+
+
+def trace_light_backward(
+    integrator: Any, scene: Any, camera: CameraAdjoint, shapes: SampledShapes, seed: Any, samples: int
+) -> None:
+    """Backpropagate an adjoint to the parameters of the sampled shapes, for the paths that path replay omits.
+
+    Parameters
+    ----------
+    integrator
+        A ``ReplayIntegrator``.
+    camera
+        Where light paths are connected.
+    shapes
+        Where light subpaths end.
+    seed
+        Seed of the samples.
+    samples
+        Number of samples of path replay.
+    """
+    count = max(1, PATHS_PER_SAMPLE * samples // LOBE_STRATA)
+    with dr.suspend_grad():
+        for number, sample_subpath in enumerate((_sample_direct_light, _sample_indirect_light)):
+            sampler = SobolSampler.of(count, _derive_seed(seed, 2 * number))
+            point = _sample_surface_point(scene, camera.sensor, shapes, sampler, count)
+            subpath = sample_subpath(integrator, scene, point, sampler)
+            dr.eval(subpath)
+            sampler = SobolSampler.of(count * LOBE_STRATA, _derive_seed(seed, 2 * number + 1))
+            _propagate(integrator, scene, camera, sampler, subpath)
+            dr.eval()
+
+
+def _sample_direct_light(integrator: Any, scene: Any, point: Any, sampler: SobolSampler) -> LightSubpath:
+    """Sample directions from which an emitter illuminates points of surfaces."""
+    si, density, valid = point
+    ds, emitter_weight = scene.sample_emitter_direction(si, sampler.next_2d(), True, valid)
+    active = valid & (ds.pdf > 0)
+    return LightSubpath(si, si.to_local(ds.d), active, dr.select(active, emitter_weight / density, 0), 1)
+
+
+def _sample_indirect_light(integrator: Any, scene: Any, point: Any, sampler: SobolSampler) -> LightSubpath:
+    """Sample directions from which other surfaces illuminate points of surfaces."""
+    si, density, valid = point
+    # The back side matters where the BSDF transmits or reflects light there.
+    behind = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.BackSide) & (sampler.next_1d() < 0.5)
+    direction = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+    density *= mi.warp.square_to_cosine_hemisphere_pdf(direction)
+    density *= dr.select(mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.BackSide), 0.5, 1)
+    direction.z *= dr.select(behind, -1, 1)
+
+    # Without a depth limit one entry is enough.
+    lengths = integrator.max_depth if integrator.max_depth < 2**31 else 1
+    count = dr.width(density)
+    offset = dr.arange(mi.UInt32, count) * lengths
+    incident = dr.zeros(mi.Spectrum, count * lengths)
+    integrator.sample(
+        mode=dr.ADMode.Primal,
+        scene=scene,
+        sampler=sampler,
+        ray=si.spawn_ray(si.to_world(direction)),
+        active=valid,
+        incident=(incident, offset, lengths),
+    )
+    dr.eval(incident)
+    radiance = dr.zeros(mi.Spectrum, count * lengths)
+    total = mi.Spectrum(0)
+    for length in range(lengths):
+        total += dr.gather(mi.Spectrum, incident, offset + length) / density
+        dr.scatter(radiance, total, offset + length)
+    return LightSubpath(si, direction, valid, radiance, lengths)
+
+
+def _propagate(
+    integrator: Any, scene: Any, camera: CameraAdjoint, sampler: SobolSampler, subpath: LightSubpath
+) -> None:
+    """Continue each subpath in all strata of the lobe, and backpropagate what reaches the camera."""
+    lane = dr.arange(mi.UInt32, dr.width(subpath.active) * LOBE_STRATA)
+    index, stratum = lane // LOBE_STRATA, lane % LOBE_STRATA
+    si, active = (
+        dr.gather(mi.SurfaceInteraction3f, subpath.si, index),
+        dr.gather(mi.Bool, subpath.active, index),
+    )
+    incident = dr.gather(mi.Vector3f, subpath.incident, index)
+
+    side = math.isqrt(LOBE_STRATA)
+    point = (mi.Point2f(stratum % side, stratum // side) + sampler.next_2d()) / side
+    si.wi = incident
+    bsdf_sample, _ = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(), point, active)
+    active &= (bsdf_sample.pdf > 0) & ~mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+    ray = si.spawn_ray(si.to_world(bsdf_sample.wo))
+
+    def radiance(segments: Any, active: Any) -> Any:
+        """Return the light of each subpath with at most the given number of segments."""
+        entry = index * subpath.lengths + dr.minimum(segments, subpath.lengths) - 1
+        return dr.gather(mi.Spectrum, subpath.radiance, entry, active)
+
+    received = _trace_to_camera(integrator, scene, camera, sampler, ray, active, radiance)
+    received = dr.select(active, received * abs(dr.dot(si.n, ray.d)) / (bsdf_sample.pdf * LOBE_STRATA), 0)
+    # The light path runs towards the camera, but the path from the camera is differentiated.
+    si.wi = bsdf_sample.wo
+    with dr.resume_grad():
+        value = si.bsdf().eval(mi.BSDFContext(), si, incident, active)
+        # Keep the edges, because arrays that a material derives from its parameters are used again.
+        dr.backward_from(received * value, flags=dr.ADFlag.ClearVertices)
+
+
+def _sample_surface_point(
+    scene: Any, sensor: Any, shapes: SampledShapes, sampler: SobolSampler, count: int
+) -> tuple[Any, Any, Any]:
+    """Return random surface points, their density times ``count``, and whether a ray confirmed them."""
+    time = sensor.shutter_open() + sampler.next_1d() * sensor.shutter_open_time()
+    random = sampler.next_1d()
+    index = dr.binary_search(
+        0, dr.width(shapes.cdf) - 1, lambda k: dr.gather(mi.Float, shapes.cdf, k) <= random
+    )
+    shape = dr.gather(mi.ShapePtr, scene.shapes_dr(), dr.gather(mi.UInt32, shapes.index, index))
+    point = shape.sample_position(time, sampler.next_2d())
+    # A ray from just above the point gives its surface interaction.
+    above = 2 * mi.math.RayEpsilon * (1 + dr.max(abs(point.p)))
+    si = scene.ray_intersect(mi.Ray3f(point.p + above * point.n, -point.n, 2 * above, time, []))
+    return si, dr.gather(mi.Float, shapes.density, index) * count, si.is_valid() & (si.shape == shape)
+
+
+@dr.syntax
+def _trace_to_camera(
+    integrator: Any,
+    scene: Any,
+    camera: CameraAdjoint,
+    sampler: SobolSampler,
+    ray: Any,
+    active: Any,
+    radiance: Any,
+) -> Any:
+    """Return the adjoint-weighted light that paths bring to the camera, with a connection at every vertex."""
+    received = mi.Spectrum(0)
+    throughput = mi.Spectrum(1)
+    active = mi.Bool(active)
+    segments = mi.UInt32(2)  # from the camera to the start of the ray
+    while active:
+        active &= segments < integrator.max_depth
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        connection = _connect_to_camera(scene, camera, sampler, si, active)
+        received += dr.select(
+            active, throughput * connection * radiance(integrator.max_depth - segments, active), 0
+        )
+
+        bsdf_sample, weight = si.bsdf().sample(
+            mi.BSDFContext(mi.TransportMode.Importance), si, sampler.next_1d(), sampler.next_2d(), active
+        )
+        throughput *= weight * _shading_normal_correction(si, bsdf_sample.wo)
+        ray = si.spawn_ray(si.to_world(bsdf_sample.wo))
+        segments += 1
+        rr_prob = dr.minimum(dr.max(throughput), 0.95)
+        rr_active = segments > integrator.rr_depth
+        throughput[rr_active] *= dr.rcp(rr_prob)
+        active &= (rr_prob > 0) & (~rr_active | (sampler.next_1d() < rr_prob))
+    return received
+
+
+def _connect_to_camera(scene: Any, camera: CameraAdjoint, sampler: SobolSampler, si: Any, active: Any) -> Any:
+    """Return the adjoint-weighted contribution of a connection from a surface to the camera."""
+    sensor = camera.sensor
+    film = sensor.film()
+    size = film.crop_size()
+    ds, importance = sensor.sample_direction(si, sampler.next_2d(), active)
+    active = active & (ds.pdf > 0)
+    # Nothing in front of the near plane occludes.
+    ahead = sensor.world_transform() @ mi.Vector3f(0, 0, 1)
+    ray = si.spawn_ray_to(ds.p)
+    ray.maxt *= 1 + sensor.near_clip() / (ds.dist * dr.dot(ds.d, ahead))
+    active &= ~scene.ray_test(ray, active)
+    wo = si.to_local(ds.d)
+    value = si.bsdf().eval(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
+    point = dr.clip(ds.uv, 0, mi.Point2f(size) - 1e-3)
+    pixel = mi.UInt32(point.y) * size.x + mi.UInt32(point.x)
+    adjoint = filtered_adjoint(film, camera.adjoint, *camera.profile, pixel, point)
+    correction = _shading_normal_correction(si, wo)
+    return dr.select(active, value * correction * importance * adjoint * dr.prod(size), 0)
+
+
+def _shading_normal_correction(si: Any, wo: Any) -> Any:
+    """Return the ratio of a light path's weight to that of the same path from the camera."""
+    geometric_i, geometric_o = (abs(dr.dot(si.n, si.to_world(direction))) for direction in (si.wi, wo))
+    factor = geometric_o * abs(mi.Frame3f.cos_theta(si.wi)) / (geometric_i * abs(mi.Frame3f.cos_theta(wo)))
+    return dr.select(dr.isfinite(factor), factor, 0)
+
+
+def _derive_seed(seed: Any, number: int) -> Any:
+    """Return one of several seeds that are independent of each other and of the seed itself."""
+    return mi.sample_tea_32(seed, mi.UInt32(number + 1))[0]

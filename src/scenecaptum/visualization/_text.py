@@ -1,0 +1,199 @@
+"""Text about a result that tables, figures and the report share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from ._numbers import shorten, with_error
+
+if TYPE_CHECKING:
+    from ..attr import SceneAttribution
+
+
+_MAX_CAUTIONS = 5
+_ROUNDING = 1e-6  # relative to the explained difference
+METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
+
+
+def metric_line(attribution: SceneAttribution, width: int | None = None) -> str:
+    """Return ``'MeanLuminance = 2.336942 ± 0.000533'``, with the name shortened to ``width``."""
+    value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
+    return f"{metric_name(attribution, width)} = {value}{f' ± {error}' if error else ''}"
+
+
+def metric_name(attribution: SceneAttribution, width: int | None = None) -> str:
+    """Return the metric's name, shortened to ``width``."""
+    name = str(attribution.info.get("metric", "metric"))
+    return name if width is None else shorten([name], width)[0]
+
+
+def method_name(attribution: SceneAttribution) -> str:
+    """Return the name of the attribution method."""
+    return str(attribution.info.get("method", "unknown method"))
+
+
+def quantity(attribution: SceneAttribution) -> str:
+    """Return the name of the attributed quantity, such as ``'gradient per unit'`` or ``'contribution'``."""
+    explains_difference = attribution.convergence_delta is not None
+    return str(
+        attribution.info.get("quantity", "contribution" if explains_difference else "gradient per unit")
+    )
+
+
+def axis_label(attribution: SceneAttribution) -> str:
+    """Return the axis label for saliencies."""
+    template = _AXIS_LABELS.get(quantity(attribution), f"{quantity(attribution)}, {{}}")
+    return f"saliency: {template.format(metric_name(attribution, METRIC_WIDTH))}"
+
+
+def sign_labels(attribution: SceneAttribution) -> tuple[str, str] | None:
+    """Return the meanings of positive and negative attributions; None if the quantity has no sign.
+
+    A gradient describes a change of the parameter; a contribution describes its presence.
+    """
+    kind, subject = quantity(attribution), "difference" if "minus" in attribution.info else "metric"
+    if kind.startswith(("mean squared gradient", "variance")):
+        return None
+    if "per unit" in kind or kind == "gradient × range":
+        return f"raising it raises the {subject}", f"raising it lowers the {subject}"
+    return f"adds to the {subject}", f"takes from the {subject}"
+
+
+_AXIS_LABELS = {
+    "gradient per unit": "change of {} per unit of the parameter",
+    "gradient × range": "change of {} over the parameter's range, at its gradient",
+    "mean gradient per unit": "mean change of {} per unit of the parameter",
+    "mean squared gradient per unit": "mean squared change of {} per unit of the parameter",
+    "variance of the gradient per unit": "variance of the change of {} per unit of the parameter",
+    "gradient × value": "gradient of {} × value of the parameter",
+    "input × gradient": "value of the parameter × gradient of {}",
+    "contribution": "contribution to {}",
+    "effect of ablation": "change of {} by ablation",
+    "effect of occlusion": "change of {} by occlusion",
+    "Shapley value": "Shapley value for {}",
+}
+
+
+def sampling_notes(attribution: SceneAttribution) -> list[str]:
+    """Return notes on samples, goals, the metric image, interruption and missing error bars."""
+    spp, replicates = attribution.info.get("spp"), attribution.info.get("replicates")
+    counted = None if replicates is None else f"{replicates} replicate{'' if replicates == 1 else 's'}"
+    interrupted = attribution.info.get("interrupted", False)
+    notes = [] if spp is None else [f"{spp} spp"]
+    if interrupted:
+        notes.append(f"interrupted after {counted}" if counted else "interrupted")
+    elif counted:
+        notes = [f"{spp} spp in {counted}" if notes else counted]
+    notes += goal_notes(attribution) + comparison_notes(attribution) + metric_image_notes(attribution)
+    if attribution.covariance is None:
+        notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
+    return notes
+
+
+def metric_image_notes(attribution: SceneAttribution) -> list[str]:
+    """Return notes on whether the metric image is denoised, and whether it is too noisy for the metric."""
+    picture = attribution.info.get("picture") or {}
+    samples = "" if picture.get("spp") is None else f" of {picture['spp']} spp"
+    return [*([f"denoised image{samples}"] if picture.get("denoised") else []), *noise_notes(attribution)]
+
+
+def noise_notes(attribution: SceneAttribution) -> list[str]:
+    """Return a caution if the metric image is too noisy for the metric."""
+    caution = (attribution.info.get("picture") or {}).get("caution")
+    return [f"caution: {caution}"] if caution else []
+
+
+def convergence_notes(attribution: SceneAttribution) -> list[str]:
+    """Return a note on whether contributions add up to the difference that they explain, if they explain one."""
+    delta, error = attribution.convergence_delta, attribution.convergence_delta_error
+    if delta is None:
+        return []
+    verdict, explained = attribution.info.get("convergence"), attribution.info.get("explained")
+    if verdict is None or explained is None:
+        unknown = f"{verdict}: the metric is not finite at the baseline" if not math.isfinite(delta) else ""
+        return [unknown or f"convergence delta {delta:.2g}"]
+    if abs(delta) <= _ROUNDING * abs(explained):
+        delta = 0.0
+    value, half_width = with_error(delta, error)
+    note = f"{verdict}: delta {value}{f' ± {half_width}' if half_width else ''} of "
+    note += with_error(explained, error)[0]
+    quadrature = attribution.info.get("quadrature_error")
+    if error and quadrature and quadrature > error / 2:
+        note += ", mostly quadrature error: use more steps"
+    return [note]
+
+
+def comparison_notes(attribution: SceneAttribution) -> list[str]:
+    """Return a note on the change by another renderer, if it was measured."""
+    against = (attribution.info.get("planner") or {}).get("against")
+    if not against or against["relative_change"] is None:
+        return []
+    names = [f"depth {against['max_depth']}"] if "max_depth" in against else []
+    names += ["×".join(map(str, against["resolution"]))] if "resolution" in against else []
+    change, half_width = 100 * against["relative_change"], 100 * against["relative_half_width"]
+    return [f"{' at '.join(names) or 'the other renderer'} changes ≤ {change:.2g} ± {half_width:.2g} %"]
+
+
+def goal_notes(attribution: SceneAttribution) -> list[str]:
+    """Return a note on the achieved accuracy; nothing if the number of samples was fixed."""
+    planner = attribution.info.get("planner")
+    if planner is None:
+        return []
+    top, tolerance, half_width = planner["top"], planner["tolerance"], planner["relative_half_width"]
+    stopped = "" if planner["reached"] else f", stopped by {planner['stopped']}"
+    if top is not None:
+        tied = sum(len(tier) > 1 for tier in planner["order"] or [])
+        ties = f" except {pluralize(tied, 'tie')}" if tied else ""
+        outcome = f"resolved{ties}" if planner["reached"] else f"not resolved{stopped}"
+        return [f"order of the top {top} {outcome}"]
+    achieved = "unknown" if half_width is None else f"{100 * half_width:.2g} %"
+    if tolerance is None:
+        return [f"95 % half-widths ≤ {achieved} in {planner['time_limit']:g} s"]
+    return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
+
+
+def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[str, list[str]]:
+    """Group the named parameters whose derivatives are known to be inaccurate by the reason."""
+    cautions = attribution.info.get("cautions") or {}
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        if name in cautions:
+            groups.setdefault(cautions[name], []).append(name)
+    return groups
+
+
+def scene_cautions(attribution: SceneAttribution) -> list[str]:
+    """Return a caution for each parameter that is left out because its value in the scene is invalid."""
+    left_out = attribution.info.get("left_out") or {}
+    cautions = [f"{name} is left out: {fault}" for name, fault in left_out.items()]
+    more = len(cautions) - _MAX_CAUTIONS
+    if more <= 0:
+        return cautions
+    return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
+
+
+def untrusted_groups(attribution: SceneAttribution) -> dict[str, list[str]]:
+    """Group the parameters with unreliable error bars by the reason."""
+    groups: dict[str, list[str]] = {}
+    for name, reason in attribution.untrusted_errors().items():
+        groups.setdefault(reason, []).append(name)
+    return groups
+
+
+def pluralize(count: int, noun: str) -> str:
+    """Return ``'1 parameter'`` or ``'3 parameters'``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def pack(parts: Sequence[str], width: int) -> list[str]:
+    """Join parts with dots into lines of at most ``width`` characters where possible."""
+    lines = [parts[0]]
+    for part in parts[1:]:
+        joined = f"{lines[-1]} · {part}"
+        if len(joined) <= width:
+            lines[-1] = joined
+        else:
+            lines.append(part)
+    return lines
