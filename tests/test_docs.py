@@ -38,7 +38,7 @@ MODULES = sorted(
 )
 
 # Modules that are imported by their names; what a package re-exports is public beside it.
-NAMED = ("scenecaptum.denoising", "scenecaptum.optimize", "scenecaptum.projection")
+NAMED = ("scenecaptum.denoising", "scenecaptum.optimize")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -154,7 +154,7 @@ def public() -> Iterator[tuple[str, Any]]:
     packages = {one.name for one in pkgutil.walk_packages(scenecaptum.__path__, "scenecaptum.") if one.ispkg}
     for name in sorted({"scenecaptum", *packages, *NAMED} - {"scenecaptum.cli"}):
         module = importlib.import_module(name)
-        names = own_names(module) if name in NAMED else re_exported(module)
+        names = own_names(module) if name in NAMED else getattr(module, "__all__", re_exported(module))
         yield from ((f"{name}.{one}", getattr(module, one)) for one in names)
 
 

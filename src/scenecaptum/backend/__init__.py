@@ -10,6 +10,11 @@ Example
 >>> scene = mi.load_dict(mi.cornell_box())
 """
 
+# What users call; the other names are for the rooms above.
+__all__ = [
+    "activate",
+]
+
 from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import default_variant as default_variant
 from ._diagnosis import diagnose as diagnose

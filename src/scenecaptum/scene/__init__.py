@@ -1,5 +1,15 @@
 """What is in a scene: loading it, its parameters with kind, bounds and owner, and the bundled rooms."""
 
+# What users see; the other names are for the rooms above.
+__all__ = [
+    "BUNDLED",
+    "Parameter",
+    "SceneParameters",
+    "discover",
+    "load_scene",
+    "select",
+]
+
 from ._loading import load_scene as load_scene
 from ._parameters import Parameter as Parameter
 from ._parameters import SceneParameters as SceneParameters
