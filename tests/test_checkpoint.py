@@ -138,8 +138,8 @@ def test_of_a_job_only_what_is_asked_alike_is_reused(tmp_path: Path) -> None:
     def counts(toy: Any = None, of: Any = metric, **options: Any) -> tuple[int, int]:
         toy = MortalReplayingToy() if toy is None else toy
         options = {"replicates": 4, "spp": 16, "seed": shifted(1), **options}
-        told = VanillaSceneGradient(toy, of).attribute(checkpoint=tmp_path, **options).info["checkpoint"]
-        return told["reused"], told["replicates"]
+        usage = VanillaSceneGradient(toy, of).attribute(checkpoint=tmp_path, **options).info["checkpoint"]
+        return usage["reused"], usage["passes"]
 
     # 4 pictures in two parts each, 4 backward passes and one for the bias.
     assert counts() == (0, 13)
