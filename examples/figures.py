@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.visualization import plot_luminance, plot_rank_comparison, plot_specificity
+from scenecaptum.visualization import plot_rank_comparison, plot_specificity
 
 
 def main(folder: Path, resolution: tuple[int, int] = (256, 144), spp: int = 64) -> None:
@@ -24,7 +24,7 @@ def main(folder: Path, resolution: tuple[int, int] = (256, 144), spp: int = 64) 
         for metric in (metrics.MeanLuminance(), glare)
     )
     figures = {
-        "luminance": plot_luminance(by_glare.image, glare),
+        "luminance": metrics.plot_luminance(by_glare.image, glare),
         "bars": by_glare.plot_bars(),
         "heatmap": by_glare.plot_heatmap(),
         "overlay": by_glare.plot_overlay(),

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from chance import allowed
 from seeds import seeds, shifted
 from toy import ReplayingToyRenderer, ToyRenderer
 
+import scenecaptum
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._jackknife import jackknife
@@ -395,3 +398,31 @@ def test_interruption_before_the_first_backward_pass_has_no_result():
     with pytest.raises(KeyboardInterrupt) as caught:
         VanillaSceneGradient(InterruptedRenderer(after=0), torch.mean).attribute()
     assert not isinstance(caught.value, AttributionInterrupted)
+
+
+# ----------------------------------------------------------------------------------- wrong arguments
+
+
+def test_a_renderer_and_a_metric_in_the_wrong_order_are_refused_at_construction() -> None:
+    with pytest.raises(SceneCaptumError, match="swapped"):
+        VanillaSceneGradient(metrics.MeanLuminance(), ToyRenderer())
+    with pytest.raises(SceneCaptumError, match="metric must be callable, not int"):
+        VanillaSceneGradient(ToyRenderer(), 3)
+
+
+@pytest.mark.parametrize("inputs", [torch.ones(3), (torch.ones(3),), 3])
+def test_inputs_that_are_no_mapping_are_named(inputs: object) -> None:
+    method = VanillaSceneGradient(ToyRenderer(), torch.mean)
+    with pytest.raises(SceneCaptumError, match=f"a dict from parameter name to tensor.*{type(inputs).__name__}"):
+        method.attribute(inputs)
+
+
+def test_rooms_are_attributes_of_the_package_and_load_when_used() -> None:
+    code = (
+        "import sys, scenecaptum as sc\n"
+        "assert 'scenecaptum.validation' not in sys.modules\n"
+        "assert sc.validation.ablation_test is not None and sc.report.write_report is not None\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'valdation'"):
+        _ = scenecaptum.valdation  # type: ignore[attr-defined]

@@ -31,7 +31,8 @@ from scenecaptum.validation import (
     infidelity,
     sensitivity_n,
 )
-from scenecaptum.validation._faithfulness import perturbations, statistic_with_error
+from scenecaptum.validation._faithfulness import perturbations
+from scenecaptum.validation._faithfulness_result import statistic_with_error
 
 SAMPLES = 40
 
@@ -126,7 +127,7 @@ def test_wrong_gradients_miss_much():
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
     predicted, measured = torch.randn(30, dtype=torch.float64), torch.zeros(30, 4, dtype=torch.float64)
-    value, error = statistic_with_error(lambda p, m: p.mean().item(), predicted, measured)
+    value, error = statistic_with_error(lambda p, m: p.mean(), predicted, measured)
     assert value == pytest.approx(predicted.mean().item())
     assert error == pytest.approx(predicted.std().item() / math.sqrt(30))
 

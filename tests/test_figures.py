@@ -17,16 +17,15 @@ import torch
 from results import CASES, all_text, make, surfaces
 
 from scenecaptum import Camera, SceneAttribution, SceneCaptumError, metrics, projection
+from scenecaptum.ranks import kendall_tau
 from scenecaptum.visualization import (
     plot_bars,
     plot_heatmap,
-    plot_luminance,
     plot_overlay,
     plot_rank_comparison,
     plot_specificity,
 )
 from scenecaptum.visualization._figures import LOWERS, RAISES, UNCLEAR
-from scenecaptum.visualization._ranks import kendall_tau
 
 SIGNED = pytest.mark.skipif(
     "signed" not in inspect.signature(projection.heatmap).parameters, reason="heatmaps have no sign yet"
@@ -71,7 +70,6 @@ def outside(figure: Any) -> list[str]:
         ("effect of ablation", "takes from the metric", "raising"),
         ("effect of occlusion", "takes from the metric", "raising"),
         ("Shapley value", "takes from the metric", "raising"),
-        ("something of a later version", "takes from the metric", "raising"),
     ],
 )
 def test_the_legend_says_what_a_sign_means(quantity: str, said: str, not_said: str) -> None:
@@ -271,7 +269,7 @@ def test_luminance_is_in_candela_on_a_logarithmic_scale() -> None:
     from matplotlib.colors import LogNorm
 
     image, _ = glaring()
-    figure = plot_luminance(image)
+    figure = metrics.plot_luminance(image)
     picture, bar = figure.axes
     (shown,) = picture.images
     np.testing.assert_allclose(shown.get_array(), 179 * metrics.luminance(image), rtol=1e-5)
@@ -285,18 +283,18 @@ def test_luminance_is_in_candela_on_a_logarithmic_scale() -> None:
 
 
 def test_an_efficacy_and_limits_can_be_given() -> None:
-    figure = plot_luminance(torch.ones(4, 6, 3), efficacy=100.0, limits=(1.0, 1000.0))
+    figure = metrics.plot_luminance(torch.ones(4, 6, 3), efficacy=100.0, limits=(1.0, 1000.0))
     (shown,) = figure.axes[0].images
     np.testing.assert_allclose(shown.get_array(), 100.0, rtol=1e-5)
     assert (shown.norm.vmin, shown.norm.vmax) == (1, 1000)
     for limits in ((0.0, 1.0), (2.0, 1.0), (1.0, math.inf)):
         with pytest.raises(SceneCaptumError, match="limits must be two increasing positive luminances"):
-            plot_luminance(torch.ones(4, 6, 3), limits=limits)
+            metrics.plot_luminance(torch.ones(4, 6, 3), limits=limits)
 
 
 @pytest.mark.parametrize("fill", [0.0, 1e-30, 5.0, 1e30])
 def test_any_picture_has_a_scale(fill: float) -> None:
-    figure = plot_luminance(torch.full((4, 6, 3), fill))
+    figure = metrics.plot_luminance(torch.full((4, 6, 3), fill))
     figure.canvas.draw()
     norm = figure.axes[0].images[0].norm
     assert 0 < norm.vmin < norm.vmax < math.inf
@@ -305,7 +303,7 @@ def test_any_picture_has_a_scale(fill: float) -> None:
 def test_black_is_dark_and_what_is_no_number_is_grey() -> None:
     image = torch.full((4, 6, 3), 1.0)
     image[0, 0], image[1, 1] = 0.0, math.nan
-    (shown,) = plot_luminance(image).axes[0].images
+    (shown,) = metrics.plot_luminance(image).axes[0].images
     array = shown.get_array()
     assert array.mask.sum() == 1
     assert array.mask[1, 1]
@@ -316,7 +314,7 @@ def test_sources_are_outlined_numbered_and_listed() -> None:
     from matplotlib.collections import LineCollection
 
     image, rating = glaring()
-    figure = plot_luminance(image, rating)
+    figure = metrics.plot_luminance(image, rating)
     picture = figure.axes[0]
     lines = [one for one in picture.collections if isinstance(one, LineCollection)]
     assert len(lines) == 2  # white on black
@@ -341,10 +339,10 @@ def test_sources_are_outlined_numbered_and_listed() -> None:
 def test_one_source_none_and_many() -> None:
     image, rating = glaring()
     image[16:18, 28:31] = 0.1
-    assert "1 glare source;" in all_text(plot_luminance(image, rating))
-    assert "no glare source" in all_text(plot_luminance(image / 1000, rating))
+    assert "1 glare source;" in all_text(metrics.plot_luminance(image, rating))
+    assert "no glare source" in all_text(metrics.plot_luminance(image / 1000, rating))
     pixels = metrics.UnifiedGlareRating(rating.camera, threshold=1000.0, grouping="pixel", relaxation=0.0)
-    figure = plot_luminance(image, pixels)
+    figure = metrics.plot_luminance(image, pixels)
     assert "40 glare sources" in all_text(figure)
     assert "each pixel above the threshold is a separate source" in all_text(figure)
     assert {text.get_text() for text in figure.axes[0].texts}.isdisjoint("12345678")
@@ -354,7 +352,7 @@ def test_one_source_none_and_many() -> None:
 
 def test_what_a_fisheye_does_not_see_is_grey() -> None:
     camera = Camera.fisheye(16, 16)
-    (shown,) = plot_luminance(torch.ones(16, 16, 3), camera).axes[0].images
+    (shown,) = metrics.plot_luminance(torch.ones(16, 16, 3), camera).axes[0].images
     unseen = (camera.solid_angles == 0).numpy()
     assert unseen.any()
     np.testing.assert_array_equal(np.ma.getmaskarray(shown.get_array()), unseen)
@@ -363,7 +361,7 @@ def test_what_a_fisheye_does_not_see_is_grey() -> None:
 def test_a_picture_of_another_camera_is_refused() -> None:
     _, rating = glaring()
     with pytest.raises(SceneCaptumError, match=r"\(5, 7\).*\(24, 36\)"):
-        plot_luminance(torch.ones(5, 7, 3), rating)
+        metrics.plot_luminance(torch.ones(5, 7, 3), rating)
 
 
 # -- rank comparison -------------------------------------------------------------------------------------
@@ -531,7 +529,7 @@ def test_figures_leave_global_state_alone() -> None:
     image, rating = glaring()
     for figure in (
         plot_overlay(make()),
-        plot_luminance(image, rating),
+        metrics.plot_luminance(image, rating),
         plot_rank_comparison(ranked("ab"), ranked("ba")),
         plot_specificity([make()]),
     ):

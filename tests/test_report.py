@@ -24,8 +24,8 @@ from seeds import shifted
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.projection import SurfaceMap, TexelMap, heatmap, shared_maximum
-from scenecaptum.visualization import write_report
-from scenecaptum.visualization.report._pixels import LAYERS, encode_surfaces
+from scenecaptum.report import write_report
+from scenecaptum.report._pixels import LAYERS, encode_surfaces
 
 NASTY = '</script><img src=x onerror="window.hacked=1">&lt;\'`${1}'
 OBJECTS = ("floor", "lamp", "chair", NASTY, "sky")  # the sky is seen by no pixel
@@ -125,7 +125,7 @@ def test_the_same_results_give_the_same_file_with_shared_pictures_once(tmp_path)
 
 def test_pictures_of_different_cameras_are_kept_apart(tmp_path):
     other = make(image=torch.rand(5, 7, 3), surfaces=quarters(5, 7))
-    make().report(tmp_path / "report.html", other)
+    write_report([make(), other], tmp_path / "report.html")
     data = data_of(tmp_path / "report.html")
     assert [len(data[key]) for key in ("results", "views", "pictures")] == [2, 2, 2]
     assert [data["views"][one["view"]]["width"] for one in data["results"]] == [WIDTH, 7]
@@ -133,7 +133,7 @@ def test_pictures_of_different_cameras_are_kept_apart(tmp_path):
 
 def test_objects_are_painted_like_the_heatmap(tmp_path):
     attribution = make()
-    attribution.report(tmp_path / "report.html")
+    write_report(attribution, tmp_path / "report.html")
     (result,) = data_of(tmp_path / "report.html")["results"]
     painted = torch.tensor([one["magnitude"] for one in result["objects"]]) / result["largest"]
     shown = heatmap(attribution)
@@ -223,7 +223,7 @@ def test_groups_and_results_without_error_bars_are_reported(tmp_path):
             }
         },
     )
-    grouped.report(tmp_path / "report.html")
+    write_report(grouped, tmp_path / "report.html")
     (result,) = data_of(tmp_path / "report.html")["results"]
     assert [one["rows"] for one in result["objects"]] == [[0], [0], [1], []]
     assert result["rows"][0]["members"] == ["floor.reflectance.value", "lamp.radiance.value"]
@@ -258,7 +258,7 @@ def test_a_path_that_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
         tmp_path / "file" / "report.html",
     ):
         with pytest.raises(SceneCaptumError, match="cannot be written") as caught:
-            make().report(path)
+            write_report(make(), path)
         assert str(path) in str(caught.value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
 

@@ -13,7 +13,7 @@ from results import make
 
 from scenecaptum.rendering import RenderPlan
 from scenecaptum.scene import Parameter, SceneParameters
-from scenecaptum.scene._parameters import Bounds
+from scenecaptum.scene._bounds import Bounds
 from scenecaptum.visualization import table_html, table_text
 from scenecaptum.visualization._numbers import columns, shorten
 

@@ -3,7 +3,8 @@
 Importing this package is cheap: Mitsuba, matplotlib and kornia load when they are first needed.
 """
 
-__version__ = "0.1.0"
+from importlib import import_module
+from types import ModuleType
 
 from . import metrics as metrics
 from .attr import AttributionInterrupted as AttributionInterrupted
@@ -21,3 +22,14 @@ from .camera import Camera as Camera
 from .errors import BackendError as BackendError
 from .errors import SceneCaptumError as SceneCaptumError
 from .rendering import SceneRenderer as SceneRenderer
+
+__version__ = "0.1.0"
+
+_LAZY_ROOMS = {"optimize", "report", "tradeoff", "validation", "visualization"}
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import a room when it is first used as an attribute."""
+    if name in _LAZY_ROOMS:
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -23,6 +23,7 @@ import torch
 
 from .errors import SceneCaptumError
 from .files import atomic_write, write_error
+from .protocols import Capabilities, Checkpointable, accepted_keywords
 
 FORMAT = "scenecaptum pass 1"
 SUFFIX = ".pass"
@@ -165,17 +166,14 @@ def with_checkpoint(renderer: Any, checkpoint: Folder) -> Any:
         return renderer
     if not isinstance(checkpoint, Checkpoint):
         checkpoint = Checkpoint(checkpoint)
-    # Look it up on the class: through a wrapper's __getattr__ the wrapper itself would be lost.
-    if hasattr(type(renderer), "with_checkpoint"):
+    if isinstance(renderer, Checkpointable):
         return renderer.with_checkpoint(checkpoint)
     return CheckpointedRenderer(renderer, checkpoint)
 
 
 def without_checkpoint(renderer: Any) -> Any:
     """Return the renderer without its cache."""
-    if isinstance(renderer, CheckpointedRenderer):
-        return renderer.renderer
-    return renderer.with_checkpoint(None) if hasattr(type(renderer), "with_checkpoint") else renderer
+    return renderer.with_checkpoint(None) if isinstance(renderer, Checkpointable) else renderer
 
 
 class CheckpointedRenderer:
@@ -191,8 +189,11 @@ class CheckpointedRenderer:
         self.renderer = renderer
         self.checkpoint = checkpoint
         self.fingerprint = fingerprint
-        # Callers inspect the signature for seed_grad.
-        self.__signature__ = inspect.signature(getattr(renderer, "forward", renderer))
+        self.accepted_keywords = accepted_keywords(renderer)
+
+    def with_checkpoint(self, checkpoint: Checkpoint | None) -> Any:
+        """Return the same with another checkpoint, or the wrapped renderer for None."""
+        return self.renderer if checkpoint is None else CheckpointedRenderer(self.renderer, checkpoint)
 
     def __getattr__(self, name: str) -> Any:
         if name == "forward" or name.startswith("__"):
@@ -278,7 +279,7 @@ class Stopwatch:
     """Elapsed time, including the original render time of results that a checkpoint supplied."""
 
     def __init__(self, renderer: Any) -> None:
-        self._checkpoint: Checkpoint | None = getattr(renderer, "checkpoint", None)
+        self._checkpoint: Checkpoint | None = Capabilities(renderer).checkpoint
         self._start = self.now()
         self._counts = self._count()
 

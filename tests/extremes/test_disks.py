@@ -21,7 +21,8 @@ from scenecaptum import SceneCaptumError, projection, tradeoff
 from scenecaptum.checkpoint import Checkpoint
 from scenecaptum.cli import _attribute, _files
 from scenecaptum.files import atomic_write
-from scenecaptum.visualization import save_render, write_report
+from scenecaptum.report import write_report
+from scenecaptum.visualization import save_render
 
 PICTURE = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(shifted()))
 

@@ -13,6 +13,7 @@ import torch
 
 from ..errors import SceneCaptumError, UnknownNameError, near_misses
 from ..projection import SurfaceMap
+from ..protocols import Capabilities, ResultKind
 from ._jackknife import Adjoints
 from ._passes import channel_totals, covariance_of_mean
 from ._student import student_t
@@ -126,6 +127,12 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
     def __len__(self) -> int:
         return len(self.attributions)
+
+    @property
+    def kind(self) -> ResultKind:
+        """The attributed quantity, such as ``ResultKind.GRADIENT``."""
+        default = ResultKind.GRADIENT if self.convergence_delta is None else ResultKind.CONTRIBUTION
+        return ResultKind(self.info.get("quantity", default))
 
     def saliency(self) -> dict[str, float]:
         """Return each parameter's magnitude: the ℓ2 norm over its channels.
@@ -319,18 +326,6 @@ class SceneAttribution(Mapping[str, torch.Tensor]):
 
         return plot_bars(self, top=top, ax=ax)
 
-    def report(self, path: str | os.PathLike[str], *others: SceneAttribution) -> None:
-        """Write this result and ``others`` to ``path`` as one interactive HTML file.
-
-        Raises
-        ------
-        SceneCaptumError
-            As ``visualization.write_report``.
-        """
-        from ..visualization import write_report
-
-        write_report([self, *others], path)
-
     def __str__(self) -> str:
         from ..visualization import table_text
 
@@ -371,7 +366,7 @@ def make_attribution(
         replicates=replicates,
         covariance=covariances(replicates, bias) if has_errors else None,
         parameter_values=summarize(values),
-        labels=dict(getattr(renderer, "labels", {})),
+        labels=dict(Capabilities(renderer).labels or {}),
         image=image,
         surfaces=surfaces_of(renderer, names),
         info={
@@ -380,7 +375,7 @@ def make_attribution(
             "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
-            **getattr(renderer, "info", {}),
+            **(Capabilities(renderer).info or {}),
             "versions": _versions(),
         },
     )
@@ -400,7 +395,7 @@ def _effective_samples(
     renderer: Any, gradients: GradientSum, adjoints: Adjoints, values: Tensors, spp: int | None
 ) -> dict[str, float]:
     """Return the effective number of samples behind each standard error, if the renderer provides it."""
-    estimate = getattr(renderer, "effective_samples", None)
+    estimate = Capabilities(renderer).effective_samples
     if estimate is None or spp is None or not gradients.degrees_of_freedom:
         return {}
     adjoint = torch.stack(adjoints.per_replicate).mean(0)
@@ -413,8 +408,8 @@ def _effective_samples(
 
 def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:
     """Return the renderer's map from pixels to objects, with the texels of the named parameters, if it has one."""
-    with_texels = getattr(renderer, "surfaces_with_texels", None)
-    surfaces: SurfaceMap | None = with_texels(names) if with_texels else getattr(renderer, "surfaces", None)
+    with_texels = Capabilities(renderer).surfaces_with_texels
+    surfaces: SurfaceMap | None = with_texels(names) if with_texels else Capabilities(renderer).surfaces
     return surfaces
 
 

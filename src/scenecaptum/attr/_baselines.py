@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
 import torch
 
 from ..errors import SceneCaptumError, near_misses
+from ..protocols import Capabilities
 from ..scene import Parameter
 
 Baselines: TypeAlias = "str | float | torch.Tensor | Mapping[str, Any] | Any | None"
@@ -64,7 +65,7 @@ def resolve_baselines(
         If a preset or name is unknown, a shape or scene does not match, or a baseline is outside the physical
         bounds.
     """
-    others: Values | None = getattr(baselines, "inputs", None)
+    others = Capabilities(baselines).inputs
     if isinstance(baselines, str):
         given = _preset(renderer, values, baselines)
     elif others is not None:
@@ -85,7 +86,7 @@ def resolve_baselines(
 
 def table_of(renderer: Any) -> Mapping[str, Parameter] | None:
     """Return the renderer's table of parameters, or None."""
-    describe: Callable[[], Mapping[str, Parameter]] | None = getattr(renderer, "parameters_table", None)
+    describe = Capabilities(renderer).parameters_table
     return None if describe is None else describe()
 
 
@@ -213,5 +214,5 @@ def _bounds(renderer: Any, name: str) -> tuple[float, float, bool, str]:
     if table is not None:
         bounds = table[name].bounds
         return bounds.low, bounds.high, bounds.open_low, str(bounds)
-    low, high = getattr(renderer, "bounds", {}).get(name, (-math.inf, math.inf))
+    low, high = (Capabilities(renderer).bounds or {}).get(name, (-math.inf, math.inf))
     return low, high, False, f"[{low:g}, {high:g}]"

@@ -10,6 +10,7 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError
+from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._groups import Groups, resolve_groups
@@ -51,8 +52,8 @@ class FeatureAblationScene(Perturbation):
     def attribute(  # noqa: PLR0913 -- those of every method, and its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         baselines: Baselines = None,
         groups: Groups = None,
         seed: int = 0,
@@ -129,7 +130,7 @@ class FeatureAblationScene(Perturbation):
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
             return _effects(pseudo_values, features, templates), None
 
-        info = {"quantity": "effect of ablation"}
+        info = {"quantity": ResultKind.ABLATION.value}
         grouped = {} if members is None else {"groups": {g: list(names) for g, names in members.items()}}
         return self._results(measured, target, effects_of, **info, **grouped)
 

@@ -49,8 +49,8 @@ class GradientShapScene(GradientMethod):
     def attribute(  # noqa: PLR0913 -- those of every method, and four of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         baselines: Baselines | list[Baselines] = None,
         n_samples: int = 25,
         stdevs: float | Mapping[str, float] = 0.0,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from tqdm import tqdm
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, check_gradient, check_image, error_context
+from ..protocols import Capabilities, takes_keyword
 from ._jackknife import Adjoints, adjoints_if_linear, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
 from ._passes import (
@@ -272,9 +272,7 @@ class GradientEstimator:
         self.extra_spp = 0
         self._first_adjoints: list[Adjoints] = []
         # A renderer without seed_grad is called twice per replicate.
-        self._has_seed_grad = (
-            "seed_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
-        )
+        self._has_seed_grad = takes_keyword(renderer, "seed_grad")
 
     @property
     def total_image_spp(self) -> int | None:
@@ -458,7 +456,12 @@ def sum_gradients(
 
 def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tensor]:
     """Return the values to attribute to: ``inputs``, or those of the renderer."""
-    values = getattr(renderer, "inputs", None) if inputs is None else inputs
+    values = Capabilities(renderer).inputs if inputs is None else inputs
+    if values is not None and not isinstance(values, Mapping):
+        raise SceneCaptumError(
+            "inputs must be a dict from parameter name to tensor, such as renderer.inputs, not "
+            f"{type(values).__name__}."
+        )
     if not values:
         raise SceneCaptumError(
             "There is nothing to attribute to: give inputs=, a dict from parameter name to tensor."
@@ -478,8 +481,9 @@ def require_memory(renderer: Any, spp: Iterable[int | None], pictures: int) -> N
     SceneCaptumError
         The message suggests settings that would fit.
     """
-    if hasattr(renderer, "require_memory"):
-        renderer.require_memory(spp=max(count or 1 for count in spp), pictures=pictures)
+    check = Capabilities(renderer).require_memory
+    if check is not None:
+        check(spp=max(count or 1 for count in spp), pictures=pictures)
 
 
 def _vjp(

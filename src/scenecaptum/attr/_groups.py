@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import torch
 
 from ..errors import SceneCaptumError, near_misses
+from ..protocols import Capabilities
 from ..scene import Parameter
 from ._attribution import SceneAttribution, covariances
 from ._baselines import table_of
@@ -111,7 +112,7 @@ def _matching(names: tuple[str, ...], group: str, pattern: str) -> list[str]:
 def _by_object(
     renderer: Any, table: Mapping[str, Parameter], names: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
-    surfaces = getattr(renderer, "surfaces", None)
+    surfaces = Capabilities(renderer).surfaces
     if surfaces is None:
         raise SceneCaptumError('groups="object" requires a renderer with surfaces, such as a SceneRenderer.')
     objects_using: dict[str, list[str]] = {}

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import torch
 
 from ..checkpoint import Folder
+from ..protocols import ResultKind
 from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
@@ -44,8 +45,8 @@ class InputXGradientScene(GradientMethod):
     def attribute(  # noqa: PLR0913 -- as VanillaSceneGradient's
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
@@ -85,4 +86,4 @@ class InputXGradientScene(GradientMethod):
         )
         goal = Goal(tolerance, share, top, time_limit)
         point = Point(run.values, factors=run.values)
-        return attribute_to_goal(run, point, goal, spp, quantity="input × gradient")
+        return attribute_to_goal(run, point, goal, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)

@@ -47,8 +47,8 @@ class IntegratedGradientsScene(GradientMethod):
     def attribute(  # noqa: PLR0913 -- those of every method, and three of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         baselines: Baselines = None,
         n_steps: int = 32,
         method: Method = "gausslegendre",

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
+from ..protocols import Capabilities
 from ._attribution import SceneAttribution, make_attribution, metric_interval
 from ._gradients import (
     MIN_METRIC_SPP,
@@ -27,7 +28,7 @@ from ._gradients import (
 from ._groups import Groups, resolve_groups, sum_groups
 from ._interruption import AttributionInterrupted
 from ._jackknife import Adjoints, jackknife, with_image_transform
-from ._metric import Metric, Target, TargetedMetric
+from ._metric import Metric, Target, TargetedMetric, check_renderer_and_metric
 from ._passes import Budget, render_images
 from ._picture_info import describe_picture
 from ._view import Denoise, TransformSelector
@@ -269,11 +270,12 @@ class GradientMethod:
     """
 
     def __init__(self, renderer: Any, metric: Metric) -> None:
+        check_renderer_and_metric(renderer, metric)
         self.renderer = renderer
         self.metric = metric
 
     def _start(self, inputs: Mapping[str, torch.Tensor] | None, target: Targets, settings: Settings) -> Run:
-        spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
+        spp = Capabilities(self.renderer).spp if settings.spp is None else settings.spp
         values, groups = input_values(self.renderer, inputs), settings.groups
         return Run(
             method=type(self).__name__,

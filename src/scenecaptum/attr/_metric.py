@@ -12,10 +12,22 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, describe_location
+from ..protocols import takes_keyword
 from ._view import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | tuple[int, ...] | None"
+
+
+def check_renderer_and_metric(renderer: Any, metric: Any) -> None:
+    """Raise if either is not callable, or if they were passed in the wrong order."""
+    for name, value in (("renderer", renderer), ("metric", metric)):
+        if not callable(value):
+            raise SceneCaptumError(
+                f"{name} must be callable, not {type(value).__name__}: pass a renderer, then a metric."
+            )
+    if takes_keyword(metric, "seed") and not takes_keyword(renderer, "seed"):
+        raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
 
 
 @dataclass(frozen=True)

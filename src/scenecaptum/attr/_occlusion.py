@@ -14,6 +14,7 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, near_misses, whole_number
+from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._method import Result, Settings, Targets
@@ -61,8 +62,8 @@ class OcclusionScene(Perturbation):
     def attribute(  # noqa: PLR0913 -- those of every method, and some of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         sliding_window_shapes: Extents = None,
         strides: Extents = None,
         baselines: Baselines = None,
@@ -147,7 +148,7 @@ class OcclusionScene(Perturbation):
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
             return _effects(pseudo_values, patches, windows, textures), None
 
-        return self._results(measured, target, effects_of, quantity="effect of occlusion")
+        return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION.value)
 
 
 @dataclass(frozen=True)

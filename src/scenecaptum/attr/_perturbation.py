@@ -14,13 +14,14 @@ from tqdm import tqdm
 from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..finite import error_context
+from ..protocols import Capabilities
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._completeness import convergence
 from ._gradients import require_memory
 from ._interruption import AttributionInterrupted
 from ._jackknife import with_image_transform
 from ._method import Result, Settings, Targets, target_list
-from ._metric import Metric, TargetedMetric
+from ._metric import Metric, TargetedMetric, check_renderer_and_metric
 from ._passes import covariance_of_mean, render_images
 from ._picture_info import describe_picture
 from ._values import summarize
@@ -146,6 +147,7 @@ class Perturbation:
     """Base class of methods that compare the metric of changed scenes, without derivatives."""
 
     def __init__(self, renderer: Any, metric: Metric) -> None:
+        check_renderer_and_metric(renderer, metric)
         self.renderer = renderer
         self.metric = metric
 
@@ -157,7 +159,7 @@ class Perturbation:
         renderer = with_checkpoint(self.renderer, settings.checkpoint)
         watch = Stopwatch(renderer)
         metrics = tuple(TargetedMetric(self.metric, element) for element in target_list(target))
-        spp = getattr(self.renderer, "spp", None) if settings.spp is None else settings.spp
+        spp = Capabilities(self.renderer).spp if settings.spp is None else settings.spp
         budget = ArmBudget.split(spp, len(arms), settings.replicates, settings.seed)
         require_memory(renderer, [budget.spp], len(budget.seeds))
         bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
@@ -226,7 +228,7 @@ class Perturbation:
         drift = None if bias is None or error is None else (bias, error)
         spp = None if measured.budget.spp is None else count * measured.budget.spp
         result_info = {
-            **getattr(self.renderer, "info", {}),
+            **(Capabilities(self.renderer).info or {}),
             "cautions": {},  # the renderer's cautions are about derivatives
             **measured.info,
             "metric": measured.metrics[index].name,
@@ -242,7 +244,7 @@ class Perturbation:
         if residual is not None:
             magnitude = sum(effect.value.abs().sum().item() for effect in effects.values())
             result_info |= convergence(residual.delta, None, residual.explained, magnitude)
-        labels = getattr(self.renderer, "labels", {})
+        labels = Capabilities(self.renderer).labels or {}
         return SceneAttribution(
             attributions={name: effect.value.float() for name, effect in effects.items()},
             standard_error=_all_or_none(

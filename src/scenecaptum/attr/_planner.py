@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
+from ..protocols import Capabilities
 from ._against import differences
 from ._attribution import SceneAttribution, surfaces_of
 from ._gradients import GradientSum, Point, require_memory
@@ -329,7 +330,7 @@ def attribute_to_goal(
     else:
         first_spp = whole_number("spp", first_spp)
     if against is not None:
-        against = with_checkpoint(against, getattr(run.renderer, "checkpoint", None))
+        against = with_checkpoint(against, Capabilities(run.renderer).checkpoint)
     search = _Search(run, point, goal, first_spp, against)
     interrupted = search.run_rounds()
     return run.return_results(search.results(interrupted, **info), interrupted=interrupted)
@@ -337,7 +338,7 @@ def attribute_to_goal(
 
 def _first_spp_per_replicate(renderer: Any) -> int:
     """Return the samples per replicate of the first round: nearly free, but enough to estimate the noise."""
-    width, height = getattr(renderer, "resolution", (0, 0))
+    width, height = Capabilities(renderer).resolution or (0, 0)
     return min(max(NEARLY_FREE_SAMPLES // (width * height), 4), 64) if width * height else DEFAULT_FIRST_SPP
 
 
@@ -358,7 +359,7 @@ class _Search:
         self.setup_seconds = 0.0  # before the time limit starts
         self.replicate_time = ReplicateTime()
         settings = dataclasses.asdict(goal), run.settings.seed, self.replicates, self.first_spp, run.values
-        renderer_info = getattr(run.renderer, "info", {})
+        renderer_info = Capabilities(run.renderer).info or {}
         self.time = TimeLimit(goal.time_limit, run.renderer, (settings, renderer_info))
         self.bar = tqdm(
             total=0, disable=not run.settings.show_progress, desc=run.metrics[0].name, unit="replicate"
@@ -412,7 +413,7 @@ class _Search:
 
     def _effective_samples(self, number: int) -> Mapping[str, float]:
         """Return the effective samples behind the gradients of a metric, if the renderer provides them."""
-        estimate = getattr(self.run.renderer, "effective_samples", None)
+        estimate = Capabilities(self.run.renderer).effective_samples
         if estimate is None:
             return {}
         replicates = self.sums[number].replicates
@@ -509,7 +510,7 @@ class _Search:
         self.bar.total += 2 * budget.replicates[0]
         changes = differences(run.renderer, self.against, run.metrics, self.point, budget, self.bar)
         self.changes = [
-            _describe_change(change, assessment, run.members, getattr(self.against, "info", {}))
+            _describe_change(change, assessment, run.members, Capabilities(self.against).info or {})
             for change, assessment in zip(changes, self.assessments, strict=True)
         ]
 

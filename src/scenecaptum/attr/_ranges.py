@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..errors import SceneCaptumError, near_misses
+from ..protocols import Capabilities
 from ..scene import reflect
 from ._baselines import table_of
 
@@ -73,7 +74,7 @@ class Noise:
 
 
 def _bounds(renderer: Any) -> Mapping[str, tuple[float, float]]:
-    bounds: Mapping[str, tuple[float, float]] | None = getattr(renderer, "bounds", None)
+    bounds = Capabilities(renderer).bounds
     if bounds is None:
         raise SceneCaptumError(
             "Ranges require physical bounds: give the renderer an attribute `bounds`, a dict from parameter name "

@@ -11,6 +11,7 @@ import torch
 from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, without_checkpoint
+from ..protocols import Capabilities
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
@@ -42,7 +43,7 @@ class TimeLimit:
     def __init__(self, limit: float | None = None, renderer: Any = None, job: Any = ()) -> None:
         self.limit = limit
         self._job = job
-        self._checkpoint = getattr(renderer, "checkpoint", None)
+        self._checkpoint = Capabilities(renderer).checkpoint
         self._watch = Stopwatch(renderer)
         self._start = self.now()
 

@@ -14,6 +14,7 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
 from ._gradients import input_values
 from ._groups import Groups, resolve_groups
@@ -65,8 +66,8 @@ class ShapleyValueScene(Perturbation):
     def attribute(  # noqa: PLR0913 -- those of every method, and some of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         baselines: Baselines = None,
         groups: Groups = None,
         n_samples: int | Literal["all"] = 25,
@@ -151,7 +152,7 @@ class ShapleyValueScene(Perturbation):
             measured,
             target,
             effects_of,
-            quantity="Shapley value",
+            quantity=ResultKind.SHAPLEY_VALUE.value,
             groups={group: list(names) for group, names in members.items()},
             permutations="all" if orders is None else 2 * pairs,
             replicates=count

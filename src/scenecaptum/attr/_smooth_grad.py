@@ -10,6 +10,7 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..protocols import ResultKind
 from ._gradients import GradientSum, Point, PointGradient
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
@@ -19,10 +20,10 @@ from ._view import Denoise
 
 NoiseType = Literal["smoothgrad", "smoothgrad_sq", "vargrad"]
 
-_QUANTITIES = {
-    "smoothgrad": "mean gradient",
-    "smoothgrad_sq": "mean squared gradient",
-    "vargrad": "variance of the gradient",
+_KINDS = {
+    "smoothgrad": ResultKind.MEAN_GRADIENT,
+    "smoothgrad_sq": ResultKind.MEAN_SQUARED_GRADIENT,
+    "vargrad": ResultKind.GRADIENT_VARIANCE,
 }
 
 
@@ -52,8 +53,8 @@ class SmoothGradScene(GradientMethod):
     def attribute(  # noqa: PLR0913 -- those of every method, and four of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         nt_type: NoiseType = "smoothgrad",
         nt_samples: int = 25,
         stdevs: float | Mapping[str, float] = 0.1,
@@ -122,8 +123,8 @@ class SmoothGradScene(GradientMethod):
         AttributionInterrupted
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
-        if nt_type not in _QUANTITIES:
-            raise SceneCaptumError(f"nt_type must be one of {', '.join(_QUANTITIES)}, not {nt_type!r}.")
+        if nt_type not in _KINDS:
+            raise SceneCaptumError(f"nt_type must be one of {', '.join(_KINDS)}, not {nt_type!r}.")
         count = whole_number("nt_samples", nt_samples)
         if nt_type != "smoothgrad" and whole_number("replicates", replicates) == 1:
             raise SceneCaptumError(
@@ -142,7 +143,7 @@ class SmoothGradScene(GradientMethod):
             random_points=True,
             moment=_MOMENTS[nt_type],
             nt_type=nt_type,
-            quantity=f"{_QUANTITIES[nt_type]} per unit",
+            quantity=_KINDS[nt_type].value,
         )
 
 

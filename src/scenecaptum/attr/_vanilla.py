@@ -9,6 +9,7 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError
+from ..protocols import ResultKind
 from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
@@ -19,7 +20,11 @@ from ._view import Denoise
 
 AttributionScale = Literal["unit", "range", "value"]
 
-_QUANTITIES = {"unit": "gradient per unit", "range": "gradient × range", "value": "gradient × value"}
+_KINDS = {
+    "unit": ResultKind.GRADIENT,
+    "range": ResultKind.GRADIENT_OVER_RANGE,
+    "value": ResultKind.GRADIENT_TIMES_VALUE,
+}
 
 
 class VanillaSceneGradient(GradientMethod):
@@ -50,8 +55,8 @@ class VanillaSceneGradient(GradientMethod):
     def attribute(  # noqa: PLR0913 -- those of every method, and six of its own
         self,
         inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Targets = None,
         *,
+        target: Targets = None,
         scale: AttributionScale = "unit",
         groups: Groups = None,
         seed: int = 0,
@@ -144,7 +149,7 @@ class VanillaSceneGradient(GradientMethod):
         factors = _factors(scale, self.renderer, run.values)
         point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)
-        info = {"scale": scale, "quantity": _QUANTITIES[scale]}
+        info = {"scale": scale, "quantity": _KINDS[scale].value}
         return attribute_to_goal(run, point, goal, spp, against=against, **info)
 
 

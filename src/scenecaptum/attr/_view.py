@@ -10,6 +10,7 @@ import torch
 
 from ..denoising import Guides, denoise, is_picture
 from ..errors import SceneCaptumError
+from ..protocols import Capabilities
 
 Denoise: TypeAlias = "Literal['auto'] | bool"
 
@@ -137,6 +138,6 @@ class TransformSelector:
     ) -> ImageTransform:
         """Select by independent images of a scene; for a single image repeat the last selection."""
         if len(images) > 1 or self._last is IDENTITY:
-            guides = getattr(self._renderer, "guides", None) if is_picture(images[0]) else None
+            guides = Capabilities(self._renderer).guides if is_picture(images[0]) else None
             self._last = choose_transform(self.mode, images, samples, guides)
         return self._last

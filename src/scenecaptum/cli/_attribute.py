@@ -131,7 +131,7 @@ def _write_report(attributions: Sequence[SceneAttribution], options: argparse.Na
     """Write the report of the results so far, if requested."""
     if not options.report:
         return
-    from ..visualization import write_report
+    from ..report import write_report
 
     path = options.out / REPORT
     write_report(attributions, path)

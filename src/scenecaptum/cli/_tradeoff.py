@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneCaptumError
-from ..tradeoff import Tradeoff, measure
-from ..tradeoff._result import TOLERANCE
-from ..tradeoff._settings import KEYS
+from ..tradeoff import KEYS, TOLERANCE, Tradeoff, measure
 from . import _arguments
 from ._files import writable, write_each
 

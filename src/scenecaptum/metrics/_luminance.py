@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from ..errors import SceneCaptumError
-from ._picture import channels_first
+from ..images import channels_first
 
 
 def luminance(image: torch.Tensor) -> torch.Tensor:

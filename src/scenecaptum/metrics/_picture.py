@@ -1,35 +1,11 @@
-"""Conversion of rendered images to the layout and colour space of networks and kornia."""
+"""Conversion of rendered images to the colour space of networks and kornia, and checks of metrics' arguments."""
 
 from __future__ import annotations
 
 import torch
 
 from ..errors import SceneCaptumError
-
-
-def channels_first(image: torch.Tensor) -> torch.Tensor:
-    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the image has another shape.
-    """
-    check_image(image)
-    return image.movedim(-1, 0)[None]
-
-
-def channels_last(picture: torch.Tensor) -> torch.Tensor:
-    """Convert a ``(1, 3, H, W)`` picture to ``(H, W, 3)``, the layout of renderers and figures."""
-    return picture[0].movedim(0, -1)
-
-
-def check_image(image: torch.Tensor) -> None:
-    """Raise if a tensor is not an ``(H, W, 3)`` image."""
-    if image.ndim != 3 or image.shape[-1] != 3 or not image.numel():
-        raise SceneCaptumError(
-            f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
-        )
+from ..images import channels_first, check_image_shape
 
 
 def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
@@ -85,7 +61,7 @@ def check_exposure(exposure: float) -> float:
 
 def check_reference(reference: torch.Tensor) -> torch.Tensor:
     """Return a detached copy of a reference image; raise if it is invalid."""
-    check_image(reference)
+    check_image_shape(reference)
     if not torch.isfinite(reference).all():
         raise SceneCaptumError("The reference has values that are not finite: pass it through nan_to_num(0).")
     return reference.detach().clone()

@@ -22,7 +22,7 @@ from ..errors import SceneCaptumError, near_misses
 from ..files import atomic_write
 
 if TYPE_CHECKING:
-    from ..attr import SceneAttribution
+    from ..protocols import Attribution
     from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
@@ -32,7 +32,7 @@ IMAGE = 3  # number of axes
 
 
 def heatmap(
-    attribution: SceneAttribution,
+    attribution: Attribution,
     *,
     parameter: Names = None,
     signed: bool = False,
@@ -118,7 +118,7 @@ def heatmap(
 
 
 def shared_maximum(
-    attributions: Iterable[SceneAttribution],
+    attributions: Iterable[Attribution],
     *,
     parameter: Names = None,
     texels: bool = False,
@@ -149,7 +149,7 @@ def shared_maximum(
 
 
 def export(
-    what: SceneAttribution | torch.Tensor,
+    what: Attribution | torch.Tensor,
     path: str | os.PathLike[str],
     *,
     colours: str | None = None,
@@ -183,8 +183,9 @@ def export(
     SceneCaptumError
         If the format or colour map is unknown, the shape is not that of an image, or the file cannot be written.
     """
-    if isinstance(what, Mapping):
-        values = heatmap(what, **options).numpy(force=True)
+    attribution = what if isinstance(what, Mapping) else None
+    if attribution is not None:
+        values = heatmap(attribution, **options).numpy(force=True)
     elif options:
         raise SceneCaptumError(f"{', '.join(options)}: only for an attribution; a map is written unchanged.")
     else:
@@ -202,11 +203,10 @@ def export(
             signed = options.get("signed", values.min() < 0)
             _write_png(values, partial, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
         else:
-            attribution = what if isinstance(what, Mapping) else None
             partial.write_bytes(_exr(values, attribution, options.get("surfaces")))
 
 
-def _to_array(values: torch.Tensor) -> NDArray[np.float32]:
+def _to_array(values: Any) -> NDArray[np.float32]:
     if (
         not isinstance(values, torch.Tensor)
         or values.ndim not in (2, IMAGE)
@@ -240,7 +240,7 @@ def _write_png(
 
 
 def _exr(
-    values: NDArray[np.float32], attribution: SceneAttribution | None, surfaces: SurfaceMap | None
+    values: NDArray[np.float32], attribution: Attribution | None, surfaces: SurfaceMap | None
 ) -> bytes:
     from ..backend import exclusively
     from ._cryptomatte import layers
@@ -268,7 +268,7 @@ def _exr_bytes(mi: Any, bitmap: Any) -> bytes:
     return bytes(stream.raw_buffer())
 
 
-def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> SurfaceMap:
+def _surfaces_of(attribution: Attribution, given: SurfaceMap | None) -> SurfaceMap:
     surfaces = attribution.surfaces if given is None else given
     if surfaces is None:
         raise SceneCaptumError(
@@ -278,7 +278,7 @@ def _surfaces_of(attribution: SceneAttribution, given: SurfaceMap | None) -> Sur
 
 
 def _entries(
-    attribution: SceneAttribution, surfaces: SurfaceMap, parameter: Names, texels: bool
+    attribution: Attribution, surfaces: SurfaceMap, parameter: Names, texels: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return the saliency and sign of each entry of the surface map, and the largest saliency."""
     selected = _select(attribution, parameter)
@@ -304,7 +304,7 @@ def _entries(
 
 
 def _texel_maps(
-    attribution: SceneAttribution, surfaces: SurfaceMap, selected: Collection[str]
+    attribution: Attribution, surfaces: SurfaceMap, selected: Collection[str]
 ) -> dict[str, TexelMap]:
     """Return the texel maps of the selected textures; groups have none."""
     texel_maps = {name: surfaces.texels[name] for name in selected if name in surfaces.texels}
@@ -316,7 +316,7 @@ def _texel_maps(
     return texel_maps
 
 
-def _select(attribution: SceneAttribution, parameter: Names) -> list[str]:
+def _select(attribution: Attribution, parameter: Names) -> list[str]:
     if parameter is None:
         return list(attribution)
     patterns = [parameter] if isinstance(parameter, str) else list(parameter)
@@ -335,7 +335,7 @@ def _select(attribution: SceneAttribution, parameter: Names) -> list[str]:
 
 
 def _params_by_object(
-    attribution: SceneAttribution, surfaces: SurfaceMap, saliency: Mapping[str, float]
+    attribution: Attribution, surfaces: SurfaceMap, saliency: Mapping[str, float]
 ) -> list[set[str]]:
     """Return, for each object, the parameters or parameter groups that its appearance depends on."""
     groups = attribution.info.get("groups") or {name: [name] for name in saliency}

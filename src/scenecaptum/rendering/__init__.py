@@ -1,4 +1,8 @@
 """θ → image as a torch function: the renderer, the plan it follows, and what each pixel shows."""
 
+# What users see; the other names are for the rooms above.
+__all__ = ["RenderPlan", "SceneRenderer"]
+
+from ._plan import STOCK_INTEGRATORS as STOCK_INTEGRATORS
 from ._plan import RenderPlan as RenderPlan
 from ._renderer import SceneRenderer as SceneRenderer

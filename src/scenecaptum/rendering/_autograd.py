@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RenderCall:
-    """Arguments of one call of the renderer, for its forward and backward passes; all but the values."""
+    """Arguments of one call of the renderer, for its forward and backward passes; all but the values.
+
+    The backward pass either replays the forward pass, sample by sample, or has samples of its own, which it
+    distributes over the pixels by ``importance_sampling``.
+    """
 
     engine: Engine | CheckpointedEngine
     names: tuple[str, ...]
@@ -27,6 +31,7 @@ class RenderCall:
     seed_grad: int
     spp: int
     spp_grad: int
+    importance_sampling: bool
     check: Callable[[dict[str, torch.Tensor]], None]
 
     def values(self, tensors: tuple[torch.Tensor, ...]) -> dict[str, torch.Tensor]:
@@ -108,7 +113,7 @@ class RenderVJP(_Derivative):
             adjoint,
             call.seed_grad,
             call.spp_grad,
-            importance_sampling=call.seed_grad != call.seed,
+            importance_sampling=call.importance_sampling,
         )
         for name, gradient in zip(tracked, gradients, strict=True):
             check_gradient(name, gradient, f"seed {call.seed_grad}")

@@ -10,6 +10,7 @@ import torch
 
 from ..denoising import straight_through
 from ..errors import SceneCaptumError, check_seed
+from ..protocols import Capabilities
 from ..scene import reflect
 
 Values: TypeAlias = dict[str, torch.Tensor]
@@ -40,15 +41,15 @@ def as_captum(
     """
     if seed is not None:
         check_seed("seed", seed)
-    own = {name: value.detach().clone() for name, value in (getattr(renderer, "inputs", None) or {}).items()}
+    own = {name: value.detach().clone() for name, value in (Capabilities(renderer).inputs or {}).items()}
     if not own:
         raise SceneCaptumError(
             "The renderer has no inputs to pass to Captum: it needs an attribute inputs, a dict from parameter "
             "name to tensor."
         )
     bound = _bounding(renderer, own, bounds)
-    spp = getattr(renderer, "spp", None)
-    guides = getattr(renderer, "guides", None) if denoise else None
+    spp = Capabilities(renderer).spp
+    guides = Capabilities(renderer).guides if denoise else None
 
     def forward(*tensors: torch.Tensor) -> torch.Tensor:
         """Evaluate the metric on the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
@@ -68,12 +69,13 @@ def _bounding(renderer: Any, own: Values, bounds: str) -> Callable[[Values], Val
         return lambda row: row
     if bounds != "reflect":
         raise SceneCaptumError(f'bounds must be "raise" or "reflect", not {bounds!r}.')
-    if not hasattr(renderer, "bounds"):
+    offered = Capabilities(renderer)
+    if offered.bounds is None:
         raise SceneCaptumError(
             'bounds="reflect" needs a renderer that has bounds, a dict from parameter name to (low, high).'
         )
-    limits = dict(renderer.bounds)
-    table = renderer.parameters_table() if hasattr(renderer, "parameters_table") else None
+    limits = dict(offered.bounds)
+    table = offered.parameters_table() if offered.parameters_table else None
     is_open = {name: table is not None and table[name].bounds.open_low for name in own}
 
     def bound(row: Values) -> Values:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ import torch
 from ..backend import activate
 from ..scene import SceneParameters
 from ..scene._graph import SceneGraph
+from ..visualization import STYLE, group_by_text, html_cells, terminal_width, wrap
 from ._derivative_routes import low_roughness_names, reason_against_replay
 from ._memory import format_bytes
 
@@ -22,7 +24,7 @@ FULL_PATH_DEPTH = 16
 DEFAULT_DEPTH = 6
 
 # Mitsuba's own path replay, without and with participating media.
-STOCK = ("prb", "prbvolpath")
+STOCK_INTEGRATORS = ("prb", "prbvolpath")
 
 
 @dataclass(frozen=True)
@@ -61,15 +63,28 @@ class RenderPlan:
     memory: int = 0
 
     def __str__(self) -> str:
-        """Return one decision per line."""
-        from ..visualization import plan_text
-
-        return plan_text(self)
+        """Return one decision per line; in a terminal within its width."""
+        width, column = terminal_width(), max(len(decision) for decision, _ in self.decisions)
+        lines = [(f"{decision.ljust(column)}  {reason}", column + 2) for decision, reason in self.decisions]
+        for text, names in group_by_text(self.differences).items():
+            lines.append((f"finite difference for {', '.join(names)}: {text}", 4))
+        for text, names in group_by_text(self.cautions).items():
+            lines.append((f"caution: {', '.join(names)}: {text}", 4))
+        return "\n".join(text if width is None else wrap(text, width, indent) for text, indent in lines)
 
     def _repr_html_(self) -> str:
-        from ..visualization import plan_html
-
-        return plan_html(self)
+        """Return a table of the decisions and their reasons, with finite differences and cautions below it."""
+        rows = "\n".join(f"<tr>{html_cells(pair, 'td')}</tr>" for pair in self.decisions)
+        notes = [
+            f"<div><b>{html.escape(title)}</b> {html.escape(', '.join(names))}: {html.escape(text)}</div>"
+            for title, pairs in (("Finite difference for", self.differences), ("Caution:", self.cautions))
+            for text, names in group_by_text(pairs).items()
+        ]
+        return (
+            f'<div class="scenecaptum">\n{STYLE}\n'
+            f"<table>\n<thead><tr>{html_cells(('decision', 'reason'), 'th')}</tr></thead>\n"
+            f'<tbody>\n{rows}\n</tbody>\n</table>\n<div class="notes">{"".join(notes)}</div>\n</div>'
+        )
 
     def create_integrator(self, *, hide_emitters: bool | None = None) -> Any:
         """Return the planned Mitsuba integrator, optionally with another ``hide_emitters``."""
@@ -190,7 +205,7 @@ def _unused_integrator(own: Any) -> list[tuple[str, str]]:
 
 def stock_plan(plan: RenderPlan) -> RenderPlan:
     """Return the same plan with Mitsuba's own integrator and its uncorrected derivatives."""
-    integrator = STOCK["volumetric" in plan.integrator]
+    integrator = STOCK_INTEGRATORS["volumetric" in plan.integrator]
     return dataclasses.replace(
         plan,
         integrator=integrator,

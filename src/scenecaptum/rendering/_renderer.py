@@ -26,7 +26,7 @@ from ..scene._loading import SceneLike, XmlParameters, format_parameters, hashab
 from ..scene._selection import Selection
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
-from ._plan import STOCK, RenderPlan, make_plan, stock_plan
+from ._plan import STOCK_INTEGRATORS, RenderPlan, make_plan, stock_plan
 from ._sensors import choose_sensor, common_resolution
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ class SceneRenderer(torch.nn.Module):
         self._surface_maps: dict[Any, SurfaceMap] = {}
         self._guides: Guides | None = None
         self._engines: Sequence[Engine | CheckpointedEngine] = [
-            (StockEngine if plan.integrator in STOCK else Engine)(
+            (StockEngine if plan.integrator in STOCK_INTEGRATORS else Engine)(
                 self._graph,
                 sensor,
                 self._state,
@@ -325,8 +325,8 @@ class SceneRenderer(torch.nn.Module):
         with exclusively(self._variant):
             size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
             plan = self.plan if max_depth is None else self._plan_for(max_depth)
-            stock = integrator is not None or self.plan.integrator in STOCK
-            if stock and plan.integrator not in STOCK:
+            stock = integrator is not None or self.plan.integrator in STOCK_INTEGRATORS
+            if stock and plan.integrator not in STOCK_INTEGRATORS:
                 plan = stock_plan(plan)
             other = self._shallow_copy()
             other._prepare(size, plan)
@@ -509,6 +509,11 @@ class SceneRenderer(torch.nn.Module):
         SceneCaptumError
             Before anything is rendered, if a name is unknown, a shape is wrong or a value is unphysical.
         """
+        if inputs is not None and not isinstance(inputs, Mapping):
+            raise SceneCaptumError(
+                f"A renderer takes a dict from parameter name to tensor, such as renderer.inputs, not "
+                f"{type(inputs).__name__}."
+            )
         given = dict(inputs or {})
         for name, value in given.items():
             self._check_tensor(name, value)
@@ -528,6 +533,7 @@ class SceneRenderer(torch.nn.Module):
                         seed_grad=_seed_of_camera(seed_grad, number),
                         spp=spp,
                         spp_grad=spp_grad,
+                        importance_sampling=seed_grad != seed,
                         check=self._check_values,
                     ),
                     *tensors,

@@ -11,8 +11,8 @@ __all__ = [
 ]
 
 from ._loading import load_scene as load_scene
-from ._parameters import Parameter as Parameter
-from ._parameters import SceneParameters as SceneParameters
+from ._parameter_table import Parameter as Parameter
+from ._parameter_table import SceneParameters as SceneParameters
 from ._parameters import discover as discover
 from ._reflection import OPEN_MARGIN as OPEN_MARGIN
 from ._reflection import reflect as reflect

@@ -4,127 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 
 from ..backend import activate
-from ..errors import UnknownNameError, near_misses
 from ._bounds import Bounds
 from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._naming import area_emitter_id
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of a scene.
-
-    Attributes
-    ----------
-    name
-        Its ``mi.traverse`` key under ``optimize=False``, used everywhere.
-    label
-        A readable name for tables and figures.
-    kind
-        ``"reflectance"``, ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"`` (any other property of a
-        material), ``"emitters"``, ``"media"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
-    plugin
-        The Mitsuba class of the material, emitter, medium, shape or sensor that uses it.
-    role
-        The Mitsuba property that it is used for: ``"diffuse_reflectance"``, ``"eta"``, …
-    shape
-        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture. Where Mitsuba
-        reads a colour as one number, such as an opacity, ``()`` for a colour and ``(H, W, 1)`` for a texture.
-    bounds
-        The physically meaningful interval.
-    owners
-        The materials, emitters or media that it belongs to.
-    tracked
-        Whether Dr.Jit can track its derivative; otherwise finite differences are used.
-    specular_inside
-        Whether it belongs to a material with a perfectly specular lobe.
-    fault
-        Why the scene's own value is invalid (not finite or physically impossible), or None.
-    problem
-        Why it cannot be differentiated, or None.
-    caution
-        A known error of its derivative, or None.
-    """
-
-    name: str
-    label: str
-    kind: str
-    plugin: str
-    role: str
-    shape: tuple[int, ...]
-    bounds: Bounds
-    owners: tuple[str, ...]
-    tracked: bool = True
-    specular_inside: bool = False
-    fault: str | None = None
-    problem: str | None = None
-    caution: str | None = None
-
-    @property
-    def is_texture(self) -> bool:
-        """Whether its value varies over a surface."""
-        return len(self.shape) in (2, 3) and self.kind in SURFACE_KINDS
-
-    @property
-    def status(self) -> str:
-        """One line: differentiable, differentiable with a caution, or the reason why not."""
-        if self.problem:
-            return f"not differentiable: {self.problem}"
-        return f"differentiable, but {self.caution}" if self.caution else "differentiable"
-
-
-class SceneParameters(Mapping[str, Parameter]):
-    """The parameters of a scene by name, in the scene's order; prints as a table.
-
-    Parameters
-    ----------
-    parameters
-        The parameters, with unique names.
-    """
-
-    def __init__(self, parameters: Iterable[Parameter]) -> None:
-        self._by_name = {parameter.name: parameter for parameter in parameters}
-
-    def __getitem__(self, name: str) -> Parameter:
-        try:
-            return self._by_name[name]
-        except KeyError:
-            raise UnknownNameError(
-                f"The scene has no parameter {name!r}.{near_misses(name, self._by_name)}"
-            ) from None
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._by_name
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._by_name)
-
-    def __len__(self) -> int:
-        return len(self._by_name)
-
-    def __str__(self) -> str:
-        """Return a table with name, kind, shape, bounds, owner and status."""
-        from ..visualization import parameters_text
-
-        return parameters_text(self)
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        from ..visualization import parameters_html
-
-        return parameters_html(self)
-
-
-SURFACE_KINDS = ("reflectance", "roughness", "ior", "opacity", "surface")
+from ._parameter_table import Parameter, SceneParameters
 
 _UNIT = Bounds(0.0, 1.0)
 _POSITIVE_UNIT = Bounds(0.0, 1.0, open_low=True)

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from typing import TypeAlias
 
 from ..errors import SceneCaptumError, near_misses
-from ._parameters import SURFACE_KINDS, Parameter, SceneParameters
+from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
 
 Selection: TypeAlias = "str | Sequence[str]"
 

@@ -19,11 +19,12 @@ from ..attr._passes import channel_totals
 from ..attr._view import Denoise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ._result import TOP, Measured, Reference, Tradeoff
+from ..ranks import kendall_tau
+from ._result import TOP, Tradeoff
+from ._rows import Measured, Reference
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
 from ._statistics import (
     Estimate,
-    kendall,
     kendall_of_resolved,
     relative_bias,
     relative_error,
@@ -176,7 +177,7 @@ class SettingRunner:
             renderer = SplitSamples(renderer, setting)
         attribution: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
             self._values,
-            self._target,
+            target=self._target,
             seed=seed,
             spp=setting.primal_spp,
             picture_spp=setting.primal_spp,
@@ -315,7 +316,7 @@ class ReferenceGradient:
             relative_error=relative_error(deviations, self.size),
             bias=relative_bias(deviations, self.noise, self.size),
             spearman=agreement(lambda s: spearman(s, self.saliency)),
-            kendall=agreement(lambda s: kendall(s, self.saliency)),
+            kendall=agreement(lambda s: kendall_tau(s, self.saliency)),
             kendall_resolved=agreement(lambda s: kendall_of_resolved(s, self.saliency, self.saliency_error)),
             top=agreement(lambda s: top_agreement(s, self.saliency, top)),
         )
@@ -332,7 +333,7 @@ class ReferenceGradient:
             setting=setting,
             seconds=self.attribution.info["seconds"],
             relative_error=self.noise.norm().item() / self.size,
-            kendall_of_halves=kendall(first, second),
+            kendall_of_halves=kendall_tau(first, second),
         )
 
 

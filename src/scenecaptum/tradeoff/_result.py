@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ._settings import Setting
-from ._statistics import Bias, Estimate
+from ..visualization import WIDTH, figure_of, new_figure
+from ._figure import draw, label
+from ._rows import Measured, Reference
+from ._statistics import Estimate
+from ._text import recommendation_text, reference_text, setting_text, table_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,64 +22,6 @@ if TYPE_CHECKING:
 
 TOP = 5
 TOLERANCE = 0.05
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Cost and accuracy of one setting.
-
-    Attributes
-    ----------
-    varied
-        The option that differs from the renderer's own setting; empty for the own setting.
-    setting
-        The complete setting.
-    seconds
-        Median time of one attribution.
-    relative_error
-        Root mean square over the runs of ``‖g − g_ref‖ / ‖g_ref‖``.
-    bias
-        ``‖mean(g) − g_ref‖ / ‖g_ref‖``, corrected for the noise of both.
-    spearman, kendall
-        Mean rank correlation with the reference over all parameters; Kendall's is τ-b.
-    kendall_resolved
-        Kendall's τ over the pairs that differ by more than two standard errors in the reference; NaN if none does.
-    top
-        Fraction of the reference's top five parameters that are among the top five.
-    """
-
-    varied: str
-    setting: Setting
-    seconds: float
-    relative_error: Estimate
-    bias: Bias
-    spearman: Estimate
-    kendall: Estimate
-    kendall_resolved: Estimate
-    top: Estimate
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Cost and accuracy of the reference.
-
-    Attributes
-    ----------
-    setting
-        Its setting.
-    seconds
-        Its time.
-    relative_error
-        Its standard error, relative to ``‖g_ref‖``.
-    kendall_of_halves
-        Kendall's τ-b between the rankings of the two halves of its replicates: higher correlations are not
-        meaningful.
-    """
-
-    setting: Setting
-    seconds: float
-    relative_error: float
-    kendall_of_halves: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,15 +75,28 @@ class Tradeoff:
 
     def recommendation(self, tolerance: float = TOLERANCE) -> str:
         """Return the recommended setting for a relative error of ``tolerance``, or why there is none."""
-        from ..visualization import recommendation_text
-
-        return recommendation_text(self, tolerance)
+        return recommendation_text(self.rows, self.cheapest(tolerance), tolerance)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the relative error over the time."""
-        from ..visualization import plot_tradeoff
+        """Plot the relative error over the time, with one marker per setting and one style per varied option.
 
-        return plot_tradeoff(self, ax=ax)
+        The grey line is the Pareto front; the dashed line is the error of the reference itself.
+
+        Parameters
+        ----------
+        ax
+            Axes to draw into; by default those of a new figure.
+        """
+        if ax is None:
+            ax = new_figure(WIDTH, 4.6).add_subplot()
+        draw(ax, self.rows, self.front, self.reference)
+        remarks = [
+            "grey line: Pareto front",
+            f"dashed: error of the reference ({setting_text(self.reference.setting)})",
+            f"error bars: one standard error, from {self.runs} runs",
+        ]
+        label(ax, f"Cost and accuracy: {self.metric}", remarks)
+        return figure_of(ax)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write one line per setting to a file, atomically."""
@@ -177,9 +135,17 @@ class Tradeoff:
 
     def text(self, tolerance: float = TOLERANCE) -> str:
         """Return the table, and the recommendation for a relative error of ``tolerance``."""
-        from ..visualization import tradeoff_text
-
-        return tradeoff_text(self, tolerance)
+        return "\n".join(
+            [
+                f"{self.scene}, {self.metric}: {self.parameters} parameters, {self.runs} runs of each setting",
+                "",
+                *table_lines(self.rows, self.front),
+                "",
+                "* on the Pareto front of time and error;  bias: ≤ upper limit where not significant",
+                reference_text(self.reference),
+                self.recommendation(tolerance),
+            ]
+        )
 
     def __str__(self) -> str:
         return self.text()

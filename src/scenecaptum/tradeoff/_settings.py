@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from ..attr._passes import DEFAULT_REPLICATES
 from ..errors import SceneCaptumError, near_misses, whole_number
+from ..protocols import takes_keyword
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
 
@@ -117,7 +117,7 @@ def reference_setting(settings: Sequence[Setting], spp: int, replicates: int) ->
 
 
 def _has_gradient_spp(renderer: Any) -> bool:
-    return "spp_grad" in inspect.signature(getattr(renderer, "forward", renderer)).parameters
+    return takes_keyword(renderer, "spp_grad")
 
 
 def _check_key(renderer: Any, key: str) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from ..visualization._ranks import kendall_tau
+from ..ranks import kendall_tau_of_pairs
 
 SIGNIFICANT_Z = 3.0  # standard deviations of a normal distribution
 
@@ -120,16 +120,11 @@ def spearman(a: torch.Tensor, b: torch.Tensor) -> float:
     return float(centred_a @ centred_b) / size if size else math.nan
 
 
-def kendall(a: torch.Tensor, b: torch.Tensor) -> float:
-    """Return Kendall's τ-b."""
-    return kendall_tau(a.tolist(), b.tolist())
-
-
 def kendall_of_resolved(values: torch.Tensor, reference: torch.Tensor, error: torch.Tensor) -> float:
     """Return Kendall's τ over the pairs that differ by over two standard errors in the reference; NaN for none."""
     differences = reference[:, None] - reference[None, :]
     resolved = differences > 2 * torch.hypot(error[:, None], error[None, :])
-    return float(torch.sign(values[:, None] - values[None, :])[resolved].mean())
+    return kendall_tau_of_pairs(values, reference, resolved)
 
 
 def top_agreement(a: torch.Tensor, b: torch.Tensor, count: int) -> float:

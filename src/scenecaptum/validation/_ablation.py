@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tqdm import tqdm
@@ -13,9 +12,9 @@ from tqdm import tqdm
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_REPLICATES, channel_totals
-from ..attr._student import student_t
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
+from ._ablation_result import Ablated, AblationTest
 from ._scenes import (
     MAX_STEP,
     MIN_STEP,
@@ -26,138 +25,11 @@ from ._scenes import (
     unit_gradient,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 # Reduce a step until the second-order term is at most this fraction of the slope.
 MAX_NONLINEARITY, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.2, 4.0, 6
 
-AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
-SIGNIFICANCE_LEVEL = 0.95  # confidence that a measurement differs from 0 or from another one
-DISAGREEMENT_LEVEL = 0.997  # confidence that prediction and measurement differ
-MIN_KENDALL_TAU = 0.95
-
 FIXED_STEP = 0.01  # of the gradient: the step of Beresna and Fiume
 MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself may be unphysical
-
-
-@dataclass(frozen=True)
-class Ablated:
-    """The effect of moving one parameter along its gradient.
-
-    Attributes
-    ----------
-    name, label
-        The parameter's name in the scene, and a readable one.
-    predicted, predicted_error
-        The saliency ``‖g‖``: the predicted slope of the metric along the gradient.
-    measured, measured_error
-        The measured slope, from renders at 0, half a step and a full step, with the second-order term removed.
-    step
-        Signed length of the step, negative down the gradient; in the parameter's unit, over its channels.
-    curvature
-        Second derivative along the gradient.
-    degrees_of_freedom
-        Of the standard errors.
-    fixed, fixed_error
-        Slope measured with the step of the paper, one hundredth of the gradient, down the gradient and inside the
-        bounds, including the second-order term; None where the parameter is at its bound.
-    """
-
-    name: str
-    label: str
-    predicted: float
-    predicted_error: float
-    measured: float
-    measured_error: float
-    step: float
-    curvature: float
-    degrees_of_freedom: int
-    fixed: float | None = None
-    fixed_error: float | None = None
-
-    @property
-    def noise(self) -> float:
-        """Half-width of the 95 % confidence interval of the measurement."""
-        return student_t(SIGNIFICANCE_LEVEL, self.degrees_of_freedom) * self.measured_error
-
-    @property
-    def above_noise(self) -> bool:
-        """Whether the measurement differs significantly from 0."""
-        return abs(self.measured) > self.noise
-
-    @property
-    def agrees(self) -> bool:
-        """Whether prediction and measurement agree within 10 % or within their errors (99.7 % confidence)."""
-        error = math.hypot(self.predicted_error, self.measured_error)
-        half_width = student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
-        allowed = max(AGREEMENT_TOLERANCE * self.predicted, half_width)
-        return abs(self.measured - self.predicted) <= allowed
-
-
-@dataclass(frozen=True, repr=False)
-class AblationTest:
-    """Result of ``ablation_test``; prints as a table.
-
-    Attributes
-    ----------
-    rows
-        One per parameter, in order of decreasing saliency.
-    metric
-        Name of the metric.
-    """
-
-    rows: tuple[Ablated, ...]
-    metric: str
-
-    @property
-    def kendall_tau(self) -> float | None:
-        """Rank correlation of predictions and measurements, from −1 to 1; None if no pair is resolved.
-
-        Only rows above the noise count, and of these only pairs whose predictions and measurements both differ
-        significantly.
-        """
-        signs = [
-            math.copysign(1, (a.predicted - b.predicted) * (a.measured - b.measured))
-            for a, b in itertools.combinations([row for row in self.rows if row.above_noise], 2)
-            if _is_resolved(a, b, "measured") and _is_resolved(a, b, "predicted")
-        ]
-        return sum(signs) / len(signs) if signs else None
-
-    @property
-    def is_confirmed(self) -> bool:
-        """Whether all rows above the noise agree with their predictions, in size and in order."""
-        tau = self.kendall_tau
-        ordered = tau is None or tau >= MIN_KENDALL_TAU
-        return ordered and all(row.agrees for row in self.rows if row.above_noise)
-
-    @property
-    def verdict(self) -> str:
-        """The result in one sentence."""
-        measurable = [row for row in self.rows if row.above_noise]
-        agreeing = sum(row.agrees for row in measurable)
-        tau = (
-            "no resolved pair to rank" if self.kendall_tau is None else f"Kendall's τ {self.kendall_tau:.2f}"
-        )
-        return (
-            f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
-            f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
-            f"{tau}; {len(self.rows) - len(measurable)} below the noise"
-        )
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the prediction, the measurement and its noise for each parameter."""
-        from ..visualization import plot_ablation
-
-        return plot_ablation(self, ax=ax)
-
-    def __str__(self) -> str:
-        from ..visualization import ablation_text
-
-        return ablation_text(self)
-
-    __repr__ = __str__
 
 
 def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its own
@@ -314,10 +186,3 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         fixed=fixed,
         fixed_error=fixed_error,
     )
-
-
-def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
-    """Return whether a field of two rows differs significantly."""
-    error = math.hypot(getattr(a, f"{field}_error"), getattr(b, f"{field}_error"))
-    degrees = min(a.degrees_of_freedom, b.degrees_of_freedom)
-    return bool(abs(getattr(a, field) - getattr(b, field)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)

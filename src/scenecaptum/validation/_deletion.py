@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,97 +14,9 @@ from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_REPLICATES
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ._deletion_result import DeletionInsertion
 from ._faithfulness import contributions, measure_without
-from ._scenes import Scenes, mean_and_error
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True, repr=False)
-class DeletionInsertion:
-    """Deletion and insertion curves of a ranking; prints as a table.
-
-    Attributes
-    ----------
-    names, labels
-        The parameters in the order of the ranking.
-    moved
-        ``(points,)``: number of parameters deleted or inserted at each point of the curves, from 0 to all.
-    deletion
-        ``(points, replicates)``: the metric with the first ``moved`` parameters at their baselines.
-    insertion
-        ``(points, replicates)``: the metric with all but the first ``moved`` parameters at their baselines.
-    random
-        ``(orders, points, replicates)``: deletion in random orders. Reversed, each is an insertion curve.
-    metric, method
-        Names of the metric and of the attribution method.
-    """
-
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
-    moved: torch.Tensor
-    deletion: torch.Tensor
-    insertion: torch.Tensor
-    random: torch.Tensor
-    metric: str
-    method: str
-
-    @cached_property
-    def deletion_area(self) -> tuple[float, float]:
-        """Mean change of the metric from the original scene over the deletion curve, and its standard error.
-
-        Larger is better: the first parameters change the metric most. If the metric falls, this is its original
-        value minus the usual area under the curve; a rise counts in the same way.
-        """
-        return mean_and_error(self._area(self.deletion, self.moved))
-
-    @cached_property
-    def insertion_area(self) -> tuple[float, float]:
-        """Mean difference of the metric from the original scene over the insertion curve, and its standard error.
-
-        Smaller is better: the first parameters restore most of the metric.
-        """
-        return mean_and_error(self._area(self.insertion, self.moved))
-
-    @cached_property
-    def random_areas(self) -> torch.Tensor:
-        """``(2, orders)``: the deletion and insertion areas of the random orders."""
-        remaining = self.moved[-1] - self.moved.flip(0)
-        deletions = [self._area(curve, self.moved).mean() for curve in self.random]
-        insertions = [self._area(curve.flip(0), remaining).mean() for curve in self.random]
-        return torch.stack([torch.stack(deletions), torch.stack(insertions)])
-
-    @property
-    def verdict(self) -> str:
-        """The result in one sentence."""
-        deletions, insertions = self.random_areas
-        by_deletion = int((self.deletion_area[0] > deletions).sum())
-        by_insertion = int((self.insertion_area[0] < insertions).sum())
-        return (
-            f"the order of {self.method} beats {by_deletion} of {len(deletions)} random orders by deletion and "
-            f"{by_insertion} by insertion"
-        )
-
-    def _area(self, curve: torch.Tensor, moved: torch.Tensor) -> torch.Tensor:
-        """Return the mean distance of a curve from the original scene, in each replicate."""
-        change = curve - self.deletion[0]
-        # The sign of the mean over the replicates: with signs of their own, noise would add to the distance.
-        distance = change * change.mean(1, keepdim=True).sign()
-        return torch.trapezoid(distance, moved.double() / moved[-1], dim=0)
-
-    def plot(self, figure: Figure | None = None) -> Figure:
-        """Plot both curves and those of the random orders."""
-        from ..visualization import plot_deletion
-
-        return plot_deletion(self, figure=figure)
-
-    def __str__(self) -> str:
-        from ..visualization import deletion_text
-
-        return deletion_text(self)
-
-    __repr__ = __str__
+from ._scenes import Scenes
 
 
 def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and three of its own

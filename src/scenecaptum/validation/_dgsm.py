@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,75 +19,14 @@ from ..attr._passes import Budget
 from ..attr._view import TransformSelector
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
+from ..estimation import delete_one_jackknife
+from ._dgsm_result import DGSM, GlobalDerivative
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
 if TYPE_CHECKING:
     from ..attr._method import Result, Targets
 
 _REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
-
-
-@dataclass(frozen=True)
-class GlobalDerivative:
-    """Mean squared derivative with respect to one parameter.
-
-    Attributes
-    ----------
-    name, label
-        The parameter's name in the scene, and a readable one.
-    low, high
-        The interval in which the parameter was varied, in its unit.
-    nu, nu_error
-        ``ν = E[(∂M/∂θ)²]`` per unit of the parameter, squared.
-    bound, bound_error
-        ``(high − low)² ν / (π² Var M)``: upper bound of the total Sobol index. NaN if the variance of the metric
-        is below the noise.
-    """
-
-    name: str
-    label: str
-    low: float
-    high: float
-    nu: float
-    nu_error: float
-    bound: float
-    bound_error: float
-
-
-@dataclass(frozen=True, repr=False)
-class DGSM:
-    """Derivative-based global sensitivity of every parameter; prints as a table.
-
-    Attributes
-    ----------
-    rows
-        One per parameter, the largest first.
-    metric
-        Name of the metric.
-    variance, variance_error
-        Variance of the metric over the intervals.
-    points
-        Number of sampled scenes.
-    renders
-        Total number of renders and backward passes, in units of ``spp`` samples per pixel.
-    seconds
-        Wall-clock time.
-    """
-
-    rows: tuple[GlobalDerivative, ...]
-    metric: str
-    variance: float
-    variance_error: float
-    points: int
-    renders: float
-    seconds: float
-
-    def __str__(self) -> str:
-        from ..visualization import dgsm_text
-
-        return dgsm_text(self)
-
-    __repr__ = __str__
 
 
 def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
@@ -274,9 +213,9 @@ def _derivatives(
 def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], metric: str) -> DGSM:
     """Average over the points, with jackknife standard errors."""
     count = len(derivatives.values)
-    nu, nu_error = jackknife_points(lambda kept: derivatives.squares[kept].mean(0), count)
+    nu, nu_error = delete_one_jackknife(lambda kept: derivatives.squares[kept].mean(0), count)
     bound, bound_error = _total_bound(derivatives)
-    variance, variance_error = jackknife_points(lambda kept: _variance(derivatives, kept), count)
+    variance, variance_error = delete_one_jackknife(lambda kept: _variance(derivatives, kept), count)
     rows = [
         GlobalDerivative(
             name=scalar.name,
@@ -309,18 +248,8 @@ def _total_bound(derivatives: Derivatives) -> tuple[torch.Tensor, torch.Tensor]:
         mean = derivatives.squares[kept].mean(0)
         return torch.where(variance > 0, mean / (math.pi**2 * variance), torch.nan)
 
-    return jackknife_points(bound, len(derivatives.values))
+    return delete_one_jackknife(bound, len(derivatives.values))
 
 
 def _variance(derivatives: Derivatives, kept: torch.Tensor) -> torch.Tensor:
     return derivatives.values[kept].var() - derivatives.noise[kept].mean()
-
-
-def jackknife_points(
-    statistic: Callable[[torch.Tensor], torch.Tensor], count: int
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a statistic of point indices over all ``count`` points, and its jackknife standard error."""
-    indices = torch.arange(count)
-    leave_one_out = torch.stack([statistic(indices[indices != k]) for k in range(count)])
-    squares = (leave_one_out - leave_one_out.mean(0)).square().sum(0)
-    return statistic(indices), ((count - 1) / count * squares).sqrt()

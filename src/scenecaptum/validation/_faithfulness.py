@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,14 +17,10 @@ from ..attr._passes import DEFAULT_REPLICATES
 from ..attr._ranges import Noise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
+from ._faithfulness_result import Infidelity, SensitivityN
 from ._scenes import Scenes, denoise_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 Tensors = Mapping[str, torch.Tensor]
-Statistic = Callable[[torch.Tensor, torch.Tensor], float]
 
 _GRADIENTS = ("gradient per unit", "mean gradient per unit")
 _NOT_CONTRIBUTIONS = (
@@ -34,62 +29,6 @@ _NOT_CONTRIBUTIONS = (
     "mean squared gradient per unit",
     "variance of the gradient per unit",
 )
-
-
-@dataclass(frozen=True, repr=False)
-class Infidelity:
-    """Mean squared error of the changes that gradients predict for random perturbations; prints as a table.
-
-    Attributes
-    ----------
-    predicted
-        ``(n,)``: the sum of perturbation × attribution.
-    measured
-        ``(n, replicates)``: the metric of the original scene minus that of the perturbed one.
-    metric, method
-        Names of the metric and of the attribution method.
-    """
-
-    predicted: torch.Tensor
-    measured: torch.Tensor
-    metric: str
-    method: str
-
-    @property
-    def value(self) -> float:
-        """The infidelity: mean square of prediction minus measurement, corrected for the noise of rendering."""
-        return self._with_error(_mean_square_error)[0]
-
-    @property
-    def standard_error(self) -> float:
-        """Standard error of ``value``, from the choice of perturbations and the noise of rendering."""
-        return self._with_error(_mean_square_error)[1]
-
-    @property
-    def normalized(self) -> float:
-        """``value`` over the mean square change: 0 for a perfect prediction, 1 for one of no change at all."""
-        return self._with_error(_normalized_error)[0]
-
-    @property
-    def normalized_error(self) -> float:
-        """Standard error of ``normalized``."""
-        return self._with_error(_normalized_error)[1]
-
-    def _with_error(self, statistic: Statistic) -> tuple[float, float]:
-        return statistic_with_error(statistic, self.predicted, self.measured)
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the measured against the predicted change of every perturbation."""
-        from ..visualization import plot_infidelity
-
-        return plot_infidelity(self, ax=ax)
-
-    def __str__(self) -> str:
-        from ..visualization import infidelity_text
-
-        return infidelity_text(self)
-
-    __repr__ = __str__
 
 
 def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
@@ -188,61 +127,6 @@ def perturbations(
     noise = Noise(renderer, values, stdevs)
     for state in np.random.SeedSequence([check_seed("seed", seed), 5]).generate_state(count).tolist():
         yield noise.sample(state)
-
-
-@dataclass(frozen=True, repr=False)
-class SensitivityN:
-    """Correlation of the effect of deleting n parameters with the sum of their attributions; prints as a table.
-
-    Attributes
-    ----------
-    parameters
-        Number of parameters.
-    sizes
-        Numbers of parameters deleted together.
-    predicted
-        For each size ``(subsets,)``: the sums of the attributions.
-    measured
-        For each size ``(subsets, replicates)``: the metric of the original scene minus that without the subset.
-    metric, method
-        Names of the metric and of the attribution method.
-    """
-
-    parameters: int
-    sizes: tuple[int, ...]
-    predicted: tuple[torch.Tensor, ...]
-    measured: tuple[torch.Tensor, ...]
-    metric: str
-    method: str
-
-    @property
-    def correlations(self) -> tuple[float, ...]:
-        """Pearson correlation for each size; NaN where predictions or measurements are constant."""
-        return tuple(value for value, _ in self._with_errors())
-
-    @property
-    def standard_errors(self) -> tuple[float, ...]:
-        """Standard errors of the correlations, from the noise of rendering and the choice of subsets."""
-        return tuple(error for _, error in self._with_errors())
-
-    def _with_errors(self) -> list[tuple[float, float]]:
-        return [
-            statistic_with_error(_pearson, *pair, drawn=len(pair[0]) < math.comb(self.parameters, size))
-            for size, *pair in zip(self.sizes, self.predicted, self.measured, strict=True)
-        ]
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the correlation over the size of the subsets."""
-        from ..visualization import plot_sensitivity_n
-
-        return plot_sensitivity_n(self, ax=ax)
-
-    def __str__(self) -> str:
-        from ..visualization import sensitivity_n_text
-
-        return sensitivity_n_text(self)
-
-    __repr__ = __str__
 
 
 def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of its own
@@ -384,54 +268,6 @@ def parameters_of(attribution: SceneAttribution, values: Tensors) -> list[str]:
                 f"{near_misses(name, values)} Attribute to parameters, without groups=."
             )
     return names
-
-
-def statistic_with_error(
-    statistic: Statistic, predicted: torch.Tensor, measured: torch.Tensor, *, drawn: bool = True
-) -> tuple[float, float]:
-    """Return a statistic of ``(n,)`` predictions and ``(n, replicates)`` measurements, and its standard error.
-
-    The error is that of the delete-one jackknife over the replicates and, if the ``n`` cases were drawn at random
-    (``drawn``), over these too.
-    """
-    columns = [_all_but(index, measured.shape[1]) for index in range(measured.shape[1])]
-    error = _jackknife([statistic(predicted, measured[:, kept]) for kept in columns])
-    if drawn:
-        rows = [_all_but(index, len(predicted)) for index in range(len(predicted))]
-        error = math.hypot(error, _jackknife([statistic(predicted[kept], measured[kept]) for kept in rows]))
-    return statistic(predicted, measured), error
-
-
-def _all_but(index: int, count: int) -> torch.Tensor:
-    return torch.arange(count) != index
-
-
-def _jackknife(leave_one_out: Sequence[float]) -> float:
-    values = torch.tensor(leave_one_out, dtype=torch.float64)
-    return math.sqrt((len(values) - 1) ** 2 / len(values)) * values.std().item()
-
-
-def _mean_square_error(predicted: torch.Tensor, measured: torch.Tensor) -> float:
-    return _mean_square(predicted[:, None] - measured)
-
-
-def _normalized_error(predicted: torch.Tensor, measured: torch.Tensor) -> float:
-    mean_square = _mean_square(measured)
-    return _mean_square_error(predicted, measured) / mean_square if mean_square else math.nan
-
-
-def _mean_square(replicates: torch.Tensor) -> float:
-    """Return an unbiased mean square of ``(n, R)`` replicated measurements: the mean product of two replicates."""
-    count = replicates.shape[1]
-    products = replicates.sum(1).square() - replicates.square().sum(1)
-    return products.mean().item() / (count * (count - 1))
-
-
-def _pearson(predicted: torch.Tensor, measured: torch.Tensor) -> float:
-    both = torch.stack([predicted, measured.mean(1)])
-    if bool((both.std(1) <= 1e-6 * both.abs().amax(1)).any()):
-        return math.nan  # constant up to rounding
-    return torch.corrcoef(both)[0, 1].item()
 
 
 def _check_sizes(sizes: Sequence[int] | None, count: int) -> tuple[int, ...]:

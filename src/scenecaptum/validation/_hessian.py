@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from ..attr._ranges import ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
+from ..protocols import accepted_keywords
 from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
 
 # Reduce a stencil until the truncation error of its lower-order formula is at most this fraction of the slope.
@@ -138,7 +138,7 @@ def product_of(
     renderer = _StencilRenderer(scenes, direction, stencil.offsets)
     values = {name: scenes.values[name] for name in names}
     product: SceneAttribution = VanillaSceneGradient(renderer, slope).attribute(
-        values, scenes.metric.target, **options, denoise=scenes.metric.transform.denoises
+        values, target=scenes.metric.target, **options, denoise=scenes.metric.transform.denoises
     )
     assert product.image is not None
     info = {key: value for key, value in product.info.items() if key != "scale"}
@@ -162,8 +162,7 @@ class _StencilRenderer:
         self.labels = getattr(renderer, "labels", {})
         self.info = getattr(renderer, "info", {})
         self.guides = _stack(getattr(renderer, "guides", None), len(offsets))
-        # The attribution method reads it to see whether the backward pass can have its own seed.
-        self.__signature__ = inspect.signature(getattr(renderer, "forward", renderer))
+        self.accepted_keywords = accepted_keywords(renderer)
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
         values = {**self.values, **inputs}

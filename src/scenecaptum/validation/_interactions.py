@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import torch
 
@@ -13,115 +11,11 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_REPLICATES, channel_totals
 from ..attr._ranges import ranges
-from ..attr._student import student_t
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ._hessian import max_steps, product_of
+from ._interactions_result import HessianScale, Interactions
 from ._scenes import Scenes, denoise_of, unit_gradient
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-SIGNIFICANCE_LEVEL = 0.95  # of the confidence interval of each interaction
-SYMMETRY_LEVEL = 0.99  # of the simultaneous confidence intervals of all pairs
-
-HessianScale = Literal["unit", "range"]
-
-
-@dataclass(frozen=True, repr=False)
-class Interactions:
-    """Second derivatives between parameters, each along its own gradient; prints as a table.
-
-    Attributes
-    ----------
-    names, labels
-        The parameters, in order of decreasing saliency.
-    replicates
-        ``(replicates, P, P)`` float64. Row ``p``, column ``q``: derivative of the slope along ``q`` with respect
-        to a step of ``p``.
-    shared_error
-        ``(P, P)``: the error that all replicates share, from the bias correction and from rounding.
-    steps
-        The largest step of each parameter, in its own unit.
-    metric, scale
-        Name of the metric, and ``"unit"`` or ``"range"``.
-    left_out
-        Labels of salient parameters that cannot move either way: textures with texels at both bounds.
-    """
-
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
-    replicates: torch.Tensor
-    shared_error: torch.Tensor
-    steps: tuple[float, ...]
-    metric: str
-    scale: HessianScale
-    left_out: tuple[str, ...] = ()
-
-    @property
-    def measured(self) -> torch.Tensor:
-        """``(P, P)``: rows are moved, columns are differentiated; symmetric up to errors."""
-        return self.replicates.mean(0)
-
-    @property
-    def matrix(self) -> torch.Tensor:
-        """``(P, P)``, symmetric: the mean of both orders."""
-        return (self.measured + self.measured.T) / 2
-
-    @property
-    def standard_error(self) -> torch.Tensor:
-        """Standard error of ``matrix``, ``(P, P)``."""
-        both = (self.replicates + self.replicates.mT) / 2
-        return torch.hypot(_standard_error(both), (self.shared_error + self.shared_error.T) / 2)
-
-    @property
-    def asymmetry(self) -> torch.Tensor:
-        """``(P, P)``: ``measured`` minus its transpose, in standard errors."""
-        difference = self.replicates - self.replicates.mT
-        shared = torch.hypot(self.shared_error, self.shared_error.T)
-        error = torch.hypot(_standard_error(difference), shared)
-        return torch.nan_to_num(difference.mean(0) / error)
-
-    @property
-    def is_symmetric(self) -> bool:
-        """Whether no pair is significantly asymmetric, by simultaneous 99 % confidence intervals."""
-        pairs = max(1, math.comb(len(self.names), 2))
-        limit = student_t(1 - (1 - SYMMETRY_LEVEL) / pairs, len(self.replicates) - 1)
-        return bool(self.asymmetry.abs().max() <= limit)
-
-    @property
-    def significant(self) -> torch.Tensor:
-        """``(P, P)`` bool: whether the 95 % confidence interval of an element of ``matrix`` excludes 0."""
-        limit = student_t(SIGNIFICANCE_LEVEL, len(self.replicates) - 1)
-        return self.matrix.abs() > limit * self.standard_error
-
-    @property
-    def verdict(self) -> str:
-        """The result in one sentence."""
-        count = len(self.names)
-        upper = torch.triu_indices(count, count)
-        significant = int(self.significant[upper[0], upper[1]].sum())
-        worst = self.asymmetry.abs().max().item()
-        symmetric = "symmetric within its errors" if self.is_symmetric else "not symmetric within its errors"
-        left_out = f"; left out, being at both bounds: {', '.join(self.left_out)}" if self.left_out else ""
-        return (
-            f"{significant} of {upper.shape[1]} second derivatives of {self.metric} differ from 0; the matrix is "
-            f"{symmetric} (largest difference {worst:.1f} standard errors){left_out}"
-        )
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the matrix as a heatmap with its values."""
-        from ..visualization import plot_interactions
-
-        return plot_interactions(self, ax=ax)
-
-    def __str__(self) -> str:
-        from ..visualization import interactions_text
-
-        return interactions_text(self)
-
-    __repr__ = __str__
 
 
 def interactions(  # noqa: PLR0913 -- the options of every check, and its own
@@ -234,7 +128,3 @@ def _shared_error(
         return rounding
     bias = _slopes({name: channel_totals(product.bias[name])[None] for name in directions}, directions)[0]
     return torch.hypot(bias, rounding)
-
-
-def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
-    return replicates.std(0) / math.sqrt(len(replicates))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,83 +14,9 @@ from ..attr._metric import Metric, Target
 from ..attr._passes import DEFAULT_REPLICATES, channel_totals
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from ._randomization_result import RandomizationCheck
 
 MIN_PARAMETERS = 4  # for a meaningful rank correlation
-
-
-@dataclass(frozen=True, repr=False)
-class RandomizationCheck:
-    """Rank correlation of attributions with randomised and with learnt weights; prints as a table.
-
-    Attributes
-    ----------
-    layers
-        The network's layers, from the output to the input.
-    randomized
-        Number of randomised layers at each stage, from 0 to all.
-    magnitudes
-        ``(stages, draws)``: Spearman correlation of the saliencies with those of the unmodified network. The first
-        row repeats the unmodified network with other renderer seeds: the upper limit that noise sets.
-    signed
-        The same for the signed attributions, channel by channel.
-    metric, method
-        Names of the metric and of the attribution method.
-    """
-
-    layers: tuple[str, ...]
-    randomized: tuple[int, ...]
-    magnitudes: torch.Tensor
-    signed: torch.Tensor
-    metric: str
-    method: str
-
-    @property
-    def ranking_changes(self) -> bool:
-        """Whether every correlation with all layers randomised is below every one of the unmodified network.
-
-        If the weights made no difference, the probability of this would be 1 in ``(2n choose n)`` for ``n`` draws:
-        1 in 70 for 4.
-        """
-        return _all_below(self.magnitudes)
-
-    @property
-    def signs_change(self) -> bool:
-        """The same for the signed attributions."""
-        return _all_below(self.signed)
-
-    @property
-    def verdict(self) -> str:
-        """The result in one sentence."""
-        checks = (("ranking", self.ranking_changes), ("signs", self.signs_change))
-        changed = [name for name, changes in checks if changes]
-        dependence = (
-            f"the attribution depends on the learnt weights, in its {' and its '.join(changed)}"
-            if changed
-            else "the attribution shows no dependence on the learnt weights"
-        )
-        return (
-            f"{dependence}: with all {len(self.layers)} layers randomised, the magnitudes have a rank correlation "
-            f"of {_mean_and_range(self.magnitudes[-1])} with those of the unmodified network, against "
-            f"{_mean_and_range(self.magnitudes[0])} for the unmodified network with other seeds; signed "
-            f"attributions {_mean_and_range(self.signed[-1])} against {_mean_and_range(self.signed[0])}"
-        )
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the correlations over the number of randomised layers."""
-        from ..visualization import plot_randomization
-
-        return plot_randomization(self, ax=ax)
-
-    def __str__(self) -> str:
-        from ..visualization import randomization_text
-
-        return randomization_text(self)
-
-    __repr__ = __str__
 
 
 def randomization_check(  # noqa: PLR0913 -- the options of every check, and its own
@@ -260,11 +185,3 @@ def _reset(layer: torch.nn.Module, seed: int) -> None:
         for weights in layer.parameters(recurse=False):
             spread = weights.std().item() if weights.numel() > 1 else abs(weights.item())
             weights.normal_(weights.mean().item(), spread)
-
-
-def _all_below(correlations: torch.Tensor) -> bool:
-    return bool(correlations[-1].max() < correlations[0].min())
-
-
-def _mean_and_range(values: torch.Tensor) -> str:
-    return f"{values.mean():.2f} ({values.min():.2f} to {values.max():.2f})"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,12 +20,12 @@ from ..attr._passes import DEFAULT_REPLICATES, Budget
 from ..attr._view import TransformSelector
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ._dgsm import Derivatives, interval_gradients, jackknife_points, render_count, sample_derivatives
+from ..estimation import delete_one_jackknife
+from ._dgsm import Derivatives, interval_gradients, render_count, sample_derivatives
 from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
+from ._sensitivity_result import SensitivityComparison, SensitivityIndex
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ..attr._method import Result, Targets
 
 RESOLVED = 2.0  # standard errors between two ranks that count as distinct
@@ -37,99 +36,6 @@ _CONFIDENCE, _HALF_WIDTH = (
     1.959964,
 )  # level of SALib's intervals, and their half-width in standard errors
 _BOOTSTRAP_RESAMPLES = 200
-
-
-@dataclass(frozen=True)
-class SensitivityIndex:
-    """The sensitivity of every parameter by one method, and its cost.
-
-    Attributes
-    ----------
-    method
-        Name of the method.
-    values, errors
-        Sensitivities and standard errors by parameter name.
-    renders
-        Number of renders and backward passes, in units of ``spp`` samples per pixel.
-    renders_until_stable
-        Number of renders after which the set of the ``top`` parameters did not change any more.
-    stable
-        Whether that was before the last sample; if not, the set may change again.
-    top
-        The most sensitive parameters, the largest first.
-    resolved
-        Whether the last parameter in ``top`` differs from the next one by more than two standard errors; if not,
-        they are tied, and the set depends on chance.
-    seconds
-        Wall-clock time.
-    """
-
-    method: str
-    values: Mapping[str, float]
-    errors: Mapping[str, float]
-    renders: float
-    renders_until_stable: float
-    stable: bool
-    top: tuple[str, ...]
-    resolved: bool
-    seconds: float
-
-
-@dataclass(frozen=True, repr=False)
-class SensitivityComparison:
-    """Sensitivities of the same parameters over the same intervals by four methods; prints as a table.
-
-    Attributes
-    ----------
-    parameters
-        The parameters with their intervals, in order of decreasing total Sobol index.
-    local
-        Plain gradient at the current values, scaled to the interval: ``|∂M/∂θ| (high − low)``.
-    dgsm
-        Upper bound of the total Sobol index from gradients at points over the intervals, relative to the variance
-        of the metric in Sobol's samples.
-    morris
-        ``μ*``, Morris's mean absolute elementary effect, scaled to the interval.
-    sobol
-        The total Sobol index.
-    metric
-        Name of the metric.
-    """
-
-    parameters: tuple[Scalar, ...]
-    local: SensitivityIndex
-    dgsm: SensitivityIndex
-    morris: SensitivityIndex
-    sobol: SensitivityIndex
-    metric: str
-
-    @property
-    def methods(self) -> tuple[SensitivityIndex, ...]:
-        """All four methods."""
-        return self.local, self.dgsm, self.morris, self.sobol
-
-    @property
-    def agreement(self) -> dict[tuple[str, str], float]:
-        """Kendall's τ-b of every pair of methods: 1 for the same order, 0 for unrelated ones."""
-        from scipy.stats import kendalltau
-
-        return {
-            (a.method, b.method): float(kendalltau(*([m.values[n] for n in a.values] for m in (a, b)))[0])
-            for a, b in combinations(self.methods, 2)
-        }
-
-    def plot(self, figure: Any = None) -> Figure:
-        """Plot the methods side by side, with their costs."""
-        from ..visualization import plot_sensitivity
-
-        return plot_sensitivity(self, figure=figure)
-
-    def __str__(self) -> str:
-        from ..visualization import sensitivity_text
-
-        return sensitivity_text(self)
-
-    __repr__ = __str__
 
 
 def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three sample sizes
@@ -297,12 +203,12 @@ def _dgsm(
 ) -> SensitivityIndex:
     """Bound the total indices, with the variance of the metric in Sobol's samples, which are rendered anyway."""
     count, metric = len(derivatives.values), torch.from_numpy(sampled)
-    variance, variance_error = jackknife_points(lambda kept: metric[kept].var(), len(metric))
+    variance, variance_error = delete_one_jackknife(lambda kept: metric[kept].var(), len(metric))
     if not variance > 0:
         raise SceneCaptumError(
             f"The metric is {metric[0]:g} in every sampled scene: there is nothing to rank."
         )
-    nu, nu_error = jackknife_points(lambda kept: derivatives.squares[kept].mean(0), count)
+    nu, nu_error = delete_one_jackknife(lambda kept: derivatives.squares[kept].mean(0), count)
     means = derivatives.squares.cumsum(0) / torch.arange(1, count + 1)[:, None]
     scale = 1 / (math.pi**2 * variance)
     error = scale * torch.hypot(nu_error, nu * variance_error / variance)

@@ -5,38 +5,62 @@ use pyplot, so no backend is selected and ``rcParams`` are not modified. Save a 
 ``figure.savefig(path)``; notebooks display it automatically.
 """
 
-from ._ablation import ablation_text as ablation_text
-from ._ablation import plot_ablation as plot_ablation
+# What users see; the other names are for the rooms above.
+__all__ = [
+    "display_image",
+    "plot_bars",
+    "plot_heatmap",
+    "plot_overlay",
+    "plot_rank_comparison",
+    "plot_specificity",
+    "save_render",
+    "table_html",
+    "table_text",
+]
+
 from ._bars import plot_bars as plot_bars
-from ._faithfulness import deletion_text as deletion_text
-from ._faithfulness import infidelity_text as infidelity_text
-from ._faithfulness import plot_deletion as plot_deletion
-from ._faithfulness import plot_infidelity as plot_infidelity
-from ._faithfulness import plot_sensitivity_n as plot_sensitivity_n
-from ._faithfulness import sensitivity_n_text as sensitivity_n_text
-from ._interactions import interactions_text as interactions_text
-from ._interactions import plot_interactions as plot_interactions
-from ._luminance_map import plot_luminance as plot_luminance
+from ._figures import LOWERS as LOWERS
+from ._figures import RAISES as RAISES
+from ._figures import SMALL as SMALL
+from ._figures import TEXT as TEXT
+from ._figures import TITLE as TITLE
+from ._figures import UNCLEAR as UNCLEAR
+from ._figures import WIDTH as WIDTH
+from ._figures import add_footnotes as add_footnotes
+from ._figures import color_of as color_of
+from ._figures import figure_of as figure_of
+from ._figures import new_figure as new_figure
+from ._layout import grid as grid
+from ._layout import group_by_text as group_by_text
+from ._layout import html_cells as html_cells
+from ._layout import terminal_width as terminal_width
+from ._layout import wrap as wrap
+from ._maps import diverging as diverging
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
-from ._optimization import optimization_text as optimization_text
-from ._optimization import plot_optimization as plot_optimization
-from ._randomization import plot_randomization as plot_randomization
-from ._randomization import randomization_text as randomization_text
+from ._numbers import Format as Format
+from ._numbers import align_decimals as align_decimals
+from ._numbers import columns as columns
+from ._numbers import cut as cut
+from ._numbers import pad as pad
+from ._numbers import shorten as shorten
+from ._numbers import with_error as with_error
 from ._ranks import plot_rank_comparison as plot_rank_comparison
-from ._scene_tables import parameters_html as parameters_html
-from ._scene_tables import parameters_text as parameters_text
-from ._scene_tables import plan_html as plan_html
-from ._scene_tables import plan_text as plan_text
-from ._sensitivity import dgsm_text as dgsm_text
-from ._sensitivity import plot_sensitivity as plot_sensitivity
-from ._sensitivity import sensitivity_text as sensitivity_text
 from ._specificity import plot_specificity as plot_specificity
+from ._table import STYLE as STYLE
 from ._table import table_html as table_html
 from ._table import table_text as table_text
+from ._text import axis_label as axis_label
+from ._text import caution_groups as caution_groups
+from ._text import convergence_notes as convergence_notes
+from ._text import method_name as method_name
+from ._text import metric_name as metric_name
+from ._text import pack as pack
+from ._text import pluralize as pluralize
+from ._text import sampling_notes as sampling_notes
+from ._text import scene_cautions as scene_cautions
+from ._text import sign_labels as sign_labels
+from ._text import untrusted_groups as untrusted_groups
+from ._tonemap import automatic_exposure as automatic_exposure
 from ._tonemap import display_image as display_image
 from ._tonemap import save_render as save_render
-from ._tradeoff import plot_tradeoff as plot_tradeoff
-from ._tradeoff import recommendation_text as recommendation_text
-from ._tradeoff import tradeoff_text as tradeoff_text
-from .report import write_report as write_report

@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..attr import Ranked, SceneAttribution
+    from ..protocols import Attribution, RankedParameter
 
 _HATCH = "////"
 _NAME_WIDTH = 36
 _MAX_NAMES = 6
 
 
-def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | None = None) -> Figure:
+def plot_bars(attribution: Attribution, top: int | None = 15, ax: Axes | None = None) -> Figure:
     """Plot the ranking as horizontal bars of saliency with standard errors, the most salient on top.
 
     The colour of a bar and the sign at its end show whether raising the parameter raises or lowers the metric or,
@@ -82,7 +82,7 @@ def plot_bars(attribution: SceneAttribution, top: int | None = 15, ax: Axes | No
     return figure_of(ax)
 
 
-def top_rows(attribution: SceneAttribution, top: int | None) -> list[Ranked]:
+def top_rows(attribution: Attribution, top: int | None) -> Sequence[RankedParameter]:
     """Return the ``top`` rows of a ranking, or all for None."""
     if top is not None and top < 1:
         raise SceneCaptumError(f"top must be at least 1, or None for all parameters, not {top!r}.")
@@ -91,8 +91,8 @@ def top_rows(attribution: SceneAttribution, top: int | None) -> list[Ranked]:
 
 def draw_bars(
     ax: Axes,
-    attribution: SceneAttribution,
-    rows: Sequence[Ranked],
+    attribution: Attribution,
+    rows: Sequence[RankedParameter],
     inaccurate: Sequence[bool],
     *,
     name_width: int,
@@ -133,7 +133,7 @@ def _write_signs(ax: Axes, ends: Sequence[float], signs: Sequence[str]) -> None:
         )
 
 
-def _write_names(ax: Axes, rows: Sequence[Ranked], inaccurate: Sequence[bool], width: int) -> None:
+def _write_names(ax: Axes, rows: Sequence[RankedParameter], inaccurate: Sequence[bool], width: int) -> None:
     names = shorten([row.label for row in rows], width)
     marked = [f"! {name}" if mark else name for name, mark in zip(names, inaccurate, strict=True)]
     ax.set_yticks(range(len(rows)), marked, fontsize=TEXT)
@@ -147,7 +147,7 @@ def _write_names(ax: Axes, rows: Sequence[Ranked], inaccurate: Sequence[bool], w
     ax.tick_params(axis="x", labelsize=TEXT)
 
 
-def bar_legend(attribution: SceneAttribution, rows: Iterable[Ranked], has_inaccurate: bool) -> list[Any]:
+def bar_legend(attribution: Attribution, rows: Iterable[RankedParameter], has_inaccurate: bool) -> list[Any]:
     """Return legend entries for the colours of these rows' bars; bars of length 0 have none."""
     from matplotlib.patches import Patch
 
@@ -185,7 +185,7 @@ def _write_header(ax: Axes, title: str, legend: Sequence[Any]) -> None:
 
 
 def _footnotes(
-    attribution: SceneAttribution, rows: Sequence[Ranked], cautions: Mapping[str, Sequence[str]], width: int
+    attribution: Attribution, rows: Sequence[RankedParameter], cautions: Mapping[str, Sequence[str]], width: int
 ) -> list[str]:
     """Return the footnotes in lines of at most ``width`` characters."""
     lines = pack(_notes(attribution, rows), width)
@@ -197,7 +197,7 @@ def _footnotes(
     return [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]
 
 
-def _notes(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[str]:
+def _notes(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
     hidden = len(attribution) - len(rows)
     parts = [
         *sampling_notes(attribution),

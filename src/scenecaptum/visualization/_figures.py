@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..attr import Ranked, SceneAttribution
+    from ..protocols import Attribution, RankedParameter
 
 # Okabe and Ito's blue and vermillion: safe for colour-blind readers, on white and on black.
 RAISES, LOWERS, UNCLEAR = "#0072B2", "#D55E00", "#8C8C8C"
@@ -43,7 +43,7 @@ def figure_of(ax: Axes) -> Figure:
     return part.figure  # type: ignore[no-any-return]
 
 
-def color_of(row: Ranked, attribution: SceneAttribution) -> str:
+def color_of(row: RankedParameter, attribution: Attribution) -> str:
     """Return the colour of a row's sign: neutral if channels disagree or none is two standard errors from zero."""
     errors = row.total_error or (0.0,) * len(row.total)
     signs = {value > 0 for value, error in zip(row.total, errors, strict=True) if abs(value) > 2 * error}
@@ -57,7 +57,7 @@ def characters_per_line(inches: float, size: float) -> int:
     return max(int(inches * 72 / (_CHARACTER_WIDTH * size)), 12)
 
 
-def figure_title(attribution: SceneAttribution, width: int) -> str:
+def figure_title(attribution: Attribution, width: int) -> str:
     """Return the metric's value and the method, in lines of at most ``width`` characters."""
     value, method = metric_line(attribution, METRIC_WIDTH), method_name(attribution)
     if len(value) + len(method) + 5 <= width:

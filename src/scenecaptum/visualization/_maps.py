@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..errors import SceneCaptumError
+from ..projection import heatmap
 from ._figures import (
     LOWERS,
     RAISES,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-    from ..attr import SceneAttribution
+    from ..protocols import Attribution
 
 ColorScale = Literal["sqrt", "linear", "log"]
 
@@ -49,7 +50,7 @@ _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
 
 
 def plot_heatmap(
-    attribution: SceneAttribution,
+    attribution: Attribution,
     ax: Axes | None = None,
     *,
     signed: bool = False,
@@ -97,7 +98,7 @@ def plot_heatmap(
 
 
 def plot_overlay(
-    attribution: SceneAttribution,
+    attribution: Attribution,
     ax: Axes | None = None,
     *,
     alpha: float = 0.8,
@@ -205,14 +206,13 @@ def diverging() -> Colormap:
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colors)
 
 
-def heatmap_array(attribution: SceneAttribution, **options: Any) -> np.ndarray[Any, Any]:
+def heatmap_array(attribution: Attribution, **options: Any) -> np.ndarray[Any, Any]:
     """Return the heatmap; options that are None or False are omitted."""
     given = {key: value for key, value in options.items() if value is not None and value is not False}
-    heat: torch.Tensor = attribution.heatmap(**given)
-    return heat.cpu().numpy()
+    return heatmap(attribution, **given).cpu().numpy()
 
 
-def displayed_render(attribution: SceneAttribution) -> torch.Tensor:
+def displayed_render(attribution: Attribution) -> torch.Tensor:
     """Return the tone-mapped render."""
     if attribution.image is None:
         raise SceneCaptumError("This attribution has no picture, which the figure of its heatmap needs.")
@@ -220,7 +220,7 @@ def displayed_render(attribution: SceneAttribution) -> torch.Tensor:
 
 
 def _map_title(
-    attribution: SceneAttribution, signed: bool, scale: ColorScale, options: Mapping[str, Any], width: float
+    attribution: Attribution, signed: bool, scale: ColorScale, options: Mapping[str, Any], width: float
 ) -> str:
     if not any(attribution.saliency().values()):
         return "all saliencies are 0"
@@ -246,7 +246,7 @@ def _width(ax: Axes | None, heat: np.ndarray[Any, Any], count: int) -> float:
 
 
 def _panels(
-    attribution: SceneAttribution, heat: np.ndarray[Any, Any], count: int, heading: str
+    attribution: Attribution, heat: np.ndarray[Any, Any], count: int, heading: str
 ) -> tuple[Figure, list[Axes], Axes]:
     """Create axes for ``count`` images of one size and a colour bar of their height; lengths are in inches."""
     w = _width(None, heat, count)
@@ -273,7 +273,7 @@ def _panels(
     return figure, images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)
 
 
-def _invisible_note(attribution: SceneAttribution) -> str:
+def _invisible_note(attribution: Attribution) -> str:
     """Return a note on the most salient parameter or group that no pixel shows, if it is in the top three."""
     surfaces = attribution.surfaces
     if surfaces is None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 
 from ..errors import SceneCaptumError
+from ..ranks import kendall_tau
 from ._figures import (
     LOWERS,
     RAISES,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..attr import SceneAttribution
+    from ..protocols import Attribution
 
 _NAME_WIDTH = 30
 _MEANINGS = {RAISES: "ranks higher on the right", LOWERS: "ranks lower on the right", UNCLEAR: "same rank"}
@@ -60,7 +61,7 @@ class _Column(NamedTuple):
     possible: dict[str, tuple[int, int]]
 
     @classmethod
-    def of(cls, attribution: SceneAttribution, names: Sequence[str]) -> _Column:
+    def of(cls, attribution: Attribution, names: Sequence[str]) -> _Column:
         saliencies, errors = attribution.saliency(), attribution.saliency_error() or {}
         saliency = {name: saliencies[name] for name in names}
         order = sorted(names, key=lambda name: -saliency[name])
@@ -77,9 +78,7 @@ class _Column(NamedTuple):
         )
 
 
-def plot_rank_comparison(
-    a: SceneAttribution, b: SceneAttribution, top: int = 12, ax: Axes | None = None
-) -> Figure:
+def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes | None = None) -> Figure:
     """Plot two rankings of the same parameters as columns, with lines between the ranks of each parameter.
 
     Parameters among the ``top`` of either ranking appear in both columns; below the dashed line are those outside
@@ -129,14 +128,6 @@ def plot_rank_comparison(
     ]
     add_footnotes(ax, pack([note for note in notes if note], 80), below=6)
     return figure_of(ax)
-
-
-def kendall_tau(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return Kendall's rank correlation τ-b, which accounts for ties; NaN if all values of one are tied."""
-    tensors = (torch.tensor(values, dtype=torch.float64) for values in (a, b))
-    signs_a, signs_b = (torch.sign(values[:, None] - values[None, :]) for values in tensors)
-    untied = float((signs_a != 0).sum()) * float((signs_b != 0).sum())
-    return float((signs_a * signs_b).sum()) / math.sqrt(untied) if untied else math.nan
 
 
 def _lines(labels: Mapping[str, str], columns: tuple[_Column, _Column], top: int) -> list[_Line]:
@@ -196,7 +187,7 @@ def _write_end(ax: Axes, line: _Line, side: int, *, faint: bool) -> None:
         )
 
 
-def _draw_headers(ax: Axes, a: SceneAttribution, b: SceneAttribution, tau: float) -> None:
+def _draw_headers(ax: Axes, a: Attribution, b: Attribution, tau: float) -> None:
     """Write the names of the columns, the legend and Kendall's τ."""
     from matplotlib.lines import Line2D
 
@@ -231,7 +222,7 @@ def _draw_headers(ax: Axes, a: SceneAttribution, b: SceneAttribution, tau: float
     ax.set_title(f"Kendall's τ = {value}", fontsize=TITLE, pad=36)
 
 
-def _names(a: SceneAttribution, b: SceneAttribution) -> tuple[str, str]:
+def _names(a: Attribution, b: Attribution) -> tuple[str, str]:
     """Return names for two attributions: by metric, else by method or scene."""
     for describe in (metric_name, method_name, lambda attribution: str(attribution.info.get("scene", ""))):
         names = describe(a), describe(b)

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..attr import Ranked, SceneAttribution
+    from ..protocols import Attribution, RankedParameter
 
 _COLUMN_WIDTH, _MAX_MAP_HEIGHT = 3.6, 3.6  # inches
 _NAME_WIDTH = 26
 
 
 def plot_specificity(
-    attributions: Sequence[SceneAttribution],
+    attributions: Sequence[Attribution],
     top: int = 8,
     *,
     shared: bool = False,
@@ -81,12 +81,12 @@ def plot_specificity(
     return figure_of(axes[0])
 
 
-def _inaccurate(attribution: SceneAttribution, rows: Sequence[Ranked]) -> list[bool]:
+def _inaccurate(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[bool]:
     cautions = attribution.info.get("cautions") or {}
     return [row.name in cautions for row in rows]
 
 
-def _draw_ranking(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked]) -> None:
+def _draw_ranking(ax: Axes, attribution: Attribution, rows: Sequence[RankedParameter]) -> None:
     draw_bars(ax, attribution, rows, _inaccurate(attribution, rows), name_width=_NAME_WIDTH)
     ax.tick_params(axis="both", labelsize=SMALL)
     ax.locator_params(axis="x", nbins=4)
@@ -94,7 +94,7 @@ def _draw_ranking(ax: Axes, attribution: SceneAttribution, rows: Sequence[Ranked
     ax.set_xlabel(label, fontsize=SMALL, parse_math=False)
 
 
-def _draw_titles(figure: Any, attributions: Sequence[SceneAttribution]) -> None:
+def _draw_titles(figure: Any, attributions: Sequence[Attribution]) -> None:
     """Write each column's title centred over bars and names; a long one would not fit over the bars alone."""
     from matplotlib.transforms import blended_transform_factory
 
@@ -111,7 +111,7 @@ def _draw_titles(figure: Any, attributions: Sequence[SceneAttribution]) -> None:
 
 
 def _draw_legend(
-    figure: Any, attributions: Sequence[SceneAttribution], rows: Sequence[Sequence[Ranked]]
+    figure: Any, attributions: Sequence[Attribution], rows: Sequence[Sequence[RankedParameter]]
 ) -> None:
     pairs = zip(attributions, rows, strict=True)
     entries = {
@@ -125,7 +125,7 @@ def _draw_legend(
         )
 
 
-def _shared_maximum(attributions: Sequence[SceneAttribution]) -> float:
+def _shared_maximum(attributions: Sequence[Attribution]) -> float:
     from ..projection import shared_maximum
 
     return float(shared_maximum(attributions))

@@ -17,14 +17,13 @@ from ._text import (
     metric_line,
     pack,
     pluralize,
-    quantity,
     sampling_notes,
     scene_cautions,
     untrusted_groups,
 )
 
 if TYPE_CHECKING:
-    from ..attr import Ranked, SceneAttribution
+    from ..protocols import Attribution, RankedParameter
 
 DEFAULT_ROWS = 40
 _MAX_CHANNELS = 4
@@ -51,7 +50,7 @@ class _Table:
     notes: list[str]
 
 
-def table_text(attribution: SceneAttribution, top: int | None = DEFAULT_ROWS) -> str:
+def table_text(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
     """Format the ranking for a terminal, within its width.
 
     Parameters
@@ -73,7 +72,7 @@ def table_text(attribution: SceneAttribution, top: int | None = DEFAULT_ROWS) ->
     return "\n".join(cut(line, width, 0) for line in lines)
 
 
-def table_html(attribution: SceneAttribution, top: int | None = DEFAULT_ROWS) -> str:
+def table_html(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
     """Format the ranking as HTML for a notebook, with the colours of the page.
 
     Parameters
@@ -124,7 +123,7 @@ def _cells(row: _Row, tag: str) -> str:
     )
 
 
-def _table(attribution: SceneAttribution, top: int | None) -> _Table:
+def _table(attribution: Attribution, top: int | None) -> _Table:
     ranking = attribution.ranking()
     shown = ranking if top is None else ranking[:top]
     groups = caution_groups(attribution, (row.name for row in ranking))
@@ -160,7 +159,7 @@ def _table(attribution: SceneAttribution, top: int | None) -> _Table:
     )
 
 
-def _heading(attribution: SceneAttribution) -> list[str]:
+def _heading(attribution: Attribution) -> list[str]:
     return [
         metric_line(attribution),
         method_name(attribution),
@@ -169,12 +168,12 @@ def _heading(attribution: SceneAttribution) -> list[str]:
     ]
 
 
-def _gradient_heading(attribution: SceneAttribution, rows: Iterable[Ranked]) -> str:
+def _gradient_heading(attribution: Attribution, rows: Iterable[RankedParameter]) -> str:
     has_color = any(len(row.total) == 3 for row in rows)
-    return f"{quantity(attribution)}{': R, G, B' if has_color else ''}"
+    return f"{attribution.kind.value}{': R, G, B' if has_color else ''}"
 
 
-def _hidden_note(ranking: Sequence[Ranked], shown: int) -> list[str]:
+def _hidden_note(ranking: Sequence[RankedParameter], shown: int) -> list[str]:
     if shown >= len(ranking):
         return []
     largest = with_error(ranking[shown].saliency, ranking[shown].saliency_error)[0]
@@ -190,14 +189,14 @@ def _untrusted_note(reason: str, names: Sequence[str], count: int) -> str:
     return f"?  {reason} ({affected})"
 
 
-def _saliency(rows: Sequence[Ranked]) -> list[str]:
+def _saliency(rows: Sequence[RankedParameter]) -> list[str]:
     formatted = [with_error(row.saliency, row.saliency_error) for row in rows]
     values = align_decimals([value for value, _ in formatted])
     errors = align_decimals([error for _, error in formatted])
     return [f"{v} ± {e}" if e.strip() else v for v, e in zip(values, errors, strict=True)]
 
 
-def _gradients(rows: Sequence[Ranked]) -> list[str]:
+def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
     """Format the channels of each row, aligned over the rows; rows with many channels as a range."""
     formatted = [_channels(row) for row in rows]
     fitting = [row for row in formatted if len(row) <= _MAX_CHANNELS]
@@ -208,7 +207,7 @@ def _gradients(rows: Sequence[Ranked]) -> list[str]:
     return [next(lines) if len(row) <= _MAX_CHANNELS else _range(row) for row in formatted]
 
 
-def _channels(row: Ranked) -> list[str]:
+def _channels(row: RankedParameter) -> list[str]:
     """Format the channels to the decimal place of the saliency, with at most three digits."""
     style = Format.of(row.saliency, row.saliency_error).at_most(3, row.saliency)
     return [style.write_signed(value) for value in row.total]

@@ -4,79 +4,67 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
+from ..protocols import Attribution, ResultKind
 from ._numbers import shorten, with_error
-
-if TYPE_CHECKING:
-    from ..attr import SceneAttribution
-
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
 METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
 
 
-def metric_line(attribution: SceneAttribution, width: int | None = None) -> str:
+def metric_line(attribution: Attribution, width: int | None = None) -> str:
     """Return ``'MeanLuminance = 2.336942 ± 0.000533'``, with the name shortened to ``width``."""
     value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
     return f"{metric_name(attribution, width)} = {value}{f' ± {error}' if error else ''}"
 
 
-def metric_name(attribution: SceneAttribution, width: int | None = None) -> str:
+def metric_name(attribution: Attribution, width: int | None = None) -> str:
     """Return the metric's name, shortened to ``width``."""
     name = str(attribution.info.get("metric", "metric"))
     return name if width is None else shorten([name], width)[0]
 
 
-def method_name(attribution: SceneAttribution) -> str:
+def method_name(attribution: Attribution) -> str:
     """Return the name of the attribution method."""
     return str(attribution.info.get("method", "unknown method"))
 
 
-def quantity(attribution: SceneAttribution) -> str:
-    """Return the name of the attributed quantity, such as ``'gradient per unit'`` or ``'contribution'``."""
-    explains_difference = attribution.convergence_delta is not None
-    return str(
-        attribution.info.get("quantity", "contribution" if explains_difference else "gradient per unit")
-    )
-
-
-def axis_label(attribution: SceneAttribution) -> str:
+def axis_label(attribution: Attribution) -> str:
     """Return the axis label for saliencies."""
-    template = _AXIS_LABELS.get(quantity(attribution), f"{quantity(attribution)}, {{}}")
+    template = _AXIS_LABELS[attribution.kind]
     return f"saliency: {template.format(metric_name(attribution, METRIC_WIDTH))}"
 
 
-def sign_labels(attribution: SceneAttribution) -> tuple[str, str] | None:
+def sign_labels(attribution: Attribution) -> tuple[str, str] | None:
     """Return the meanings of positive and negative attributions; None if the quantity has no sign.
 
     A gradient describes a change of the parameter; a contribution describes its presence.
     """
-    kind, subject = quantity(attribution), "difference" if "minus" in attribution.info else "metric"
-    if kind.startswith(("mean squared gradient", "variance")):
+    subject = "difference" if "minus" in attribution.info else "metric"
+    if not attribution.kind.has_sign:
         return None
-    if "per unit" in kind or kind == "gradient × range":
-        return f"raising it raises the {subject}", f"raising it lowers the {subject}"
-    return f"adds to the {subject}", f"takes from the {subject}"
+    if attribution.kind.is_contribution:
+        return f"adds to the {subject}", f"takes from the {subject}"
+    return f"raising it raises the {subject}", f"raising it lowers the {subject}"
 
 
 _AXIS_LABELS = {
-    "gradient per unit": "change of {} per unit of the parameter",
-    "gradient × range": "change of {} over the parameter's range, at its gradient",
-    "mean gradient per unit": "mean change of {} per unit of the parameter",
-    "mean squared gradient per unit": "mean squared change of {} per unit of the parameter",
-    "variance of the gradient per unit": "variance of the change of {} per unit of the parameter",
-    "gradient × value": "gradient of {} × value of the parameter",
-    "input × gradient": "value of the parameter × gradient of {}",
-    "contribution": "contribution to {}",
-    "effect of ablation": "change of {} by ablation",
-    "effect of occlusion": "change of {} by occlusion",
-    "Shapley value": "Shapley value for {}",
+    ResultKind.GRADIENT: "change of {} per unit of the parameter",
+    ResultKind.GRADIENT_OVER_RANGE: "change of {} over the parameter's range, at its gradient",
+    ResultKind.MEAN_GRADIENT: "mean change of {} per unit of the parameter",
+    ResultKind.MEAN_SQUARED_GRADIENT: "mean squared change of {} per unit of the parameter",
+    ResultKind.GRADIENT_VARIANCE: "variance of the change of {} per unit of the parameter",
+    ResultKind.GRADIENT_TIMES_VALUE: "gradient of {} × value of the parameter",
+    ResultKind.INPUT_X_GRADIENT: "value of the parameter × gradient of {}",
+    ResultKind.CONTRIBUTION: "contribution to {}",
+    ResultKind.ABLATION: "change of {} by ablation",
+    ResultKind.OCCLUSION: "change of {} by occlusion",
+    ResultKind.SHAPLEY_VALUE: "Shapley value for {}",
 }
 
 
-def sampling_notes(attribution: SceneAttribution) -> list[str]:
+def sampling_notes(attribution: Attribution) -> list[str]:
     """Return notes on samples, goals, the metric image, interruption and missing error bars."""
     spp, replicates = attribution.info.get("spp"), attribution.info.get("replicates")
     counted = None if replicates is None else f"{replicates} replicate{'' if replicates == 1 else 's'}"
@@ -92,20 +80,20 @@ def sampling_notes(attribution: SceneAttribution) -> list[str]:
     return notes
 
 
-def metric_image_notes(attribution: SceneAttribution) -> list[str]:
+def metric_image_notes(attribution: Attribution) -> list[str]:
     """Return notes on whether the metric image is denoised, and whether it is too noisy for the metric."""
     picture = attribution.info.get("picture") or {}
     samples = "" if picture.get("spp") is None else f" of {picture['spp']} spp"
     return [*([f"denoised image{samples}"] if picture.get("denoised") else []), *noise_notes(attribution)]
 
 
-def noise_notes(attribution: SceneAttribution) -> list[str]:
+def noise_notes(attribution: Attribution) -> list[str]:
     """Return a caution if the metric image is too noisy for the metric."""
     caution = (attribution.info.get("picture") or {}).get("caution")
     return [f"caution: {caution}"] if caution else []
 
 
-def convergence_notes(attribution: SceneAttribution) -> list[str]:
+def convergence_notes(attribution: Attribution) -> list[str]:
     """Return a note on whether contributions add up to the difference that they explain, if they explain one."""
     delta, error = attribution.convergence_delta, attribution.convergence_delta_error
     if delta is None:
@@ -125,7 +113,7 @@ def convergence_notes(attribution: SceneAttribution) -> list[str]:
     return [note]
 
 
-def comparison_notes(attribution: SceneAttribution) -> list[str]:
+def comparison_notes(attribution: Attribution) -> list[str]:
     """Return a note on the change by another renderer, if it was measured."""
     against = (attribution.info.get("planner") or {}).get("against")
     if not against or against["relative_change"] is None:
@@ -136,7 +124,7 @@ def comparison_notes(attribution: SceneAttribution) -> list[str]:
     return [f"{' at '.join(names) or 'the other renderer'} changes ≤ {change:.2g} ± {half_width:.2g} %"]
 
 
-def goal_notes(attribution: SceneAttribution) -> list[str]:
+def goal_notes(attribution: Attribution) -> list[str]:
     """Return a note on the achieved accuracy; nothing if the number of samples was fixed."""
     planner = attribution.info.get("planner")
     if planner is None:
@@ -154,7 +142,7 @@ def goal_notes(attribution: SceneAttribution) -> list[str]:
     return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
 
 
-def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[str, list[str]]:
+def caution_groups(attribution: Attribution, names: Iterable[str]) -> dict[str, list[str]]:
     """Group the named parameters whose derivatives are known to be inaccurate by the reason."""
     cautions = attribution.info.get("cautions") or {}
     groups: dict[str, list[str]] = {}
@@ -164,7 +152,7 @@ def caution_groups(attribution: SceneAttribution, names: Iterable[str]) -> dict[
     return groups
 
 
-def scene_cautions(attribution: SceneAttribution) -> list[str]:
+def scene_cautions(attribution: Attribution) -> list[str]:
     """Return a caution for each parameter that is left out because its value in the scene is invalid."""
     left_out = attribution.info.get("left_out") or {}
     cautions = [f"{name} is left out: {fault}" for name, fault in left_out.items()]
@@ -174,7 +162,7 @@ def scene_cautions(attribution: SceneAttribution) -> list[str]:
     return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
 
 
-def untrusted_groups(attribution: SceneAttribution) -> dict[str, list[str]]:
+def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     """Group the parameters with unreliable error bars by the reason."""
     groups: dict[str, list[str]] = {}
     for name, reason in attribution.untrusted_errors().items():

@@ -8,7 +8,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..metrics._picture import channels_first, channels_last, check_image
+from ..images import channels_first, channels_last, check_image_shape
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _MIDDLE_GREY = 0.18
@@ -49,7 +49,7 @@ def display_image(image: torch.Tensor, exposure: float | None = None) -> torch.T
     """
     import kornia
 
-    check_image(image)
+    check_image_shape(image)
     if exposure is not None and not exposure > 0:
         raise SceneCaptumError(f"exposure must be a positive factor, not {exposure!r}.")
     radiance = image.detach().float().nan_to_num(0.0, _MAX_RADIANCE, 0.0).clamp(0.0, _MAX_RADIANCE)

@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ...projection import SurfaceMap
-from .._maps import diverging
-from .._tonemap import display_image
+from ..projection import SurfaceMap
+from ..visualization import display_image, diverging
 
 LAYERS = 3  # objects per pixel; the largest three are scaled to the total coverage
 _FULL_COVERAGE = 255

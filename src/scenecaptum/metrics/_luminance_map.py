@@ -10,18 +10,16 @@ import torch
 
 from ..camera import Camera
 from ..errors import SceneCaptumError
-from ..metrics import luminance
-from ..metrics._glare import GlareRating
-from ..metrics._picture import check_image
-from ._figures import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure
-from ._text import pluralize
+from ..images import check_image_shape
+from ..visualization import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure, pluralize
+from ._glare import GlareRating
+from ._luminance import luminance
+from ._sources import GlareSource
 
 if TYPE_CHECKING:
     import numpy as np
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ..metrics._sources import GlareSource
 
 EFFICACY = 179.0  # lm/W, as in Radiance
 _MAX_LISTED = 8
@@ -65,7 +63,7 @@ def plot_luminance(
         If the image does not have the shape of the camera's image, contains negative or non-finite values that the
         rating rejects, or the limits are not positive and increasing.
     """
-    check_image(image)
+    check_image_shape(image)
     rating = view if isinstance(view, GlareRating) else None
     camera = rating.camera if rating is not None else view if isinstance(view, Camera) else None
     if efficacy is None:

@@ -3,114 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from .attr import VanillaSceneGradient
-from .attr._gradients import input_values
-from .attr._jackknife import jackknife, with_image_transform
-from .attr._metric import Metric, TargetedMetric
-from .attr._passes import DEFAULT_REPLICATES, Budget, channel_totals, render_images
-from .attr._ranges import ranges
-from .attr._values import summarize
-from .attr._view import Denoise, TransformSelector
-from .errors import SceneCaptumError, check_seed, whole_number
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from ..attr import VanillaSceneGradient
+from ..attr._gradients import input_values
+from ..attr._jackknife import jackknife, with_image_transform
+from ..attr._metric import Metric, TargetedMetric
+from ..attr._passes import DEFAULT_REPLICATES, Budget, channel_totals, render_images
+from ..attr._ranges import ranges
+from ..attr._values import summarize
+from ..attr._view import Denoise, TransformSelector
+from ..errors import SceneCaptumError, check_seed, whole_number
+from ._result import Measured, Moved, Optimization
 
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
 BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
-REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
-
-
-@dataclass(frozen=True)
-class Measured:
-    """The metric of a scene.
-
-    Attributes
-    ----------
-    value, error
-        The metric and its standard error.
-    image
-        The render, ``(H, W, 3)`` linear radiance.
-    """
-
-    value: float
-    error: float
-    image: torch.Tensor
-
-
-@dataclass(frozen=True)
-class Moved:
-    """A parameter that was changed.
-
-    Attributes
-    ----------
-    name, label
-        Its name in the scene, and a readable label.
-    before, after
-        Its values; for a texture, the mean over the texels.
-    fraction
-        The change as a fraction of its range; for a colour, that of the channel that changed most.
-    """
-
-    name: str
-    label: str
-    before: torch.Tensor
-    after: torch.Tensor
-    fraction: float
-
-
-@dataclass(frozen=True, repr=False)
-class Optimization:
-    """The result of ``minimize``; prints as a table.
-
-    Attributes
-    ----------
-    values
-        The optimized scene: ``renderer(values)`` renders it.
-    moved
-        The parameters that were changed, most salient first; all others were kept constant.
-    before, after
-        The metric and the render of both scenes, from samples independent of the optimization steps.
-    history
-        The metric at each step, with the noise of that step's render.
-    below
-        The goal.
-    metric
-        Name of the metric.
-    """
-
-    values: Mapping[str, torch.Tensor]
-    moved: tuple[Moved, ...]
-    before: Measured
-    after: Measured
-    history: tuple[float, ...]
-    below: float
-    metric: str
-
-    @property
-    def reached(self) -> bool:
-        """Whether the metric is below the goal by two standard errors."""
-        return _is_below(self.after, self.below)
-
-    def plot(self) -> Figure:
-        """Plot the scene before and after, and the metric at every step."""
-        from .visualization import plot_optimization
-
-        return plot_optimization(self)
-
-    def __str__(self) -> str:
-        from .visualization import optimization_text
-
-        return optimization_text(self)
-
-    __repr__ = __str__
 
 
 def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
@@ -219,7 +130,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         # The value of a step is biased low, since the optimizer fits its noise: check with independent samples.
         if value < below:
             after = measure(values | _detached(optimizer.values()))
-            if _is_below(after, below):
+            if after.is_below(below):
                 break
         optimizer.step(image, adjoint)
     else:
@@ -291,7 +202,3 @@ class _BoundedAdam:
 
 def _detached(values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {name: value.detach() for name, value in values.items()}
-
-
-def _is_below(measured: Measured, goal: float) -> bool:
-    return measured.value + REQUIRED_SIGMAS * measured.error < goal

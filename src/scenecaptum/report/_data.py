@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import SceneCaptumError
-from ...projection import heatmap, shared_maximum
-from .._figures import LOWERS, RAISES, UNCLEAR, color_of
-from .._numbers import with_error
-from .._text import (
+from ..errors import SceneCaptumError
+from ..projection import SurfaceMap, heatmap, shared_maximum
+from ..protocols import Attribution, RankedParameter
+from ..visualization import (
+    LOWERS,
+    RAISES,
+    UNCLEAR,
     axis_label,
     caution_groups,
+    color_of,
     convergence_notes,
     method_name,
     metric_name,
-    quantity,
     sampling_notes,
     scene_cautions,
     sign_labels,
     untrusted_groups,
+    with_error,
 )
 from ._pixels import color_maps, encode_map, encode_picture, encode_surfaces
-
-if TYPE_CHECKING:
-    from ...attr import Ranked, SceneAttribution
-    from ...projection import SurfaceMap
 
 _DIGITS = 9  # of single precision
 _MAX_CHANNELS = 64
@@ -37,7 +36,7 @@ _SIGNS = {RAISES: 1, LOWERS: -1, UNCLEAR: 0}
 _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmittance", "albedo")
 
 
-def report_data(attributions: Sequence[SceneAttribution], titles: Sequence[str]) -> dict[str, Any]:
+def report_data(attributions: Sequence[Attribution], titles: Sequence[str]) -> dict[str, Any]:
     """Return the data of the page; views and images that results share are stored once."""
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
     views: dict[int, tuple[int, NDArray[np.int64]]] = {}
@@ -74,7 +73,7 @@ def _view(surfaces: SurfaceMap) -> tuple[dict[str, Any], NDArray[np.int64]]:
 
 
 def _result(
-    attribution: SceneAttribution, title: str, surfaces: SurfaceMap, shown: NDArray[np.int64]
+    attribution: Attribution, title: str, surfaces: SurfaceMap, shown: NDArray[np.int64]
 ) -> dict[str, Any]:
     ranking = attribution.ranking()
     cautions = caution_groups(attribution, (row.name for row in ranking))
@@ -87,7 +86,7 @@ def _result(
     return {
         "title": title,
         "metric": metric_name(attribution),
-        "quantity": quantity(attribution),
+        "quantity": attribution.kind.value,
         "axis": axis_label(attribution),
         "signs": sign_labels(attribution),
         "value": _number(attribution.metric_value),
@@ -122,7 +121,7 @@ def _result(
     }
 
 
-def _texels(attribution: SceneAttribution, surfaces: SurfaceMap) -> dict[str, Any] | None:
+def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | None:
     """Return the maps with single texels, if there are textures."""
     if not any(name in surfaces.texels for name in attribution):
         return None
@@ -137,7 +136,7 @@ def _texels(attribution: SceneAttribution, surfaces: SurfaceMap) -> dict[str, An
 
 
 def _object_rows(
-    attribution: SceneAttribution, ranking: Sequence[Ranked], surfaces: SurfaceMap
+    attribution: Attribution, ranking: Sequence[RankedParameter], surfaces: SurfaceMap
 ) -> list[list[int]]:
     """Return for each object the indices of its parameters or groups in the ranking."""
     index = {row.name: row.rank - 1 for row in ranking}
@@ -146,13 +145,13 @@ def _object_rows(
     return [sorted({row_of[name] for name in names if name in row_of}) for names in surfaces.parameters]
 
 
-def _object_saliency(ranking: Sequence[Ranked], rows: Sequence[int]) -> float:
+def _object_saliency(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> float:
     """Return an object's saliency as in ``heatmap``, with the sign of the sum of its attributions."""
     magnitude = math.hypot(*(ranking[index].saliency for index in rows))
     return math.copysign(magnitude, math.fsum(sum(ranking[index].total) for index in rows))
 
 
-def _row(attribution: SceneAttribution, row: Ranked) -> dict[str, Any]:
+def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
     errors: Sequence[float | None] = row.total_error or [None] * len(row.total)
     few = len(row.total) <= _MAX_CHANNELS
     members = (attribution.info.get("groups") or {}).get(row.name)
@@ -179,7 +178,7 @@ def _format_signed(value: float, error: float | None) -> tuple[str, str]:
     return (f"+{formatted}" if value > 0 else formatted), formatted_error
 
 
-def _value(attribution: SceneAttribution, name: str, members: Sequence[str] | None) -> dict[str, Any]:
+def _value(attribution: Attribution, name: str, members: Sequence[str] | None) -> dict[str, Any]:
     """Return a parameter's value if it is known, or a group's members."""
     if members is not None and list(members) != [name]:
         return {"members": list(members)}
@@ -223,7 +222,7 @@ def _plain(info: Any) -> Any:
     return info if info is None or isinstance(info, (str, int, bool)) else str(info)
 
 
-def default_titles(attributions: Sequence[SceneAttribution]) -> list[str]:
+def default_titles(attributions: Sequence[Attribution]) -> list[str]:
     """Return titles from the metrics and, if these are equal, from another setting that differs."""
     names = [metric_name(attribution) for attribution in attributions]
     for key in (None, "scene", "sensor", "method", "resolution", "seed"):
@@ -233,11 +232,11 @@ def default_titles(attributions: Sequence[SceneAttribution]) -> list[str]:
     return [f"{name} ({index})" for index, name in enumerate(names, start=1)]
 
 
-def _title(name: str, attribution: SceneAttribution, key: str | None) -> str:
+def _title(name: str, attribution: Attribution, key: str | None) -> str:
     return name if key is None else f"{name} · {attribution.info.get(key)}"
 
 
-def check(attributions: Sequence[SceneAttribution], titles: Sequence[str] | None) -> None:
+def check(attributions: Sequence[Attribution], titles: Sequence[str] | None) -> None:
     """Raise for results that a report cannot show."""
     if not attributions:
         raise SceneCaptumError("A report needs at least one attribution; the list is empty.")

@@ -10,19 +10,17 @@ import os
 import re
 from collections.abc import Sequence
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ...files import atomic_write
+from ..files import atomic_write
+from ..protocols import Attribution
 from ._data import check, default_titles, report_data
-
-if TYPE_CHECKING:
-    from ...attr import SceneAttribution
 
 _SCRIPTS = ("data.js", "picture.js", "table.js", "detail.js", "page.js")
 
 
 def write_report(
-    attributions: Sequence[SceneAttribution],
+    attributions: Attribution | Sequence[Attribution],
     path: str | os.PathLike[str],
     titles: Sequence[str] | None = None,
 ) -> None:
@@ -38,7 +36,7 @@ def write_report(
     Parameters
     ----------
     attributions
-        One or more results, of any metrics, cameras and designs.
+        A result or several, of any metrics, cameras and designs.
     path
         The file to write, atomically.
     titles
@@ -49,7 +47,7 @@ def write_report(
     SceneCaptumError
         If a result has no image or no map of the surfaces in it, or the file cannot be written.
     """
-    attributions = list(attributions)
+    attributions = list(attributions) if isinstance(attributions, Sequence) else [attributions]
     check(attributions, titles)
     names = default_titles(attributions) if titles is None else [str(title) for title in titles]
     page = _page(report_data(attributions, names))

@@ -1,0 +1,195 @@
+"""The rooms of the package as its imports draw them: every one counts, lazy and ``TYPE_CHECKING`` ones too.
+
+    python scripts/rooms.py check          print circles, upward arrows and private imports; exit 1 if there are any
+    python scripts/rooms.py draw FILE.svg  draw the rooms and who imports whom
+
+A room is a folder or a module of ``src/scenecaptum``. It may import the rooms below it, and of these only what is
+public: ``from ..scene import X``, never ``from ..scene._x import X``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import sys
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+SOURCE = Path(__file__).parents[1] / "src" / "scenecaptum"
+PACKAGE = SOURCE.name
+
+# Top to bottom; the rooms of one floor do not know each other.
+FLOORS = (
+    ("cli",),
+    ("report",),
+    ("validation", "tradeoff", "optimize"),
+    ("attr",),
+    ("estimation",),
+    ("rendering",),
+    ("scene",),
+    ("metrics",),
+    ("visualization",),
+    ("projection", "denoising"),
+    ("camera", "checkpoint"),
+    ("backend", "files", "finite", "images", "ranks"),
+    ("protocols",),
+    ("errors",),
+)
+
+
+class Import(NamedTuple):
+    """One import: the module that has it, what it imports, and the line."""
+
+    importer: str
+    imported: str
+    line: int
+
+    @property
+    def rooms(self) -> tuple[str, str]:
+        """The rooms of both."""
+        return room_of(self.importer), room_of(self.imported)
+
+
+def room_of(module: str) -> str:
+    """Return the room of a module: ``scenecaptum.scene._graph`` is in ``scene``."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else PACKAGE
+
+
+def modules() -> dict[str, Path]:
+    """Return the file of every module of the package."""
+    found = {}
+    for path in sorted(SOURCE.rglob("*.py")):
+        parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(files: Mapping[str, Path]) -> Iterator[Import]:
+    """Yield the imports among the modules, wherever in a file they are."""
+    for name, path in files.items():
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                targets = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+                origin = ".".join([*base, *([node.module] if node.module else [])])
+                targets = [f"{origin}.{alias.name}" for alias in node.names]
+            else:
+                continue
+            for target in targets:
+                module = target if target in files else target.rpartition(".")[0]
+                if module in files and module != name:
+                    yield Import(name, module, node.lineno)
+
+
+def circles(arrows: Mapping[str, set[str]]) -> list[list[str]]:
+    """Return the strongly connected components of more than one node (Tarjan)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(node: str) -> None:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in arrows.get(node, ()):
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            component = []
+            while not component or component[-1] != node:
+                component.append(stack.pop())
+            if len(component) > 1:
+                found.append(sorted(component))
+
+    for node in arrows:
+        if node not in index:
+            visit(node)
+    return found
+
+
+def is_private(one: Import) -> bool:
+    """Whether a module is imported that another room keeps to itself."""
+    importer, imported = one.rooms
+    return importer != imported and any(part.startswith("_") for part in one.imported.split(".")[1:])
+
+
+def faults(found: list[Import]) -> list[str]:
+    """Return a line for every circle of files, arrow between rooms that runs up, and private import."""
+    floor = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+    between: dict[str, set[str]] = defaultdict(set)
+    for one in found:
+        between[one.importer].add(one.imported)
+    lines = [f"circle of {len(circle)} files: {', '.join(circle)}" for circle in circles(between)]
+    for one in found:
+        importer, imported = one.rooms
+        if PACKAGE in (importer, imported) or importer == imported:
+            continue
+        where = f"{one.importer}:{one.line} imports {one.imported}"
+        unknown = {importer, imported} - floor.keys()
+        if unknown:
+            lines.append(f"no floor for {', '.join(sorted(unknown))}: {where}")
+        elif floor[importer] >= floor[imported]:
+            lines.append(f"upward: {where}")
+        if is_private(one):
+            lines.append(f"private: {where}")
+    return lines
+
+
+def draw(found: list[Import], path: Path) -> None:
+    """Draw the rooms floor by floor, with their lines of code, and an arrow for every room that imports another."""
+    from matplotlib.figure import Figure
+
+    lines: dict[str, int] = defaultdict(int)
+    for name, file in modules().items():
+        lines[room_of(name)] += len(file.read_text().splitlines())
+    figure = Figure(figsize=(8, 8), layout="constrained")
+    ax = figure.add_subplot()
+    ax.axis("off")
+    places = {}
+    for height, rooms in enumerate(reversed(FLOORS)):
+        present = [room for room in rooms if room in lines]
+        for number, room in enumerate(present):
+            # Shifted from floor to floor, so that arrows do not run through the boxes between.
+            x = (number + 1) / (len(present) + 1) + 0.12 * ((-1) ** height if len(present) == 1 else 0)
+            places[room] = (x, height)
+            text = f"{room}\n{lines[room]} lines"
+            box = {"boxstyle": "round,pad=0.35", "facecolor": "#EAF2F8", "edgecolor": "#0072B2"}
+            ax.text(x, height, text, ha="center", va="center", fontsize=8, bbox=box, zorder=3)
+    for start, end in sorted({one.rooms for one in found}):
+        if start != end and start in places and end in places:
+            arrow = {"arrowstyle": "-|>", "color": "#8C8C8C", "linewidth": 0.6, "shrinkA": 14, "shrinkB": 14}
+            ax.annotate("", places[end], places[start], arrowprops=arrow)
+    ax.set_xlim(0, 1)
+    ax.set_ylim(-0.6, len(FLOORS) - 0.4)
+    figure.savefig(path, dpi=130)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("action", choices=("check", "draw"))
+    parser.add_argument("file", type=Path, nargs="?", help="of the drawing, .png or .svg")
+    args = parser.parse_args()
+    found = list(imports(modules()))
+    if args.action == "draw":
+        if args.file is None:
+            parser.error("draw needs a FILE")
+        draw(found, args.file)
+        return 0
+    lines = faults(found)
+    for line in lines:
+        print(line)
+    for kind in ("circle", "upward", "private", "no floor"):
+        print(f"{sum(line.startswith(kind) for line in lines)} {kind}")
+    return int(bool(lines))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,32 @@
+"""Shape and layout of rendered images."""
+
+from __future__ import annotations
+
+import torch
+
+from .errors import SceneCaptumError
+
+
+def channels_first(image: torch.Tensor) -> torch.Tensor:
+    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the image has another shape.
+    """
+    check_image_shape(image)
+    return image.movedim(-1, 0)[None]
+
+
+def channels_last(picture: torch.Tensor) -> torch.Tensor:
+    """Convert a ``(1, 3, H, W)`` picture to ``(H, W, 3)``, the layout of renderers and figures."""
+    return picture[0].movedim(0, -1)
+
+
+def check_image_shape(image: torch.Tensor) -> None:
+    """Raise if a tensor is not an ``(H, W, 3)`` image."""
+    if image.ndim != 3 or image.shape[-1] != 3 or not image.numel():
+        raise SceneCaptumError(
+            f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
+        )

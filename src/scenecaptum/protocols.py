@@ -1,0 +1,230 @@
+"""What rooms know of each other: renderers and results by what they can do, not by their class."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from enum import Enum
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+import torch
+
+T = TypeVar("T")
+
+ANY_KEYWORD = "**"
+
+
+def accepted_keywords(function: Any) -> frozenset[str]:
+    """Return the keywords that a callable takes, with ``ANY_KEYWORD`` for arbitrary ones.
+
+    A wrapper passes on those of what it wraps in an attribute ``accepted_keywords``; for anything else they are
+    read from the signature, of a module that of its ``forward``.
+    """
+    declared: frozenset[str] | None = getattr(function, "accepted_keywords", None)
+    if declared is not None:
+        return declared
+    try:
+        parameters = inspect.signature(getattr(function, "forward", function)).parameters
+    except (TypeError, ValueError):  # not callable, or built in
+        return frozenset()
+    return frozenset(ANY_KEYWORD if p.kind is p.VAR_KEYWORD else name for name, p in parameters.items())
+
+
+def takes_keyword(function: Any, keyword: str) -> bool:
+    """Whether a callable names a keyword argument in its signature."""
+    return keyword in accepted_keywords(function)
+
+
+class Renderer(Protocol):
+    """The one thing that every renderer does. What else it may offer is in ``Capabilities``."""
+
+    def __call__(
+        self, inputs: Mapping[str, torch.Tensor], /, *, seed: int, spp: int | None, **options: Any
+    ) -> torch.Tensor:
+        """Render ``inputs`` with a seed and a number of samples per pixel; with None the renderer chooses it."""
+
+
+@runtime_checkable
+class Checkpointable(Protocol):
+    """A renderer that stores its renders itself; others are wrapped (``checkpoint.with_checkpoint``)."""
+
+    def with_checkpoint(self, checkpoint: Any, /) -> Any:
+        """Return the same renderer with a checkpoint, or without one for None."""
+
+
+class _Offer(Generic[T]):
+    """An attribute of a renderer, or None if it has none of this name."""
+
+    def __init__(self, doc: str) -> None:
+        self.__doc__ = doc
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, capabilities: Capabilities, owner: type) -> T | None:
+        found: T | None = getattr(capabilities.renderer, self._name, None)
+        return found
+
+
+class Capabilities:
+    """What a renderer may offer beside rendering, each None if it does not; ``SceneRenderer`` offers all of it.
+
+    An attribute is read from the renderer when it is asked for: some of them take a render.
+    """
+
+    inputs = _Offer[Mapping[str, torch.Tensor]]("The scene's own values.")
+    bounds = _Offer[Mapping[str, tuple[float, float]]]("The physical range of each input.")
+    labels = _Offer[Mapping[str, str]]("Readable names of the inputs.")
+    info = _Offer[Mapping[str, Any]]("How it renders, for the ``info`` of results.")
+    name = _Offer[str]("The name of the scene.")
+    spp = _Offer[int]("Samples per pixel where none are asked for.")
+    resolution = _Offer[tuple[int, int]]("Width and height of the images.")
+    plan = _Offer[Any]("Integrator, depth and derivatives.")
+    guides = _Offer[Any]("Noise-free albedo and normals for the denoiser.")
+    surfaces = _Offer[Any]("What each pixel shows.")
+    checkpoint = _Offer[Any]("Where finished renders are stored.")
+    parameters_table = _Offer[Callable[[], Mapping[str, Any]]]("Describes every parameter of the scene.")
+    surfaces_with_texels = _Offer[Callable[[Iterable[str]], Any]](
+        "What each pixel shows, with the texels of textures."
+    )
+    effective_samples = _Offer[Callable[..., dict[str, float]]]("Counts the samples behind each variance.")
+    require_memory = _Offer[Callable[..., None]]("Raises if images do not fit into memory.")
+    replace = _Offer[Callable[..., Any]]("The same renderer with other options.")
+
+    def __init__(self, renderer: Any) -> None:
+        self.renderer = renderer
+
+
+class ResultKind(str, Enum):
+    """The quantity that an attribution consists of; its value is the name in tables, figures and files."""
+
+    GRADIENT = "gradient per unit"
+    GRADIENT_OVER_RANGE = "gradient × range"
+    GRADIENT_TIMES_VALUE = "gradient × value"
+    INPUT_X_GRADIENT = "input × gradient"
+    MEAN_GRADIENT = "mean gradient per unit"
+    MEAN_SQUARED_GRADIENT = "mean squared gradient per unit"
+    GRADIENT_VARIANCE = "variance of the gradient per unit"
+    CONTRIBUTION = "contribution"
+    ABLATION = "effect of ablation"
+    OCCLUSION = "effect of occlusion"
+    SHAPLEY_VALUE = "Shapley value"
+
+    @property
+    def is_gradient_per_unit(self) -> bool:
+        """Whether it is a derivative, or a mean of derivatives."""
+        return self in (ResultKind.GRADIENT, ResultKind.MEAN_GRADIENT)
+
+    @property
+    def has_sign(self) -> bool:
+        """Whether positive and negative values differ in meaning."""
+        return self not in (ResultKind.MEAN_SQUARED_GRADIENT, ResultKind.GRADIENT_VARIANCE)
+
+    @property
+    def is_contribution(self) -> bool:
+        """Whether it describes the presence of the parameter's value, not a change of it."""
+        return self.has_sign and not self.is_gradient_per_unit and self != ResultKind.GRADIENT_OVER_RANGE
+
+
+class RankedParameter(Protocol):
+    """One row of a ranking."""
+
+    @property
+    def rank(self) -> int:
+        """Position, from 1."""
+
+    @property
+    def name(self) -> str:
+        """The parameter's name."""
+
+    @property
+    def label(self) -> str:
+        """The parameter's readable name."""
+
+    @property
+    def saliency(self) -> float:
+        """ℓ2 norm of the channel totals."""
+
+    @property
+    def saliency_error(self) -> float | None:
+        """Standard error of the saliency."""
+
+    @property
+    def total(self) -> tuple[float, ...]:
+        """The channel totals."""
+
+    @property
+    def total_error(self) -> tuple[float, ...] | None:
+        """Their standard errors."""
+
+
+class Attribution(Protocol):
+    """A mapping from parameters to signed tensors, with errors and a description of how it was computed.
+
+    ``scenecaptum.attr.SceneAttribution`` is the one that the attribution methods return; it documents the
+    attributes.
+    """
+
+    def __getitem__(self, name: str, /) -> torch.Tensor: ...
+
+    def __iter__(self) -> Iterator[str]: ...
+
+    def __len__(self) -> int: ...
+
+    def __contains__(self, name: object, /) -> bool: ...
+
+    @property
+    def metric_value(self) -> float:
+        """The metric at the metric image."""
+
+    @property
+    def metric_standard_error(self) -> float | None:
+        """Its standard error."""
+
+    @property
+    def convergence_delta(self) -> float | None:
+        """Sum of the attributions minus what they explain, for methods that have it."""
+
+    @property
+    def convergence_delta_error(self) -> float | None:
+        """Its standard error."""
+
+    @property
+    def covariance(self) -> Mapping[str, torch.Tensor] | None:
+        """Covariance of the channel totals of each parameter."""
+
+    @property
+    def parameter_values(self) -> Mapping[str, torch.Tensor]:
+        """Values of the parameters."""
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """Readable names of the parameters."""
+
+    @property
+    def image(self) -> torch.Tensor | None:
+        """The render, ``(H, W, 3)`` linear radiance."""
+
+    @property
+    def surfaces(self) -> Any:
+        """The objects visible in each pixel."""
+
+    @property
+    def kind(self) -> ResultKind:
+        """The attributed quantity."""
+
+    @property
+    def info(self) -> Mapping[str, Any]:
+        """How it was computed."""
+
+    def saliency(self) -> dict[str, float]:
+        """Return each parameter's magnitude."""
+
+    def saliency_error(self) -> dict[str, float] | None:
+        """Return the standard error of each magnitude."""
+
+    def ranking(self, top: int | None = None) -> Sequence[RankedParameter]:
+        """Return the parameters by descending saliency."""
+
+    def untrusted_errors(self) -> dict[str, str]:
+        """Return the parameters whose standard error is unreliable, each with the reason."""

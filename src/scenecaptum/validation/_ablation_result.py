@@ -1,0 +1,296 @@
+"""The result of the ablation test, with its table and figure: predictions and measurements."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from ..attr._student import student_t
+from ..ranks import kendall_tau_of_pairs
+from ..visualization import (
+    LOWERS,
+    RAISES,
+    SMALL,
+    TEXT,
+    TITLE,
+    UNCLEAR,
+    WIDTH,
+    add_footnotes,
+    figure_of,
+    new_figure,
+    shorten,
+    with_error,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
+SIGNIFICANCE_LEVEL = 0.95  # confidence that a measurement differs from 0 or from another one
+DISAGREEMENT_LEVEL = 0.997  # confidence that prediction and measurement differ
+MIN_KENDALL_TAU = 0.95
+
+_NAME_WIDTH, _NOTE_WIDTH = 36, 90
+_OUTCOMES = {
+    RAISES: "measured: as predicted",
+    LOWERS: "measured: not as predicted",
+    UNCLEAR: "measured: below the noise",
+}
+
+
+@dataclass(frozen=True)
+class Ablated:
+    """The effect of moving one parameter along its gradient.
+
+    Attributes
+    ----------
+    name, label
+        The parameter's name in the scene, and a readable one.
+    predicted, predicted_error
+        The saliency ``‖g‖``: the predicted slope of the metric along the gradient.
+    measured, measured_error
+        The measured slope, from renders at 0, half a step and a full step, with the second-order term removed.
+    step
+        Signed length of the step, negative down the gradient; in the parameter's unit, over its channels.
+    curvature
+        Second derivative along the gradient.
+    degrees_of_freedom
+        Of the standard errors.
+    fixed, fixed_error
+        Slope measured with the step of the paper, one hundredth of the gradient, down the gradient and inside the
+        bounds, including the second-order term; None where the parameter is at its bound.
+    """
+
+    name: str
+    label: str
+    predicted: float
+    predicted_error: float
+    measured: float
+    measured_error: float
+    step: float
+    curvature: float
+    degrees_of_freedom: int
+    fixed: float | None = None
+    fixed_error: float | None = None
+
+    @property
+    def noise(self) -> float:
+        """Half-width of the 95 % confidence interval of the measurement."""
+        return student_t(SIGNIFICANCE_LEVEL, self.degrees_of_freedom) * self.measured_error
+
+    @property
+    def above_noise(self) -> bool:
+        """Whether the measurement differs significantly from 0."""
+        return abs(self.measured) > self.noise
+
+    @property
+    def agrees(self) -> bool:
+        """Whether prediction and measurement agree within 10 % or within their errors (99.7 % confidence)."""
+        error = math.hypot(self.predicted_error, self.measured_error)
+        half_width = student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
+        allowed = max(AGREEMENT_TOLERANCE * self.predicted, half_width)
+        return abs(self.measured - self.predicted) <= allowed
+
+
+@dataclass(frozen=True, repr=False)
+class AblationTest:
+    """Result of ``ablation_test``; prints as a table.
+
+    Attributes
+    ----------
+    rows
+        One per parameter, in order of decreasing saliency.
+    metric
+        Name of the metric.
+    """
+
+    rows: tuple[Ablated, ...]
+    metric: str
+
+    @property
+    def kendall_tau(self) -> float | None:
+        """Rank correlation of predictions and measurements, from −1 to 1; None if no pair is resolved.
+
+        Only rows above the noise count, and of these only pairs whose predictions and measurements both differ
+        significantly.
+        """
+        rows = [row for row in self.rows if row.above_noise]
+        pairs = torch.zeros(len(rows), len(rows), dtype=torch.bool)
+        for a, b in itertools.combinations(range(len(rows)), 2):
+            pairs[a, b] = all(_is_resolved(rows[a], rows[b], field) for field in ("measured", "predicted"))
+        predicted, measured = [row.predicted for row in rows], [row.measured for row in rows]
+        tau = kendall_tau_of_pairs(predicted, measured, pairs)
+        return None if math.isnan(tau) else tau
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether all rows above the noise agree with their predictions, in size and in order."""
+        tau = self.kendall_tau
+        ordered = tau is None or tau >= MIN_KENDALL_TAU
+        return ordered and all(row.agrees for row in self.rows if row.above_noise)
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        measurable = [row for row in self.rows if row.above_noise]
+        agreeing = sum(row.agrees for row in measurable)
+        tau = (
+            "no resolved pair to rank" if self.kendall_tau is None else f"Kendall's τ {self.kendall_tau:.2f}"
+        )
+        return (
+            f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
+            f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
+            f"{tau}; {len(self.rows) - len(measurable)} below the noise"
+        )
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Plot the predicted and the measured slope of the metric for each parameter.
+
+        Parameters are in order of decreasing saliency. Grey bars show the half-width of the 95 % confidence
+        interval of the measurement; crosses show the slope measured with the step of the paper, 0.01 of each
+        gradient.
+
+        Parameters
+        ----------
+        ax
+            Axes to draw into; by default those of a new figure.
+        """
+        return _draw(self, ax)
+
+    def __str__(self) -> str:
+        return _text(self)
+
+    __repr__ = __str__
+
+
+def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
+    """Return whether a field of two rows differs significantly."""
+    error = math.hypot(getattr(a, f"{field}_error"), getattr(b, f"{field}_error"))
+    degrees = min(a.degrees_of_freedom, b.degrees_of_freedom)
+    return bool(abs(getattr(a, field) - getattr(b, field)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)
+
+
+def _text(test: AblationTest) -> str:
+    names = shorten([row.label for row in test.rows], _NAME_WIDTH)
+    cells = [
+        (
+            name,
+            _pair(row.predicted, row.predicted_error),
+            _pair(row.measured, row.measured_error),
+            f"{row.step:.2g}",
+        )
+        for name, row in zip(names, test.rows, strict=True)
+    ]
+    header = ("moved along its gradient", "predicted", "measured", "step")
+    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
+    lines = [
+        f"{name:{widths[0]}}  {predicted:>{widths[1]}}  {measured:>{widths[2]}}  {step:>{widths[3]}}"
+        for name, predicted, measured, step in (header, *cells)
+    ]
+    remarks = ["", *(_remark(row) for row in test.rows)]
+    return "\n".join(
+        [*(line + remark for line, remark in zip(lines, remarks, strict=True)), "", test.verdict]
+    )
+
+
+def _draw(test: AblationTest, ax: Axes | None) -> Figure:
+    rows = test.rows
+    if ax is None:
+        ax = new_figure(WIDTH, 1.7 + 0.24 * len(rows)).add_subplot()
+    ax.set_xscale("log")
+    noise = [row.noise for row in rows]
+    # Bars on a logarithmic axis start at its lower limit, so the limit is set first.
+    lower = 0.5 * min(
+        value
+        for row in rows
+        for value in (row.predicted, row.noise or row.predicted, abs(row.fixed or row.predicted))
+    )
+    ax.set_xlim(lower, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
+    positions = range(len(rows))
+    lengths = [max(value - lower, 0) for value in noise]
+    ax.barh(positions, lengths, left=lower, height=0.7, color="0.88", label="noise")
+    ax.scatter(
+        [row.predicted for row in rows],
+        positions,
+        marker="D",
+        s=34,
+        facecolors="none",
+        edgecolors="black",
+        label="predicted: the saliency",
+        zorder=3,
+    )
+    fixed = [(y, row) for y, row in enumerate(rows) if row.fixed]
+    ax.scatter(
+        [abs(row.fixed or 0) for _, row in fixed],
+        [y for y, _ in fixed],
+        marker="x",
+        s=26,
+        linewidths=1,
+        color="0.45",
+        label="measured with a step of 0.01 of the gradient",
+        zorder=2,
+    )
+    for color, label in _OUTCOMES.items():
+        _draw_measured(ax, [(y, row) for y, row in enumerate(rows) if _color(row) == color], color, label)
+    ax.set_yticks(positions, shorten([row.label for row in rows], _NAME_WIDTH), fontsize=TEXT)
+    for tick_label in ax.get_yticklabels():
+        tick_label.set_parse_math(False)
+    ax.invert_yaxis()
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+    ax.tick_params(axis="x", labelsize=SMALL)
+    ax.set_xlabel(
+        f"change of {test.metric} per unit of a step along the gradient", fontsize=TEXT, parse_math=False
+    )
+    handles = ax.get_legend_handles_labels()[0]
+    columns = 2
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        ncols=columns,
+        fontsize=SMALL,
+        frameon=False,
+        borderaxespad=0.2,
+    )
+    padding = 8 + 12 * -(-len(handles) // columns)
+    ax.set_title("Ablation test", loc="left", fontsize=TITLE, pad=padding)
+    add_footnotes(ax, textwrap.wrap(test.verdict, _NOTE_WIDTH), below=34)
+    return figure_of(ax)
+
+
+def _draw_measured(ax: Axes, rows: list[tuple[int, Ablated]], color: str, label: str) -> None:
+    if rows:
+        ax.errorbar(
+            [abs(row.measured) for _, row in rows],
+            [y for y, _ in rows],
+            xerr=[row.measured_error for _, row in rows],
+            fmt="o",
+            markersize=4,
+            color=color,
+            elinewidth=1.2,
+            capsize=3,
+            label=label,
+            zorder=4,
+        )
+
+
+def _color(row: Ablated) -> str:
+    if not row.above_noise:
+        return UNCLEAR
+    return RAISES if row.agrees else LOWERS
+
+
+def _pair(value: float, error: float) -> str:
+    return " ± ".join(filter(None, with_error(value, error)))
+
+
+def _remark(row: Ablated) -> str:
+    if not row.above_noise:
+        return "  below the noise"
+    return "" if row.agrees else "  not as predicted"

@@ -1,0 +1,212 @@
+"""The interactions of parameters, with their table and heatmap."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import torch
+
+from ..attr._student import student_t
+from ..visualization import SMALL, TEXT, TITLE, Format, add_footnotes, figure_of, new_figure, shorten
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIGNIFICANCE_LEVEL = 0.95  # of the confidence interval of each interaction
+SYMMETRY_LEVEL = 0.99  # of the simultaneous confidence intervals of all pairs
+
+HessianScale = Literal["unit", "range"]
+
+_NAME_WIDTH, _NOTE_WIDTH = 28, 90
+_CELL = 0.72  # inches
+_WHITE_TEXT_ABOVE = 0.6  # of the largest value
+_KEY = "0.0123(4) is 0.0123 ± 0.0004; ? marks values that are not significantly different from 0"
+
+
+@dataclass(frozen=True, repr=False)
+class Interactions:
+    """Second derivatives between parameters, each along its own gradient; prints as a table.
+
+    Attributes
+    ----------
+    names, labels
+        The parameters, in order of decreasing saliency.
+    replicates
+        ``(replicates, P, P)`` float64. Row ``p``, column ``q``: derivative of the slope along ``q`` with respect
+        to a step of ``p``.
+    shared_error
+        ``(P, P)``: the error that all replicates share, from the bias correction and from rounding.
+    steps
+        The largest step of each parameter, in its own unit.
+    metric, scale
+        Name of the metric, and ``"unit"`` or ``"range"``.
+    left_out
+        Labels of salient parameters that cannot move either way: textures with texels at both bounds.
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    replicates: torch.Tensor
+    shared_error: torch.Tensor
+    steps: tuple[float, ...]
+    metric: str
+    scale: HessianScale
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> torch.Tensor:
+        """``(P, P)``: rows are moved, columns are differentiated; symmetric up to errors."""
+        return self.replicates.mean(0)
+
+    @property
+    def matrix(self) -> torch.Tensor:
+        """``(P, P)``, symmetric: the mean of both orders."""
+        return (self.measured + self.measured.T) / 2
+
+    @property
+    def standard_error(self) -> torch.Tensor:
+        """Standard error of ``matrix``, ``(P, P)``."""
+        both = (self.replicates + self.replicates.mT) / 2
+        return torch.hypot(_standard_error(both), (self.shared_error + self.shared_error.T) / 2)
+
+    @property
+    def asymmetry(self) -> torch.Tensor:
+        """``(P, P)``: ``measured`` minus its transpose, in standard errors."""
+        difference = self.replicates - self.replicates.mT
+        shared = torch.hypot(self.shared_error, self.shared_error.T)
+        error = torch.hypot(_standard_error(difference), shared)
+        return torch.nan_to_num(difference.mean(0) / error)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether no pair is significantly asymmetric, by simultaneous 99 % confidence intervals."""
+        pairs = max(1, math.comb(len(self.names), 2))
+        limit = student_t(1 - (1 - SYMMETRY_LEVEL) / pairs, len(self.replicates) - 1)
+        return bool(self.asymmetry.abs().max() <= limit)
+
+    @property
+    def significant(self) -> torch.Tensor:
+        """``(P, P)`` bool: whether the 95 % confidence interval of an element of ``matrix`` excludes 0."""
+        limit = student_t(SIGNIFICANCE_LEVEL, len(self.replicates) - 1)
+        return self.matrix.abs() > limit * self.standard_error
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        count = len(self.names)
+        upper = torch.triu_indices(count, count)
+        significant = int(self.significant[upper[0], upper[1]].sum())
+        worst = self.asymmetry.abs().max().item()
+        symmetric = "symmetric within its errors" if self.is_symmetric else "not symmetric within its errors"
+        left_out = f"; left out, being at both bounds: {', '.join(self.left_out)}" if self.left_out else ""
+        return (
+            f"{significant} of {upper.shape[1]} second derivatives of {self.metric} differ from 0; the matrix is "
+            f"{symmetric} (largest difference {worst:.1f} standard errors){left_out}"
+        )
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Plot the matrix: red where parameters strengthen each other's effect, blue where they weaken it.
+
+        Each cell shows its value with the error of the last digits in brackets; grey cells do not differ
+        significantly from 0.
+
+        Parameters
+        ----------
+        ax
+            Axes to draw into; by default those of a new figure.
+        """
+        return _draw(self, ax)
+
+    def __str__(self) -> str:
+        return _text(self)
+
+    __repr__ = __str__
+
+
+def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
+    return replicates.std(0) / math.sqrt(len(replicates))
+
+
+def _text(found: Interactions) -> str:
+    names = shorten(found.labels, _NAME_WIDTH)
+    cells = _cells(found)
+    numbers = [str(number) for number in range(1, len(names) + 1)]
+    rows = [[f"{number} {name}", *row] for number, name, row in zip(numbers, names, cells, strict=True)]
+    grid = [["", *numbers], *rows]
+    widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
+    lines = [
+        "  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in grid
+    ]
+    head = [f"second derivatives of {found.metric} {_unit(found)}", ""]
+    return "\n".join([*head, *lines, "", _KEY, found.verdict])
+
+
+def _draw(found: Interactions, ax: Axes | None) -> Figure:
+    count = len(found.names)
+    names = shorten(found.labels, _NAME_WIDTH)
+    if ax is None:
+        ax = new_figure(2.6 + _CELL * max(count, 4), 1.7 + 0.55 * _CELL * max(count, 3)).add_subplot()
+    matrix, significant = found.matrix, found.significant
+    largest = matrix.abs().max().item() or 1.0
+    # Masked elements show the grey background.
+    masked = matrix.masked_fill(~significant, math.nan)
+    ax.set_facecolor("0.92")
+    shown = ax.imshow(masked.numpy(), cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto")
+    for (row, column), text in _formatted(found).items():
+        strong = significant[row, column] and matrix[row, column].abs() > _WHITE_TEXT_ABOVE * largest
+        color = "white" if strong else "black" if significant[row, column] else "0.45"
+        ax.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=color)
+    # Columns have numbers only: names would have to be vertical.
+    ax.set_yticks(range(count), [f"{name}  {k}" for k, name in enumerate(names, 1)], fontsize=TEXT)
+    ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=TEXT)
+    for label in ax.get_yticklabels():
+        label.set_parse_math(False)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
+    bar.ax.tick_params(labelsize=SMALL)
+    bar.outline.set_visible(False)
+    title = textwrap.wrap(
+        f"Interactions: second derivatives of {found.metric} {_unit(found)}", 16 + 9 * count
+    )
+    ax.set_title("\n".join(title), loc="left", fontsize=TITLE, parse_math=False)
+    width = int((2.6 + _CELL * max(count, 4)) * _NOTE_WIDTH / 7.2)
+    note = f"{found.verdict}. Grey: not significantly different from 0."
+    add_footnotes(ax, textwrap.wrap(note, width), below=22)
+    return figure_of(ax)
+
+
+def _unit(found: Interactions) -> str:
+    return "per unit of either" if found.scale == "unit" else "over the range of either"
+
+
+def _cells(found: Interactions) -> list[list[str]]:
+    significant, formatted, count = found.significant, _formatted(found), len(found.names)
+    return [
+        [
+            formatted[row, column] + ("" if significant[row, column] else "?") if column >= row else ""
+            for column in range(count)
+        ]
+        for row in range(count)
+    ]
+
+
+def _formatted(found: Interactions) -> dict[tuple[int, int], str]:
+    indices = range(len(found.names))
+    matrix, errors = found.matrix, found.standard_error
+    return {(p, q): _concise(matrix[p, q].item(), errors[p, q].item()) for p in indices for q in indices}
+
+
+def _concise(value: float, error: float) -> str:
+    """Format a value with the error of its last digits in brackets, ``'0.0123(4)'``."""
+    style = Format.of(value, error)
+    number, decimals = style.write(value), style.place
+    if error == 0:
+        return number
+    head, mark, exponent = number.partition("e")
+    digits = round(error * 10.0**decimals) if decimals > 0 else style._replace(exponent=0).write(error)
+    return f"{head}({digits}){mark}{exponent}"

@@ -1,0 +1,212 @@
+"""The comparison of gradients with Morris's and Sobol's methods, with its table and figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from ..ranks import kendall_tau
+from ..visualization import (
+    RAISES,
+    SMALL,
+    TEXT,
+    TITLE,
+    UNCLEAR,
+    WIDTH,
+    figure_of,
+    new_figure,
+    pluralize,
+    shorten,
+)
+from ._drawing import aligned_with_errors, table_lines
+from ._scalars import Scalar
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_NAME_WIDTH, _MAX_ROWS, _MAX_BARS = 34, 40, 15
+_AXIS_WORDS = {
+    "gradient × range": "change of the metric",
+    "DGSM bound": "fraction of its variance",
+    "Morris μ*": "change of the metric",
+    "Sobol total": "fraction of its variance",
+}
+
+
+@dataclass(frozen=True)
+class SensitivityIndex:
+    """The sensitivity of every parameter by one method, and its cost.
+
+    Attributes
+    ----------
+    method
+        Name of the method.
+    values, errors
+        Sensitivities and standard errors by parameter name.
+    renders
+        Number of renders and backward passes, in units of ``spp`` samples per pixel.
+    renders_until_stable
+        Number of renders after which the set of the ``top`` parameters did not change any more.
+    stable
+        Whether that was before the last sample; if not, the set may change again.
+    top
+        The most sensitive parameters, the largest first.
+    resolved
+        Whether the last parameter in ``top`` differs from the next one by more than two standard errors; if not,
+        they are tied, and the set depends on chance.
+    seconds
+        Wall-clock time.
+    """
+
+    method: str
+    values: Mapping[str, float]
+    errors: Mapping[str, float]
+    renders: float
+    renders_until_stable: float
+    stable: bool
+    top: tuple[str, ...]
+    resolved: bool
+    seconds: float
+
+
+@dataclass(frozen=True, repr=False)
+class SensitivityComparison:
+    """Sensitivities of the same parameters over the same intervals by four methods; prints as a table.
+
+    Attributes
+    ----------
+    parameters
+        The parameters with their intervals, in order of decreasing total Sobol index.
+    local
+        Plain gradient at the current values, scaled to the interval: ``|∂M/∂θ| (high − low)``.
+    dgsm
+        Upper bound of the total Sobol index from gradients at points over the intervals, relative to the variance
+        of the metric in Sobol's samples.
+    morris
+        ``μ*``, Morris's mean absolute elementary effect, scaled to the interval.
+    sobol
+        The total Sobol index.
+    metric
+        Name of the metric.
+    """
+
+    parameters: tuple[Scalar, ...]
+    local: SensitivityIndex
+    dgsm: SensitivityIndex
+    morris: SensitivityIndex
+    sobol: SensitivityIndex
+    metric: str
+
+    @property
+    def methods(self) -> tuple[SensitivityIndex, ...]:
+        """All four methods."""
+        return self.local, self.dgsm, self.morris, self.sobol
+
+    @property
+    def agreement(self) -> dict[tuple[str, str], float]:
+        """Kendall's τ-b of every pair of methods: 1 for the same order, 0 for unrelated ones."""
+        return {
+            (a.method, b.method): kendall_tau(*([m.values[n] for n in a.values] for m in (a, b)))
+            for a, b in combinations(self.methods, 2)
+        }
+
+    def plot(self, figure: Any = None, *, top: int | None = _MAX_BARS) -> Figure:
+        """Plot the sensitivity of every parameter with two standard errors, one panel per method, and the costs.
+
+        The bars of each method's most sensitive parameters are blue.
+
+        Parameters
+        ----------
+        figure
+            A matplotlib ``Figure`` or ``SubFigure`` to draw into; by default a new one.
+        top
+            Number of parameters, by total Sobol index; None for all.
+        """
+        return _draw(self, top, figure)
+
+    def text(self, top: int | None = _MAX_ROWS) -> str:
+        """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
+        return _text(self, top)
+
+    def __str__(self) -> str:
+        return self.text()
+
+    __repr__ = __str__
+
+
+def _text(found: SensitivityComparison, top: int | None) -> str:
+    shown = found.parameters[:top]
+    names = [scalar.name for scalar in shown]
+    hidden = len(found.parameters) - len(shown)
+    more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
+    size = len(found.sobol.top)
+    labels = [
+        *more,
+        "",
+        f"Kendall's τ with {found.sobol.method}",
+        f"ranks {size} and {size + 1} resolved",
+        f"renders until the top {size} is stable",
+        "renders in total",
+        "seconds",
+    ]
+    table = [("parameter", *shorten([scalar.label for scalar in shown], _NAME_WIDTH), *labels)]
+    for method in found.methods:
+        values = aligned_with_errors([(method.values[name], method.errors[name]) for name in names])
+        marked = [
+            f"{value}{' *' if name in method.top else '  '}"
+            for name, value in zip(names, values, strict=True)
+        ]
+        table.append((method.method, *marked, *([""] * len(more)), "", *_cost(found, method)))
+    note = f"{found.metric}; * the top {size} of each method; a backward pass counts as a render"
+    return "\n".join([*table_lines(list(zip(*table, strict=True))), "", note])
+
+
+def _draw(found: SensitivityComparison, top: int | None, figure: Any) -> Figure:
+    shown = found.parameters[:top]
+    if figure is None:
+        figure = new_figure(WIDTH + 1.4, 1.3 + 0.2 * len(shown))
+    axes = figure.subplots(1, len(found.methods), sharey=True)
+    for ax, method in zip(axes, found.methods, strict=True):
+        _draw_index(ax, method, [scalar.name for scalar in shown])
+    axes[0].set_yticks(
+        range(len(shown)), shorten([scalar.label for scalar in shown], _NAME_WIDTH), fontsize=SMALL
+    )
+    for label in axes[0].get_yticklabels():
+        label.set_parse_math(False)
+    axes[0].invert_yaxis()
+    title = f"Sensitivity of {found.metric}, the top {len(found.sobol.top)} of each method in blue"
+    figure.suptitle(title, fontsize=TITLE, parse_math=False)
+    return figure_of(axes[0])
+
+
+def _draw_index(ax: Axes, method: SensitivityIndex, names: Sequence[str]) -> None:
+    values = [method.values[name] for name in names]
+    colors = [RAISES if name in method.top else UNCLEAR for name in names]
+    errors = [2 * method.errors[name] for name in names]
+    ax.barh(range(len(names)), values, height=0.7, color=colors)
+    ax.errorbar(values, range(len(names)), xerr=errors, fmt="none", ecolor="black", elinewidth=0.8)
+    ax.set_xlim(0, 1.08 * max(value + error for value, error in zip(values, errors, strict=True)) or 1)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+    ax.tick_params(axis="x", labelsize=SMALL)
+    ax.locator_params(axis="x", nbins=3)
+    ax.set_title(method.method, fontsize=TEXT, loc="left")
+    stable = f"top {len(method.top)} stable after" if method.stable else "not stable after"
+    renders = (
+        f"{method.renders_until_stable:.3g} renders" if method.stable else f"{method.renders:.4g} renders"
+    )
+    ax.set_xlabel(f"{_AXIS_WORDS[method.method]}\n\n{stable}\n{renders}", fontsize=SMALL)
+
+
+def _cost(found: SensitivityComparison, method: SensitivityIndex) -> list[str]:
+    tau = found.agreement.get((method.method, found.sobol.method))
+    return [
+        "" if tau is None else f"{tau:.2f}".replace("-", "−"),
+        "yes" if method.resolved else "tied",
+        f"{method.renders_until_stable:.4g}" if method.stable else f"> {method.renders:.4g}",
+        f"{method.renders:.5g}",
+        f"{method.seconds:.3g}",
+    ]

@@ -1,0 +1,50 @@
+"""Layout of plain tables and notes, for terminals and notebooks."""
+
+from __future__ import annotations
+
+import html
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable, Sequence
+
+from ._numbers import columns, pad
+
+
+def grid(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the headers and rows as lines with aligned columns."""
+    widths = [max(map(columns, column)) for column in zip(headers, *rows, strict=True)]
+    widths[-1] = 0  # no padding after the last column
+    return [
+        "  ".join(pad(cell, width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in (headers, *rows)
+    ]
+
+
+def group_by_text(pairs: Iterable[tuple[str, str | None]]) -> dict[str, list[str]]:
+    """Group names by their text, without those that have none."""
+    groups: dict[str, list[str]] = {}
+    for name, text in pairs:
+        if text:
+            groups.setdefault(text, []).append(name)
+    return groups
+
+
+def wrap(text: str, width: int, indent: int = 4) -> str:
+    """Wrap a text into lines of a width, indented from the second on."""
+    width = max(width, 20)
+    indent = min(indent, width // 2)
+    return textwrap.fill(text, width, subsequent_indent=" " * indent, break_on_hyphens=False)
+
+
+def html_cells(row: Iterable[str], tag: str) -> str:
+    """Return the cells of a row of an HTML table; ``tag`` is ``"td"`` or ``"th"``."""
+    return "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row)
+
+
+def terminal_width() -> int | None:
+    """Return the terminal's width; None if the output goes to a file or a pipe."""
+    if os.environ.get("COLUMNS", "").isdecimal() or (sys.stdout is not None and sys.stdout.isatty()):
+        return shutil.get_terminal_size().columns
+    return None
