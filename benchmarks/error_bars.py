@@ -16,10 +16,7 @@ from collections.abc import Callable
 import torch
 
 from scenecaptum import SceneRenderer, metrics
-from scenecaptum.attr._jackknife import jackknife
-from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import Budget, covariance_of_mean
-from scenecaptum.attr._student import student_t
+from scenecaptum.estimation import Budget, TargetedMetric, covariance_of_mean, jackknife, student_t
 
 REPLICATES, SPP = 8, 64
 Image = torch.Tensor

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, activate
-from scenecaptum.attr._attribution import covariances
+from scenecaptum.attr._data import covariances
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from _pages import replace_table
@@ -124,7 +124,7 @@ def row(case: str, count: int, found: list[SceneAttribution], name: str, truth: 
 
 def _covers(attribution: SceneAttribution, name: str, truth: float) -> bool:
     """Return whether the 95 % interval of a parameter contains the true value."""
-    from scenecaptum.attr._student import student_t
+    from scenecaptum.estimation import student_t
 
     error = attribution.covariance[name].sum().sqrt().item()  # type: ignore[index]
     half_width = student_t(0.95, attribution.info["degrees_of_freedom"]) * error

@@ -33,8 +33,7 @@ from scenecaptum import (
     activate,
     metrics,
 )
-from scenecaptum.attr._passes import channel_totals
-from scenecaptum.attr._student import student_t
+from scenecaptum.estimation import channel_totals, student_t
 
 RESOLUTION, DEPTH, REFERENCE = 24, 4, 32768
 SPP = {"mean luminance": 64, "unified glare rating": 256}

@@ -20,12 +20,17 @@ import numpy as np
 import torch
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.attr._jackknife import jackknife, with_image_transform
-from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import DEFAULT_REPLICATES, NOISY_PICTURE_RATIO, channel_totals
-from scenecaptum.attr._picture_info import describe_picture
-from scenecaptum.attr._student import student_t
-from scenecaptum.attr._view import TransformSelector
+from scenecaptum.estimation import (
+    DEFAULT_REPLICATES,
+    NOISY_PICTURE_RATIO,
+    TargetedMetric,
+    TransformSelector,
+    channel_totals,
+    describe_picture,
+    jackknife,
+    student_t,
+    with_image_transform,
+)
 from scenecaptum.validation._scenes import mean_and_error
 
 RATINGS = {"ugr": metrics.UnifiedGlareRating, "dgp": metrics.DaylightGlareProbability}

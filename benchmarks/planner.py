@@ -27,8 +27,7 @@ from typing import Any, NamedTuple
 import torch
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.attr._passes import channel_totals
-from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
+from scenecaptum.estimation import Quantity, channel_totals, simultaneous_quantile
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 ROOMS = ("living-room", "dining-room")

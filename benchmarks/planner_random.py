@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, activate, metrics
-from scenecaptum.attr._passes import channel_totals
+from scenecaptum.estimation import channel_totals
 from scenecaptum.scene.bundled import cornell_box
 
 SHARE = 0.05

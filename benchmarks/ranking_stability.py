@@ -25,7 +25,7 @@ from pathlib import Path
 import torch
 
 from scenecaptum import SceneRenderer, metrics
-from scenecaptum.attr._metric import TargetedMetric
+from scenecaptum.estimation import TargetedMetric
 from scenecaptum.tradeoff import Measured, Reference, Setting
 from scenecaptum.tradeoff._measure import ReferenceGradient, SettingRunner, gradient_of
 from scenecaptum.tradeoff._settings import own_setting

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from scenecaptum import (
 from scenecaptum.scene import BUNDLED
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
-LIMIT = 1e-5
+LIMIT, NEGLIGIBLE = 1e-5, 1e-6
 
 METHODS: tuple[tuple[Any, dict[str, Any]], ...] = (
     (VanillaSceneGradient, {}),
@@ -88,10 +88,15 @@ def numbers(attribution: Any) -> dict[str, torch.Tensor]:
     return values | errors | {"metric": metric.double()}
 
 
-def distance(now: torch.Tensor, before: torch.Tensor) -> float:
-    """Return the largest difference, relative to the largest value."""
-    scale = before.abs().max().item()
-    return ((now - before).abs().max().item() / scale) if scale else now.abs().max().item()
+def distance(name: str, now: Mapping[str, torch.Tensor], before: Mapping[str, torch.Tensor]) -> float:
+    """Return the largest difference of an entry, relative to the largest value of its parameter, errors too.
+
+    What is below a millionth of the largest entry is rounding, which does not repeat: it counts relative to that.
+    """
+    largest = max(value.abs().max().item() for value in before.values())
+    value = before[name.replace("error ", "value ")]
+    scale = max(value.abs().max().item(), NEGLIGIBLE * largest) or 1.0
+    return (now[name] - before[name]).abs().max().item() / scale
 
 
 def compare(file: Path) -> int:

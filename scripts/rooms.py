@@ -1,6 +1,6 @@
 """The rooms of the package as its imports draw them: every one counts, lazy and ``TYPE_CHECKING`` ones too.
 
-    python scripts/rooms.py check          print circles, upward arrows and private imports; exit 1 if there are any
+    python scripts/rooms.py check          print circles, upward arrows, private imports; exit 1 if there are any
     python scripts/rooms.py draw FILE.svg  draw the rooms and who imports whom
 
 A room is a folder or a module of ``src/scenecaptum``. It may import the rooms below it, and of these only what is
@@ -144,35 +144,34 @@ def faults(found: list[Import]) -> list[str]:
 
 
 def draw(found: list[Import], path: Path) -> None:
-    """Draw the rooms floor by floor, with their lines of code, and an arrow for every room that imports another."""
+    """Draw who imports whom, a row for each room from the top floor down: no dot may be below the diagonal."""
     from matplotlib.figure import Figure
 
+    rooms = [room for floor in FLOORS for room in floor]
     lines: dict[str, int] = defaultdict(int)
     for name, file in modules().items():
         lines[room_of(name)] += len(file.read_text().splitlines())
-    figure = Figure(figsize=(8, 8), layout="constrained")
+    places = {room: number for number, room in enumerate(rooms)}
+    arrows = {one.rooms for one in found if len({*one.rooms}) == 2 and {*one.rooms} <= places.keys()}
+    figure = Figure(figsize=(7, 6), layout="constrained")
     ax = figure.add_subplot()
-    ax.axis("off")
-    places = {}
-    for height, rooms in enumerate(reversed(FLOORS)):
-        present = [room for room in rooms if room in lines]
-        for number, room in enumerate(present):
-            # Shifted from floor to floor, so that arrows do not run through the boxes between.
-            x = (number + 1) / (len(present) + 1) + 0.12 * ((-1) ** height if len(present) == 1 else 0)
-            places[room] = (x, height)
-            text = f"{room}\n{lines[room]} lines"
-            box = {"boxstyle": "round,pad=0.35", "facecolor": "#EAF2F8", "edgecolor": "#0072B2"}
-            ax.text(x, height, text, ha="center", va="center", fontsize=8, bbox=box, zorder=3)
-    for start, end in sorted({one.rooms for one in found}):
-        if start != end and start in places and end in places:
-            arrow = {"arrowstyle": "-|>", "color": "#8C8C8C", "linewidth": 0.6, "shrinkA": 14, "shrinkB": 14}
-            ax.annotate("", places[end], places[start], arrowprops=arrow)
-    ax.set_xlim(0, 1)
-    ax.set_ylim(-0.6, len(FLOORS) - 0.4)
+    for start, end in arrows:
+        ax.plot(places[end], places[start], "o", color="#0072B2", markersize=7)
+    ax.plot([-0.5, len(rooms) - 0.5], [-0.5, len(rooms) - 0.5], color="#8C8C8C", linewidth=0.8)
+    ax.set_xticks(range(len(rooms)), rooms, rotation=60, ha="left", rotation_mode="anchor", fontsize=8)
+    ax.set_yticks(range(len(rooms)), [f"{room}  {lines[room]:>5} lines" for room in rooms], fontsize=8)
+    ax.xaxis.tick_top()
+    ax.set_ylim(len(rooms) - 0.5, -0.5)
+    ax.set_xlim(-0.5, len(rooms) - 0.5)
+    ax.grid(color="#E5E5E5", linewidth=0.6)
+    ax.tick_params(length=0)
+    ax.set_axisbelow(True)
+    ax.set_title("A dot: the room of the row imports the room of the column", fontsize=9)
     figure.savefig(path, dpi=130)
 
 
 def main() -> int:
+    """Check or draw, as the command line says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("action", choices=("check", "draw"))
     parser.add_argument("file", type=Path, nargs="?", help="of the drawing, .png or .svg")

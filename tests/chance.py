@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from scenecaptum.attr._student import student_t
+from scenecaptum.estimation import student_t
 
 # That of a normal variable beyond 4 standard deviations.
 RARE = 6.3e-5

@@ -14,10 +14,7 @@ from toy import ReplayingToyRenderer, ToyRenderer
 import scenecaptum
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.attr._jackknife import jackknife
-from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import Budget, channel_totals
-from scenecaptum.attr._student import student_t
+from scenecaptum.estimation import Budget, TargetedMetric, channel_totals, jackknife, student_t
 
 
 def log_mean(image: torch.Tensor) -> torch.Tensor:
@@ -413,7 +410,9 @@ def test_a_renderer_and_a_metric_in_the_wrong_order_are_refused_at_construction(
 @pytest.mark.parametrize("inputs", [torch.ones(3), (torch.ones(3),), 3])
 def test_inputs_that_are_no_mapping_are_named(inputs: object) -> None:
     method = VanillaSceneGradient(ToyRenderer(), torch.mean)
-    with pytest.raises(SceneCaptumError, match=f"a dict from parameter name to tensor.*{type(inputs).__name__}"):
+    with pytest.raises(
+        SceneCaptumError, match=f"a dict from parameter name to tensor.*{type(inputs).__name__}"
+    ):
         method.attribute(inputs)
 
 

@@ -19,7 +19,7 @@ from scenecaptum import (
     ShapleyValueScene,
     metrics,
 )
-from scenecaptum.attr._completeness import verdict
+from scenecaptum.attr._convergence import verdict
 from scenecaptum.visualization import table_text
 
 REPEATS = 12

@@ -21,8 +21,8 @@ from scenecaptum import (
     VanillaSceneGradient,
     metrics,
 )
-from scenecaptum.attr._student import student_t
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.estimation import student_t
 from scenecaptum.validation import (
     DeletionInsertion,
     Infidelity,

@@ -25,7 +25,7 @@ from scenecaptum import (
     SmoothGradScene,
     VanillaSceneGradient,
 )
-from scenecaptum.attr._passes import channel_totals
+from scenecaptum.estimation import channel_totals
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "gaussian_splats.py"
 THINGS = {name: f"{name}.*" for name in ("apple", "leaf", "glass", "wall")}

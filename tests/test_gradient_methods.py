@@ -24,8 +24,8 @@ from scenecaptum import (
     metrics,
 )
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.attr._passes import Budget
 from scenecaptum.attr._quadrature_error import covariance_of_quadrature
+from scenecaptum.estimation import Budget
 
 # Captum sets requires_grad on the detached inputs it is given, and says so.
 pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already require gradients")

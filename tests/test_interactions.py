@@ -11,8 +11,8 @@ from chance import allowed
 from seeds import seeds, shifted
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.attr._passes import channel_totals
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.estimation import channel_totals
 from scenecaptum.validation import Interactions, hessian_vector_product, interactions
 from scenecaptum.validation._hessian import CENTRAL, ONE_SIDED
 from scenecaptum.validation._scenes import Scenes, mean_and_error, unit_gradient

@@ -8,8 +8,8 @@ import pytest
 import torch
 from seeds import seeds, shifted
 
-from scenecaptum.attr._jackknife import _directions, _shrinkage, jackknife
-from scenecaptum.attr._metric import TargetedMetric
+from scenecaptum.estimation import TargetedMetric
+from scenecaptum.estimation._jackknife import _directions, _shrinkage, jackknife
 
 SHARES = [[1.0] * 2, [1.0] * 8, [1.0] * 13, [8.0, 8.0, 4.0, 2.0, 1.0], [16.0] * 4 + [3.0] * 12]
 

@@ -22,8 +22,8 @@ from scenecaptum import (
 )
 from scenecaptum.attr._baselines import resolve_baselines
 from scenecaptum.attr._groups import resolve_groups
-from scenecaptum.attr._passes import channel_totals
 from scenecaptum.attr._perturbation import ArmBudget
+from scenecaptum.estimation import channel_totals
 
 METHODS = [FeatureAblationScene, ShapleyValueScene, OcclusionScene]
 LIGHT = "light.emitter.radiance.value"

@@ -17,14 +17,21 @@ from tqdm import tqdm
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, activate, cli, metrics
 from scenecaptum.attr import AttributionInterrupted, _planner
-from scenecaptum.attr._gradients import Point, PointGradient
-from scenecaptum.attr._jackknife import jackknife
-from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._passes import Budget, ReplicateStatistics
-from scenecaptum.attr._rounds import Rounds, RoundSum, TimeLimit
-from scenecaptum.attr._simultaneous import Quantity, simultaneous_quantile
-from scenecaptum.attr._student import student_t
-from scenecaptum.attr._view import TransformSelector
+from scenecaptum.estimation import (
+    Budget,
+    Point,
+    PointGradient,
+    Quantity,
+    ReplicateStatistics,
+    Rounds,
+    RoundSum,
+    TargetedMetric,
+    TimeLimit,
+    TransformSelector,
+    jackknife,
+    simultaneous_quantile,
+    student_t,
+)
 from scenecaptum.scene.bundled import cornell_box
 from scenecaptum.visualization._text import goal_notes
 

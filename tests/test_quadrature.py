@@ -11,7 +11,7 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum.attr._quadrature import Method, quadrature
+from scenecaptum.estimation import Method, quadrature
 
 METHODS = get_args(Method)
 STEPS = (2, 3, 4, 5, 8, 12, 16, 32, 64)

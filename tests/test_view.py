@@ -13,12 +13,10 @@ from seeds import seeds, shifted
 
 import scenecaptum as sc
 from scenecaptum import Camera, FeatureAblationScene, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.attr._jackknife import _denoiser_bias, is_linear, jackknife
-from scenecaptum.attr._metric import TargetedMetric
-from scenecaptum.attr._student import student_t
-from scenecaptum.attr._view import ImageTransform, choose_transform
 from scenecaptum.denoising import denoise, straight_through
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.estimation import ImageTransform, TargetedMetric, choose_transform, student_t
+from scenecaptum.estimation._jackknife import _denoiser_bias, is_linear, jackknife
 
 SIZE = 32
 CAMERA = Camera.perspective(SIZE, SIZE, fov_x=60)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
-from ._attribution import SceneAttribution, Tensors, covariances
-from ._completeness import convergence
+from ._convergence import convergence
+from ._data import AttributionData, Tensors, covariances
 from ._quadrature_error import covariance_of_quadrature
 
+A = TypeVar("A", bound=AttributionData)
 
-def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
+
+def subtract(a: A, b: A) -> A:
     """Return ``a - b`` for attributions to the same parameters."""
     replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _has_common_random_numbers(a, b) else {}
     bias = None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a}
@@ -41,7 +43,7 @@ def subtract(a: SceneAttribution, b: SceneAttribution) -> SceneAttribution:
     )
 
 
-def _info(a: SceneAttribution, b: SceneAttribution) -> dict[str, Any]:
+def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {"metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)}
@@ -54,7 +56,7 @@ def _info(a: SceneAttribution, b: SceneAttribution) -> dict[str, Any]:
     return info | convergence(delta, error, explained_a - explained_b, magnitude)
 
 
-def _quadrature_error(a: SceneAttribution, b: SceneAttribution) -> dict[str, torch.Tensor] | None:
+def _quadrature_error(a: AttributionData, b: AttributionData) -> dict[str, torch.Tensor] | None:
     """Combine the quadrature errors as if they were independent, because their signs are unknown."""
     errors = [side.quadrature_error for side in (a, b) if side.quadrature_error is not None]
     if not errors:
@@ -62,14 +64,14 @@ def _quadrature_error(a: SceneAttribution, b: SceneAttribution) -> dict[str, tor
     return {name: torch.stack([error[name] for error in errors]).norm(dim=0) for name in a}
 
 
-def _has_common_random_numbers(a: SceneAttribution, b: SceneAttribution) -> bool:
+def _has_common_random_numbers(a: AttributionData, b: AttributionData) -> bool:
     same = all(a.info.get(key) == b.info.get(key) for key in ("seed", "spp", "replicates", "resolution"))
     return same and bool(a.replicates) and bool(b.replicates)
 
 
 def _covariance(
-    a: SceneAttribution,
-    b: SceneAttribution,
+    a: AttributionData,
+    b: AttributionData,
     replicates: dict[str, torch.Tensor],
     bias: dict[str, torch.Tensor] | None,
 ) -> dict[str, torch.Tensor] | None:
@@ -81,7 +83,7 @@ def _covariance(
 
 
 def _errors(
-    a: SceneAttribution, b: SceneAttribution, paired_covariance: Mapping[str, torch.Tensor] | None
+    a: AttributionData, b: AttributionData, paired_covariance: Mapping[str, torch.Tensor] | None
 ) -> dict[str, torch.Tensor] | None:
     """Return elementwise errors; ``paired_covariance`` is given if both sides use common random numbers."""
     if a.standard_error is None or b.standard_error is None:

@@ -10,14 +10,12 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError
+from ..estimation import DEFAULT_REPLICATES, Denoise, channel_totals, input_values
 from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
-from ._gradients import input_values
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES, channel_totals
 from ._perturbation import Arm, Effect, Effects, Perturbation
-from ._view import Denoise
 
 
 class FeatureAblationScene(Perturbation):

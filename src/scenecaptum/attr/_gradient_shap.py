@@ -10,14 +10,12 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, Point, interpolated_point
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
-from ._gradients import Point, interpolated_point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES
 from ._ranges import Noise
-from ._view import Denoise
 
 
 class GradientShapScene(GradientMethod):

@@ -5,17 +5,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from fnmatch import fnmatchcase
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import torch
 
 from ..errors import SceneCaptumError, near_misses
 from ..protocols import Capabilities
 from ..scene import Parameter
-from ._attribution import SceneAttribution, covariances
 from ._baselines import table_of
+from ._data import AttributionData, covariances
 
 Groups: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
+
+A = TypeVar("A", bound=AttributionData)
 
 PRESETS = ("kind", "material", "object")
 
@@ -141,7 +143,7 @@ def _abbreviate(owners: tuple[str, ...]) -> str:
     return first if len(owners) <= 2 else f"{first} and {len(owners) - 2} more"
 
 
-def sum_groups(attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]) -> SceneAttribution:
+def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     """Return the sum of each group's attributions, 0-d by group, with standard errors from the replicates."""
 
     def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import torch
 
 from ..errors import SceneCaptumError
-from ._student import student_t
+from ..estimation import student_t
+from ._data import AttributionData, covariances
 
-if TYPE_CHECKING:
-    from ._attribution import SceneAttribution
+A = TypeVar("A", bound=AttributionData)
 
 MIN_REPLICATES = 4  # with fewer, the standard error has a relative uncertainty of 50 % or more
 
@@ -33,7 +33,7 @@ CLIP_SIGMAS = 3.0
 MEDIAN_VARIANCE_RATIO = math.pi / 2
 
 
-def untrusted_errors(attribution: SceneAttribution) -> dict[str, str]:
+def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
     """Return the parameters whose standard error is unreliable, each with the reason.
 
     A replicate dominates if its fraction of the squared deviations is significant under a normal distribution
@@ -93,7 +93,7 @@ def _critical_fraction(replicates: int, level: float) -> float:
     return (replicates - 1) / replicates * square / (replicates - 2 + square)
 
 
-def median_of_means(attribution: SceneAttribution) -> SceneAttribution:
+def median_of_means(attribution: A) -> A:
     """Return the result with the median over the replicates, each of which is a mean over its samples.
 
     References
@@ -101,8 +101,6 @@ def median_of_means(attribution: SceneAttribution) -> SceneAttribution:
     Nemirovsky and Yudin, "Problem Complexity and Method Efficiency in Optimization", 1983 (medians of means).
     Huber and Ronchetti, "Robust Statistics", 2nd edition, 2009 (clipping by the median absolute deviation).
     """
-    from ._attribution import covariances
-
     _check(attribution)
     rows = {name: _robust_rows(original) for name, original in attribution.replicates.items()}
     covariance = covariances(rows, attribution.bias)
@@ -128,7 +126,7 @@ def median_of_means(attribution: SceneAttribution) -> SceneAttribution:
     )
 
 
-def _check(attribution: SceneAttribution) -> None:
+def _check(attribution: AttributionData) -> None:
     """Raise if the replicates do not belong to a single scene."""
     info = attribution.info
     rounds = (info.get("planner") or {}).get("rounds", ())

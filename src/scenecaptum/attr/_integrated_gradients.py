@@ -7,15 +7,12 @@ from collections.abc import Mapping
 import torch
 
 from ..checkpoint import Folder
+from ..estimation import DEFAULT_REPLICATES, Denoise, Method, interpolated_point, quadrature
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
-from ._gradients import interpolated_point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES
-from ._quadrature import Method, quadrature
 from ._quadrature_error import error_of_sum, with_quadrature_error
-from ._view import Denoise
 
 
 class IntegratedGradientsScene(GradientMethod):

@@ -14,24 +14,32 @@ from tqdm import tqdm
 
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
-from ..protocols import Capabilities
-from ._attribution import SceneAttribution, make_attribution, metric_interval
-from ._gradients import (
+from ..estimation import (
     MIN_METRIC_SPP,
+    Adjoints,
+    Budget,
+    Denoise,
     GradientEstimator,
     GradientSum,
+    Metric,
     Point,
+    Target,
+    TargetedMetric,
+    TransformSelector,
+    check_renderer_and_metric,
+    describe_picture,
     input_values,
+    jackknife,
+    render_images,
     require_memory,
     sum_gradients,
+    with_image_transform,
 )
+from ..protocols import Capabilities
+from ._attribution import SceneAttribution, make_attribution
+from ._data import metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
 from ._interruption import AttributionInterrupted
-from ._jackknife import Adjoints, jackknife, with_image_transform
-from ._metric import Metric, Target, TargetedMetric, check_renderer_and_metric
-from ._passes import Budget, render_images
-from ._picture_info import describe_picture
-from ._view import Denoise, TransformSelector
 
 Targets: TypeAlias = "Target | list[Target]"
 

@@ -14,13 +14,11 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, near_misses, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, covariance_of_mean, input_values
 from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
-from ._gradients import input_values
 from ._method import Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES, covariance_of_mean
 from ._perturbation import Arm, Effect, Effects, Perturbation
-from ._view import Denoise
 
 Extent: TypeAlias = "int | tuple[int, ...]"
 Extents: TypeAlias = "Extent | Mapping[str, Extent] | None"

@@ -13,19 +13,24 @@ from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import (
+    Metric,
+    TargetedMetric,
+    TransformSelector,
+    check_renderer_and_metric,
+    covariance_of_mean,
+    describe_picture,
+    render_images,
+    require_memory,
+    with_image_transform,
+)
 from ..finite import error_context
 from ..protocols import Capabilities
 from ._attribution import SceneAttribution, _versions, surfaces_of
-from ._completeness import convergence
-from ._gradients import require_memory
+from ._convergence import convergence
 from ._interruption import AttributionInterrupted
-from ._jackknife import with_image_transform
 from ._method import Result, Settings, Targets, target_list
-from ._metric import Metric, TargetedMetric, check_renderer_and_metric
-from ._passes import covariance_of_mean, render_images
-from ._picture_info import describe_picture
 from ._values import summarize
-from ._view import TransformSelector
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,24 @@ from tqdm import tqdm
 
 from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
+from ..estimation import (
+    LEVEL,
+    Budget,
+    GradientSum,
+    Point,
+    Quantity,
+    ReplicateTime,
+    Rounds,
+    RoundSum,
+    TimeLimit,
+    channel_totals,
+    differences,
+    require_memory,
+    simultaneous_quantile,
+)
 from ..protocols import Capabilities
-from ._against import differences
 from ._attribution import SceneAttribution, surfaces_of
-from ._gradients import GradientSum, Point, require_memory
 from ._method import InputEvaluation, Result, Run
-from ._passes import Budget, channel_totals
-from ._rounds import ReplicateTime, Rounds, RoundSum, TimeLimit
-from ._simultaneous import LEVEL, Quantity, simultaneous_quantile
 
 DEFAULT_SHARE = 0.05
 DEFAULT_TIE = 0.05  # relative difference below which two saliencies are tied

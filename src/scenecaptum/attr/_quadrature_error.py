@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from typing import TypeVar
 
 import torch
 
-from ._attribution import SceneAttribution
-from ._gradients import GradientSum
-from ._passes import channel_totals
-from ._quadrature import Quadrature
+from ..estimation import GradientSum, Quadrature, channel_totals
+from ._data import AttributionData
+
+A = TypeVar("A", bound=AttributionData)
 
 
 def with_quadrature_error(
-    attribution: SceneAttribution,
+    attribution: A,
     rule: Quadrature,
     total: GradientSum,
     members: Mapping[str, tuple[str, ...]] | None = None,
-) -> SceneAttribution:
+) -> A:
     """Return the attribution with standard errors that include the estimated quadrature error.
 
     Each parameter has its own quadrature error. ``members`` are the parameters of each group, or None without

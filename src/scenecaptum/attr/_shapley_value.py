@@ -14,14 +14,12 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, input_values
 from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
-from ._gradients import input_values
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES
 from ._perturbation import Arm, Effect, Effects, Perturbation, Residual
-from ._view import Denoise
 
 Coalition: TypeAlias = "frozenset[str]"
 Order: TypeAlias = "tuple[str, ...]"

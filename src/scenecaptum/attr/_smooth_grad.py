@@ -10,13 +10,11 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, GradientSum, Point, PointGradient, ReplicateStatistics
 from ..protocols import ResultKind
-from ._gradients import GradientSum, Point, PointGradient
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES, ReplicateStatistics
 from ._ranges import Noise
-from ._view import Denoise
 
 NoiseType = Literal["smoothgrad", "smoothgrad_sq", "vargrad"]
 

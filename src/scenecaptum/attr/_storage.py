@@ -14,7 +14,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..files import atomic_write
 from ..projection import SurfaceMap, TexelMap
-from ._attribution import SceneAttribution
+from ._data import AttributionData
 
 FORMAT = "scenecaptum attribution 3"
 
@@ -24,7 +24,7 @@ _SURFACE_FIELDS = ("pixel", "object_index", "fraction")
 _TEXEL_FIELDS = ("entry", "texel", "weight")
 
 
-def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
+def write_file(attribution: AttributionData, path: str | os.PathLike[str]) -> None:
     """Write an attribution to a file atomically."""
     names = list(attribution)
     header: dict[str, Any] = {
@@ -62,8 +62,8 @@ def save(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
         np.savez_compressed(file, checksum=_checksum(members), **members)
 
 
-def load(path: str | os.PathLike[str]) -> SceneAttribution:
-    """Read an attribution that ``save`` wrote."""
+def read_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the fields of an attribution that ``write_file`` wrote."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -104,7 +104,7 @@ def _brief(error: Exception) -> str:
     return text if len(text) <= 200 else f"{text[:200]} …"
 
 
-def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
+def _restore(header: dict[str, Any], file: Any) -> dict[str, Any]:
     def tensors(field: str, names: list[str]) -> dict[str, torch.Tensor]:
         return {name: torch.from_numpy(file[f"{field}/{i}"]) for i, name in enumerate(names)}
 
@@ -125,4 +125,4 @@ def _restore(header: dict[str, Any], file: Any) -> SceneAttribution:
             },
         )
     scalars = {field: header[field] for field in _SCALAR_FIELDS}
-    return SceneAttribution(**fields, **scalars, labels=header["labels"], info=header["info"])
+    return {**fields, **scalars, "labels": header["labels"], "info": header["info"]}

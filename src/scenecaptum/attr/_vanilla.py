@@ -9,14 +9,12 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError
+from ..estimation import DEFAULT_REPLICATES, Denoise, Point
 from ..protocols import ResultKind
-from ._gradients import Point
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._passes import DEFAULT_REPLICATES
 from ._planner import DEFAULT_SHARE, Goal, attribute_to_goal
 from ._ranges import ranges
-from ._view import Denoise
 
 AttributionScale = Literal["unit", "range", "value"]
 

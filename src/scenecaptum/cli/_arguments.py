@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import metrics
-from ..attr._metric import Metric
 from ..errors import SceneCaptumError, near_misses
+from ..estimation import Metric
 from ..rendering import SceneRenderer
 
 GLARE = {

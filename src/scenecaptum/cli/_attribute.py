@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..attr import AttributionInterrupted, SceneAttribution, VanillaSceneGradient
-from ..attr._view import Denoise
+from ..estimation import Denoise
 from . import _arguments
 from ._files import writable, write_each
 

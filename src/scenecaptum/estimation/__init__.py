@@ -1,3 +1,48 @@
-"""Statistics of estimates: their errors, from the values themselves."""
+"""Everything statistical: sample budgets, replicates, the jackknife, intervals and rounds of sampling.
 
+Renderers and metrics are known only by what they do (``protocols``). Nothing here is for users.
+"""
+
+__all__: list[str] = []
+
+from ._comparison import differences as differences
+from ._gradients import MIN_METRIC_SPP as MIN_METRIC_SPP
+from ._gradients import GradientEstimator as GradientEstimator
+from ._gradients import GradientSum as GradientSum
+from ._gradients import Point as Point
+from ._gradients import PointGradient as PointGradient
+from ._gradients import input_values as input_values
+from ._gradients import interpolated_point as interpolated_point
+from ._gradients import require_memory as require_memory
+from ._gradients import sum_gradients as sum_gradients
+from ._image_info import describe_picture as describe_picture
+from ._jackknife import Adjoints as Adjoints
+from ._jackknife import jackknife as jackknife
+from ._jackknife import with_image_transform as with_image_transform
+from ._metric import Metric as Metric
+from ._metric import Target as Target
+from ._metric import TargetedMetric as TargetedMetric
+from ._metric import check_renderer_and_metric as check_renderer_and_metric
+from ._metric_image import Denoise as Denoise
+from ._metric_image import ImageTransform as ImageTransform
+from ._metric_image import TransformSelector as TransformSelector
+from ._metric_image import choose_transform as choose_transform
+from ._quadrature import Method as Method
+from ._quadrature import Quadrature as Quadrature
+from ._quadrature import quadrature as quadrature
+from ._replicates import DEFAULT_REPLICATES as DEFAULT_REPLICATES
+from ._replicates import NOISY_PICTURE_RATIO as NOISY_PICTURE_RATIO
+from ._replicates import Budget as Budget
+from ._replicates import ReplicateStatistics as ReplicateStatistics
+from ._replicates import channel_totals as channel_totals
+from ._replicates import covariance_of_mean as covariance_of_mean
+from ._replicates import render_images as render_images
 from ._resampling import delete_one_jackknife as delete_one_jackknife
+from ._rounds import ReplicateTime as ReplicateTime
+from ._rounds import Rounds as Rounds
+from ._rounds import RoundSum as RoundSum
+from ._rounds import TimeLimit as TimeLimit
+from ._simultaneous import LEVEL as LEVEL
+from ._simultaneous import Quantity as Quantity
+from ._simultaneous import simultaneous_quantile as simultaneous_quantile
+from ._student import student_t as student_t

@@ -9,15 +9,21 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr import VanillaSceneGradient
-from ..attr._gradients import input_values
-from ..attr._jackknife import jackknife, with_image_transform
-from ..attr._metric import Metric, TargetedMetric
-from ..attr._passes import DEFAULT_REPLICATES, Budget, channel_totals, render_images
-from ..attr._ranges import ranges
-from ..attr._values import summarize
-from ..attr._view import Denoise, TransformSelector
+from ..attr import VanillaSceneGradient, ranges, summarize
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import (
+    DEFAULT_REPLICATES,
+    Budget,
+    Denoise,
+    Metric,
+    TargetedMetric,
+    TransformSelector,
+    channel_totals,
+    input_values,
+    jackknife,
+    render_images,
+    with_image_transform,
+)
 from ._result import Measured, Moved, Optimization
 
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range

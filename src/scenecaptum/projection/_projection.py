@@ -239,9 +239,7 @@ def _write_png(
     Image.fromarray(np.round(normalized * 255).astype(np.uint8)).save(path)
 
 
-def _exr(
-    values: NDArray[np.float32], attribution: Attribution | None, surfaces: SurfaceMap | None
-) -> bytes:
+def _exr(values: NDArray[np.float32], attribution: Attribution | None, surfaces: SurfaceMap | None) -> bytes:
     from ..backend import exclusively
     from ._cryptomatte import layers
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from ..checkpoint import Checkpoint, digest
-from ..scene._naming import without_addresses
+from ..scene import without_addresses
 from ._engine import Engine, Values
 
 

@@ -23,8 +23,7 @@ import torch
 from ..backend import device, dispose, exclusively
 from ..errors import SceneCaptumError
 from ..projection import SurfaceMap
-from ..scene import SceneParameters
-from ..scene._graph import SceneGraph
+from ..scene import SceneGraph, SceneParameters
 from ._backward import FilmFilter, film_filter
 from ._chunks import Chunk, chunks
 from ._derivative_routes import (

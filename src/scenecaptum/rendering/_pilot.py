@@ -17,8 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import SceneParameters
-from ..scene._graph import SceneGraph
+from ..scene import SceneGraph, SceneParameters
 from ._texels import shape_index
 
 # Maximum number of accumulated values of each moment; in larger images blocks of pixels share theirs.

@@ -12,8 +12,7 @@ from typing import Any
 import torch
 
 from ..backend import activate
-from ..scene import SceneParameters
-from ..scene._graph import SceneGraph
+from ..scene import SceneGraph, SceneParameters
 from ..visualization import STYLE, group_by_text, html_cells, terminal_width, wrap
 from ._derivative_routes import low_roughness_names, reason_against_replay
 from ._memory import format_bytes

@@ -19,11 +19,20 @@ from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..finite import NotFiniteError
 from ..projection import SurfaceMap
-from ..scene import SceneParameters, discover, load_scene, select
-from ..scene._checks import check_scale
-from ..scene._graph import SceneGraph
-from ..scene._loading import SceneLike, XmlParameters, format_parameters, hashable_source, scene_name
-from ..scene._selection import Selection
+from ..scene import (
+    SceneGraph,
+    SceneLike,
+    SceneParameters,
+    Selection,
+    XmlParameters,
+    check_scale,
+    discover,
+    format_parameters,
+    hashable_source,
+    load_scene,
+    scene_name,
+    select,
+)
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import STOCK_INTEGRATORS, RenderPlan, make_plan, stock_plan

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..projection import TexelMap
-from ..scene._graph import SceneGraph
+from ..scene import SceneGraph
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]

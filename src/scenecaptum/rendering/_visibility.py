@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..projection import SurfaceMap, TexelMap
-from ..scene import SceneParameters
-from ..scene._graph import SceneGraph
+from ..scene import SceneGraph, SceneParameters
 from ._texels import Indices, ShownTexture, shape_index
 
 # Rays per pixel, at Hammersley points: no two share a row or column, which locates an axis-aligned edge to

@@ -10,11 +10,20 @@ __all__ = [
     "select",
 ]
 
+from ._checks import check_scale as check_scale
+from ._graph import SceneGraph as SceneGraph
+from ._loading import SceneLike as SceneLike
+from ._loading import XmlParameters as XmlParameters
+from ._loading import format_parameters as format_parameters
+from ._loading import hashable_source as hashable_source
 from ._loading import load_scene as load_scene
+from ._loading import scene_name as scene_name
+from ._naming import without_addresses as without_addresses
 from ._parameter_table import Parameter as Parameter
 from ._parameter_table import SceneParameters as SceneParameters
 from ._parameters import discover as discover
 from ._reflection import OPEN_MARGIN as OPEN_MARGIN
 from ._reflection import reflect as reflect
+from ._selection import Selection as Selection
 from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED

@@ -13,12 +13,9 @@ import torch
 from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._gradients import input_values, require_memory
-from ..attr._metric import Metric, Target
-from ..attr._passes import channel_totals
-from ..attr._view import Denoise
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
 from ..ranks import kendall_tau
 from ._result import TOP, Tradeoff
 from ._rows import Measured, Reference

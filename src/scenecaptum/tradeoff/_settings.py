@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..attr._passes import DEFAULT_REPLICATES
 from ..errors import SceneCaptumError, near_misses, whole_number
+from ..estimation import DEFAULT_REPLICATES
 from ..protocols import takes_keyword
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")

@@ -10,10 +10,9 @@ import torch
 from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_REPLICATES, channel_totals
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
 from ._ablation_result import Ablated, AblationTest
 from ._scenes import (
     MAX_STEP,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from ..attr._student import student_t
+from ..estimation import student_t
 from ..ranks import kendall_tau_of_pairs
 from ..visualization import (
     LOWERS,

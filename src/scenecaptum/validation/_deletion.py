@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..attr import SceneAttribution
-from ..attr._baselines import Baselines
-from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_REPLICATES
+from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Target
 from ._deletion_result import DeletionInsertion
 from ._faithfulness import contributions, measure_without
 from ._scenes import Scenes

@@ -11,20 +11,25 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr._gradients import GradientEstimator, Point, input_values
-from ..attr._jackknife import Adjoints
-from ..attr._method import target_list
-from ..attr._metric import Metric, TargetedMetric
-from ..attr._passes import Budget
-from ..attr._view import TransformSelector
+from ..attr import target_list
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
-from ..estimation import delete_one_jackknife
+from ..estimation import (
+    Adjoints,
+    Budget,
+    GradientEstimator,
+    Metric,
+    Point,
+    TargetedMetric,
+    TransformSelector,
+    delete_one_jackknife,
+    input_values,
+)
 from ._dgsm_result import DGSM, GlobalDerivative
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
 if TYPE_CHECKING:
-    from ..attr._method import Result, Targets
+    from ..attr import Result, Targets
 
 _REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
 

@@ -10,13 +10,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..attr import IntegratedGradientsScene, SceneAttribution, VanillaSceneGradient
-from ..attr._baselines import Baselines, resolve_baselines
-from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_REPLICATES
-from ..attr._ranges import Noise
+from ..attr import (
+    Baselines,
+    IntegratedGradientsScene,
+    Noise,
+    SceneAttribution,
+    VanillaSceneGradient,
+    resolve_baselines,
+)
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Target
 from ._faithfulness_result import Infidelity, SensitivityN
 from ._scenes import Scenes, denoise_of
 

@@ -10,13 +10,11 @@ from typing import Any
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._metric import Metric, Target, TargetedMetric
-from ..attr._passes import DEFAULT_REPLICATES
-from ..attr._ranges import ranges
+from ..attr import SceneAttribution, VanillaSceneGradient, ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric
 from ..protocols import accepted_keywords
 from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
 

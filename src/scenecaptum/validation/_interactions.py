@@ -7,12 +7,10 @@ from typing import Any
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_REPLICATES, channel_totals
-from ..attr._ranges import ranges
+from ..attr import SceneAttribution, VanillaSceneGradient, ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
 from ._hessian import max_steps, product_of
 from ._interactions_result import HessianScale, Interactions
 from ._scenes import Scenes, denoise_of, unit_gradient

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import torch
 
-from ..attr._student import student_t
+from ..estimation import student_t
 from ..visualization import SMALL, TEXT, TITLE, Format, add_footnotes, figure_of, new_figure, shorten
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ import numpy as np
 import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
-from ..attr._metric import Metric, Target
-from ..attr._passes import DEFAULT_REPLICATES, channel_totals
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
 from ._randomization_result import RandomizationCheck
 
 MIN_PARAMETERS = 4  # for a meaningful rank correlation

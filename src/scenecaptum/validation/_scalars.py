@@ -11,9 +11,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
-from ..attr._baselines import table_of
-from ..attr._gradients import Point
+from ..attr import table_of
 from ..errors import SceneCaptumError, near_misses
+from ..estimation import Point
 from ..scene import OPEN_MARGIN
 
 Values: TypeAlias = "Mapping[str, torch.Tensor]"

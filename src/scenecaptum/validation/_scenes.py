@@ -10,12 +10,18 @@ import numpy as np
 import torch
 
 from ..attr import SceneAttribution
-from ..attr._gradients import input_values, require_memory
-from ..attr._jackknife import with_image_transform
-from ..attr._metric import Metric, Target, TargetedMetric
-from ..attr._passes import channel_totals
-from ..attr._view import Denoise, TransformSelector
 from ..errors import check_seed, whole_number
+from ..estimation import (
+    Denoise,
+    Metric,
+    Target,
+    TargetedMetric,
+    TransformSelector,
+    channel_totals,
+    input_values,
+    require_memory,
+    with_image_transform,
+)
 
 # Fractions of a parameter's range: the longest step, and the shortest before it is taken in the other direction.
 MAX_STEP, MIN_STEP = 0.1, 0.01

@@ -13,20 +13,26 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr._gradients import GradientEstimator, Point, input_values
-from ..attr._method import target_list
-from ..attr._metric import Metric, TargetedMetric
-from ..attr._passes import DEFAULT_REPLICATES, Budget
-from ..attr._view import TransformSelector
+from ..attr import target_list
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ..estimation import delete_one_jackknife
+from ..estimation import (
+    DEFAULT_REPLICATES,
+    Budget,
+    GradientEstimator,
+    Metric,
+    Point,
+    TargetedMetric,
+    TransformSelector,
+    delete_one_jackknife,
+    input_values,
+)
 from ._dgsm import Derivatives, interval_gradients, render_count, sample_derivatives
 from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
 from ._sensitivity_result import SensitivityComparison, SensitivityIndex
 
 if TYPE_CHECKING:
-    from ..attr._method import Result, Targets
+    from ..attr import Result, Targets
 
 RESOLVED = 2.0  # standard errors between two ranks that count as distinct
 _MIN_SAMPLES = 2  # of any kind, for an error estimate

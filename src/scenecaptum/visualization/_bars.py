@@ -185,7 +185,10 @@ def _write_header(ax: Axes, title: str, legend: Sequence[Any]) -> None:
 
 
 def _footnotes(
-    attribution: Attribution, rows: Sequence[RankedParameter], cautions: Mapping[str, Sequence[str]], width: int
+    attribution: Attribution,
+    rows: Sequence[RankedParameter],
+    cautions: Mapping[str, Sequence[str]],
+    width: int,
 ) -> list[str]:
     """Return the footnotes in lines of at most ``width`` characters."""
     lines = pack(_notes(attribution, rows), width)

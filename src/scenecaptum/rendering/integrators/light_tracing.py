@@ -27,7 +27,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...scene._graph import SceneGraph
+from ...scene import SceneGraph
 from .._backward import filtered_adjoint
 from .._plan import RenderPlan
 from .._sampler import SobolSampler

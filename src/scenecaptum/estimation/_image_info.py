@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ._jackknife import SIGNIFICANT_DRIFT
-from ._view import ImageTransform
+from ._metric_image import ImageTransform
 
 ROUNDING = 1e-6
 

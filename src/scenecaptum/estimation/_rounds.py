@@ -15,8 +15,8 @@ from ..protocols import Capabilities
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
-from ._passes import NOISY_PICTURE_RATIO, Budget, render_images
-from ._view import TransformSelector
+from ._metric_image import TransformSelector
+from ._replicates import NOISY_PICTURE_RATIO, Budget, render_images
 
 MIN_SAMPLE_TIME_FRACTION = 0.5  # of a replicate's time that is spent on its samples
 MAX_EXTRAPOLATION = 4  # do not extrapolate beyond 4× the largest timed spp

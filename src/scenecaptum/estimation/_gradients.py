@@ -17,7 +17,8 @@ from ..finite import NotFiniteError, check_gradient, check_image, error_context
 from ..protocols import Capabilities, takes_keyword
 from ._jackknife import Adjoints, adjoints_if_linear, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
-from ._passes import (
+from ._metric_image import TransformSelector
+from ._replicates import (
     NOISY_PICTURE_RATIO,
     PICTURE_RATIO,
     Budget,
@@ -26,7 +27,6 @@ from ._passes import (
     extra_image_seeds,
     render_images,
 )
-from ._view import TransformSelector
 
 Tensors = Mapping[str, torch.Tensor]
 

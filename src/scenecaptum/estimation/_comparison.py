@@ -11,8 +11,8 @@ from tqdm import tqdm
 
 from ._gradients import GradientEstimator, GradientSum, Point, sum_gradients
 from ._metric import TargetedMetric
-from ._passes import Budget
-from ._view import TransformSelector
+from ._metric_image import TransformSelector
+from ._replicates import Budget
 
 Tensors = Mapping[str, torch.Tensor]
 

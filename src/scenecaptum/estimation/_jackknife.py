@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ._metric import TargetedMetric
-from ._view import IDENTITY, ImageTransform, TransformSelector
+from ._metric_image import IDENTITY, ImageTransform, TransformSelector
 
 # Drift is the metric at half of the samples minus the metric at all samples. From 2 standard errors it is
 # significant, from 4 it is known well enough to extrapolate.

@@ -13,7 +13,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, describe_location
 from ..protocols import takes_keyword
-from ._view import IDENTITY, ImageTransform
+from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | tuple[int, ...] | None"
