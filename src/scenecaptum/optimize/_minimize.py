@@ -24,6 +24,7 @@ from ..estimation import (
     render_images,
     with_image_transform,
 )
+from ..protocols import Capabilities
 from ._result import Measured, Moved, Optimization
 
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
@@ -100,7 +101,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
             f"change must be a fraction of a range, above 0 and at most 1, not {change!r}."
         )
     values = input_values(renderer, None)
-    spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
+    spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     count = whole_number("steps", steps)
     ranking_seed, measurement_seed, *step_seeds = (
         np.random.SeedSequence([check_seed("seed", seed), 6]).generate_state(2 + count).tolist()

@@ -16,6 +16,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
+from ..protocols import Capabilities
 from ..ranks import kendall_tau
 from ._result import TOP, Tradeoff
 from ._rows import Measured, Reference
@@ -137,7 +138,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
         runs=runs,
         parameters=len(reference.saliency),
         metric=str(reference.attribution.info["metric"]),
-        scene=str(getattr(renderer, "name", type(renderer).__name__)),
+        scene=Capabilities(renderer).name or type(renderer).__name__,
     )
 
 
@@ -216,7 +217,7 @@ class SettingRunner:
                     resolution=setting.resolution if setting.resolution != own.resolution else None,
                     integrator=setting.integrator if setting.integrator != own.integrator else None,
                 )
-                renderer = with_checkpoint(renderer, getattr(self._renderer, "checkpoint", None))
+                renderer = with_checkpoint(renderer, Capabilities(self._renderer).checkpoint)
             self._cache[key] = renderer, self._metric_for(renderer)
         return self._cache[key]
 
@@ -231,9 +232,10 @@ class SplitSamples:
     def __init__(self, renderer: Any, setting: Setting) -> None:
         self._renderer = renderer
         self._setting = setting
-        self.info = getattr(renderer, "info", {})
-        self.guides = getattr(renderer, "guides", None)
-        self.checkpoint = getattr(renderer, "checkpoint", None)
+        offered = Capabilities(renderer)
+        self.info = offered.info or {}
+        self.guides = offered.guides
+        self.checkpoint = offered.checkpoint
 
     def __call__(
         self, inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int, seed_grad: int | None = None

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES
-from ..protocols import takes_keyword
+from ..protocols import Capabilities, takes_keyword
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
 
@@ -58,17 +58,17 @@ class Setting:
 
 def own_setting(renderer: Any) -> Setting:
     """Return the current setting of a renderer."""
-    spp = getattr(renderer, "spp", None)
+    spp = Capabilities(renderer).spp
     if spp is None:
         raise SceneCaptumError(
             "This renderer has no attribute `spp`, the samples per pixel that settings are derived from: add it."
         )
-    plan = getattr(renderer, "plan", None)
+    plan = Capabilities(renderer).plan
     return Setting(
         spp,
         spp,
         max_depth=None if plan is None else plan.max_depth,
-        resolution=getattr(renderer, "resolution", None),
+        resolution=Capabilities(renderer).resolution,
         integrator=None if plan is None else plan.integrator,
     )
 
@@ -80,7 +80,7 @@ def default_values(renderer: Any, base: Setting, *, vary_resolution: bool) -> di
     if _has_gradient_spp(renderer):
         vary |= {"primal_spp": spps, "gradient_spp": spps}
     vary["replicates"] = [1, 4 * DEFAULT_REPLICATES]
-    if hasattr(renderer, "replace"):
+    if Capabilities(renderer).replace is not None:
         deeper = 2 * base.max_depth if base.max_depth and base.max_depth > 0 else 8
         vary["max_depth"] = [2, 4, deeper]
         if vary_resolution and base.resolution:
@@ -125,7 +125,7 @@ def _check_key(renderer: Any, key: str) -> None:
         raise SceneCaptumError(
             f"{key!r} cannot be varied.{near_misses(key, KEYS)} Options are {', '.join(KEYS)}."
         )
-    if key in _RENDERER_OPTIONS and not hasattr(renderer, "replace"):
+    if key in _RENDERER_OPTIONS and Capabilities(renderer).replace is None:
         raise SceneCaptumError(
             f"Varying {key!r} needs a SceneRenderer: {type(renderer).__name__} has no replace()."
         )

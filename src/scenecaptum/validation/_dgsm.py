@@ -25,6 +25,7 @@ from ..estimation import (
     delete_one_jackknife,
     input_values,
 )
+from ..protocols import Capabilities
 from ._dgsm_result import DGSM, GlobalDerivative
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
@@ -105,7 +106,7 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
     renderer = with_checkpoint(renderer, checkpoint)
     values = input_values(renderer, None)
     scalars = find_scalars(renderer, values, parameters, bounds)
-    spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
+    spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     check_seed("seed", seed)
     metrics = [TargetedMetric(metric, index) for index in target_list(target)]
     derivatives = sample_derivatives(

@@ -15,7 +15,7 @@ from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric
-from ..protocols import accepted_keywords
+from ..protocols import Capabilities, accepted_keywords
 from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
 
 # Reduce a stencil until the truncation error of its lower-order formula is at most this fraction of the slope.
@@ -143,7 +143,7 @@ def product_of(
     return dataclasses.replace(
         product,
         image=product.image.mean(0),
-        surfaces=getattr(scenes.renderer, "surfaces", None),
+        surfaces=Capabilities(scenes.renderer).surfaces,
         info={**info, "method": "hessian_vector_product", "step": stencil.length},
     )
 
@@ -156,10 +156,11 @@ class _StencilRenderer:
         self.values = scenes.values
         self.direction = direction
         self.offsets = offsets
-        self.spp = getattr(renderer, "spp", None)
-        self.labels = getattr(renderer, "labels", {})
-        self.info = getattr(renderer, "info", {})
-        self.guides = _stack(getattr(renderer, "guides", None), len(offsets))
+        offered = Capabilities(renderer)
+        self.spp = offered.spp
+        self.labels = offered.labels or {}
+        self.info = offered.info or {}
+        self.guides = _stack(offered.guides, len(offsets))
         self.accepted_keywords = accepted_keywords(renderer)
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
@@ -235,7 +236,7 @@ def _moved(
 def _max_step(scenes: Scenes, direction: Direction, sign: int) -> float:
     """Return a tenth of the smallest range, at most half the distance to a bound, which may be unphysical."""
     lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
-    bounds = getattr(scenes.renderer, "bounds", {})
+    bounds = Capabilities(scenes.renderer).bounds or {}
     steps = []
     for name, tangent in direction.items():
         low, high = bounds.get(name, (-math.inf, math.inf))

@@ -14,6 +14,7 @@ import torch
 from ..attr import table_of
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import Point
+from ..protocols import Capabilities
 from ..scene import OPEN_MARGIN
 
 Values: TypeAlias = "Mapping[str, torch.Tensor]"
@@ -101,12 +102,12 @@ def _scalar(renderer: Any, name: str, value: torch.Tensor, given: tuple[float, f
         low, high = _default_interval(low, high, number)
     else:
         low, high = _check_interval(name, given, low, high)
-    return Scalar(name, getattr(renderer, "labels", {}).get(name, name), low, high, pattern)
+    return Scalar(name, (Capabilities(renderer).labels or {}).get(name, name), low, high, pattern)
 
 
 def _physical_interval(renderer: Any, name: str, pattern: torch.Tensor) -> tuple[float, float]:
     """Return the interval in which every element of the parameter is within its physical bounds."""
-    bounds = getattr(renderer, "bounds", None)
+    bounds = Capabilities(renderer).bounds
     if bounds is None:
         return -math.inf, math.inf
     low, high = bounds.get(name, (-math.inf, math.inf))

@@ -22,6 +22,7 @@ from ..estimation import (
     require_memory,
     with_image_transform,
 )
+from ..protocols import Capabilities
 
 # Fractions of a parameter's range: the longest step, and the shortest before it is taken in the other direction.
 MAX_STEP, MIN_STEP = 0.1, 0.01
@@ -85,7 +86,7 @@ class Scenes:
     ) -> Scenes:
         """Split the samples per pixel of every scene, the renderer's by default, over the replicates."""
         values = input_values(renderer, None)
-        spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
+        spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
         seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
         return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count), denoise=denoise)

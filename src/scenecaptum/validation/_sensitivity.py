@@ -27,6 +27,7 @@ from ..estimation import (
     delete_one_jackknife,
     input_values,
 )
+from ..protocols import Capabilities
 from ._dgsm import Derivatives, interval_gradients, render_count, sample_derivatives
 from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
 from ._sensitivity_result import SensitivityComparison, SensitivityIndex
@@ -114,7 +115,7 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
         raise SceneCaptumError(
             f"compare_sensitivity needs at least 2 parameters to rank, not {len(scalars)}."
         )
-    spp = getattr(renderer, "spp", None) if spp is None else whole_number("spp", spp)
+    spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     check_seed("seed", seed)
     metrics = [TargetedMetric(metric, index) for index in target_list(target)]
     top = min(whole_number("top", top), len(scalars) - 1)
