@@ -7,7 +7,6 @@ the same arguments: calls whose results are in the folder are read from there, w
 from __future__ import annotations
 
 import hashlib
-import inspect
 import io
 import json
 import os
@@ -23,7 +22,7 @@ import torch
 
 from .errors import SceneCaptumError
 from .files import atomic_write, write_error
-from .protocols import Capabilities, Checkpointable, accepted_keywords
+from .protocols import Capabilities, Checkpointable, Renderer, accepted_keywords
 
 FORMAT = "scenecaptum pass 1"
 SUFFIX = ".pass"
@@ -150,7 +149,7 @@ class Checkpoint:
             partial.write_bytes(hashlib.sha256(content).digest() + content)
 
 
-def with_checkpoint(renderer: Any, checkpoint: Folder) -> Any:
+def with_checkpoint(renderer: Renderer, checkpoint: Folder) -> Any:
     """Return a renderer that caches its renders and backward passes in a folder; the renderer itself for None.
 
     A renderer other than ``SceneRenderer`` needs an attribute ``fingerprint``, a string that changes whenever its
@@ -171,7 +170,7 @@ def with_checkpoint(renderer: Any, checkpoint: Folder) -> Any:
     return CheckpointedRenderer(renderer, checkpoint)
 
 
-def without_checkpoint(renderer: Any) -> Any:
+def without_checkpoint(renderer: Renderer) -> Any:
     """Return the renderer without its cache."""
     return renderer.with_checkpoint(None) if isinstance(renderer, Checkpointable) else renderer
 
@@ -179,8 +178,8 @@ def without_checkpoint(renderer: Any) -> Any:
 class CheckpointedRenderer:
     """Wrapper that adds a checkpoint to any renderer; see ``with_checkpoint``."""
 
-    def __init__(self, renderer: Any, checkpoint: Checkpoint) -> None:
-        fingerprint = inspect.getattr_static(renderer, "fingerprint", None) and renderer.fingerprint
+    def __init__(self, renderer: Renderer, checkpoint: Checkpoint) -> None:
+        fingerprint = Capabilities(renderer).fingerprint
         if not isinstance(fingerprint, str) or not fingerprint:
             raise SceneCaptumError(
                 f"checkpoint= cannot identify the images of this {type(renderer).__name__}: give it an attribute "
@@ -278,7 +277,7 @@ _cached_render: Callable[..., torch.Tensor] = _CachedRender.apply
 class Stopwatch:
     """Elapsed time, including the original render time of results that a checkpoint supplied."""
 
-    def __init__(self, renderer: Any) -> None:
+    def __init__(self, renderer: Renderer | None) -> None:
         self._checkpoint: Checkpoint | None = Capabilities(renderer).checkpoint
         self._start = self.now()
         self._counts = self._count()

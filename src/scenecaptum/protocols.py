@@ -38,9 +38,7 @@ def takes_keyword(function: Any, keyword: str) -> bool:
 class Renderer(Protocol):
     """The one thing that every renderer does. What else it may offer is in ``Capabilities``."""
 
-    def __call__(
-        self, inputs: Mapping[str, torch.Tensor], /, *, seed: int, spp: int | None, **options: Any
-    ) -> torch.Tensor:
+    def __call__(self, inputs: Mapping[str, torch.Tensor], /, *, seed: int, spp: int | None) -> torch.Tensor:
         """Render ``inputs`` with a seed and a number of samples per pixel; with None the renderer chooses it."""
 
 
@@ -93,6 +91,24 @@ class Capabilities:
 
     def __init__(self, renderer: Any) -> None:
         self.renderer = renderer
+
+    @property
+    def fingerprint(self) -> str | None:
+        """Changes whenever the images change; not one that a wrapper passes on from what it wraps."""
+        if inspect.getattr_static(self.renderer, "fingerprint", None) is None:
+            return None
+        found: str | None = self.renderer.fingerprint
+        return found
+
+    @property
+    def with_seed_grad(self) -> Callable[..., torch.Tensor] | None:
+        """The renderer itself, if ``seed_grad`` gives its backward pass a seed of its own."""
+        return self.renderer if takes_keyword(self.renderer, "seed_grad") else None
+
+    @property
+    def with_spp_grad(self) -> Callable[..., torch.Tensor] | None:
+        """The renderer itself, if ``spp_grad`` gives its backward pass samples of its own."""
+        return self.renderer if takes_keyword(self.renderer, "spp_grad") else None
 
 
 class ResultKind(str, Enum):

@@ -14,7 +14,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..estimation import Adjoints
 from ..projection import SurfaceMap
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._data import AttributionData, Tensors, covariances
 from ._difference import subtract
 from ._heavy_tails import median_of_means, untrusted_errors
@@ -204,7 +204,7 @@ class SceneAttribution(AttributionData):
 
 
 def make_attribution(
-    renderer: Any,
+    renderer: Renderer,
     gradients: GradientSum,
     adjoints: Adjoints,
     *,
@@ -246,7 +246,7 @@ def make_attribution(
 
 
 def _effective_samples(
-    renderer: Any, gradients: GradientSum, adjoints: Adjoints, values: Tensors, spp: int | None
+    renderer: Renderer, gradients: GradientSum, adjoints: Adjoints, values: Tensors, spp: int | None
 ) -> dict[str, float]:
     """Return the effective number of samples behind each standard error, if the renderer provides it."""
     estimate = Capabilities(renderer).effective_samples
@@ -260,7 +260,7 @@ def _effective_samples(
     return counts
 
 
-def surfaces_of(renderer: Any, names: Iterable[str]) -> SurfaceMap | None:
+def surfaces_of(renderer: Renderer, names: Iterable[str]) -> SurfaceMap | None:
     """Return the renderer's map from pixels to objects, with the texels of the named parameters, if it has one."""
     with_texels = Capabilities(renderer).surfaces_with_texels
     surfaces: SurfaceMap | None = with_texels(names) if with_texels else Capabilities(renderer).surfaces

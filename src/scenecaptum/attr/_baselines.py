@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import torch
 
 from ..errors import SceneCaptumError, near_misses
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ..scene import Parameter
 
 Baselines: TypeAlias = "str | float | torch.Tensor | Mapping[str, Any] | Any | None"
@@ -24,7 +24,7 @@ _NON_POWER_ROLES = {"cutoff_angle", "beam_width", "turbidity", "albedo", "sun_ap
 
 
 def resolve_baselines(
-    renderer: Any,
+    renderer: Renderer,
     values: Values,
     baselines: Baselines = None,
     *,
@@ -84,13 +84,13 @@ def resolve_baselines(
     return resolved
 
 
-def table_of(renderer: Any) -> Mapping[str, Parameter] | None:
+def table_of(renderer: Renderer) -> Mapping[str, Parameter] | None:
     """Return the renderer's table of parameters, or None."""
     describe = Capabilities(renderer).parameters_table
     return None if describe is None else describe()
 
 
-def _absent(renderer: Any, values: Values) -> dict[str, Any]:
+def _absent(renderer: Renderer, values: Values) -> dict[str, Any]:
     table = table_of(renderer)
     if table is None:
         return dict.fromkeys(values, 0.0)
@@ -100,7 +100,7 @@ def _absent(renderer: Any, values: Values) -> dict[str, Any]:
     }
 
 
-def _preset(renderer: Any, values: Values, preset: str) -> dict[str, Any]:
+def _preset(renderer: Renderer, values: Values, preset: str) -> dict[str, Any]:
     if preset not in PRESETS:
         raise SceneCaptumError(
             f"baselines={preset!r} is not a preset.{near_misses(preset, PRESETS)} Presets are "
@@ -145,7 +145,7 @@ def _and_more(names: list[str]) -> str:
     return f" (nor {len(names) - 1} more)" if len(names) > 1 else ""
 
 
-def _from_mapping(renderer: Any, values: Values, baselines: Mapping[Any, Any]) -> dict[str, Any]:
+def _from_mapping(renderer: Renderer, values: Values, baselines: Mapping[Any, Any]) -> dict[str, Any]:
     """Return the baselines given by a mapping; more specific keys override less specific ones."""
     ranked: list[tuple[int, dict[str, Any]]] = []
     for key, baseline in reversed(list(baselines.items())):
@@ -155,7 +155,7 @@ def _from_mapping(renderer: Any, values: Values, baselines: Mapping[Any, Any]) -
     return {name: baseline for _, matched in ranked for name, baseline in matched.items()}
 
 
-def _matches(renderer: Any, values: Values, key: Any) -> tuple[int, list[str]]:
+def _matches(renderer: Renderer, values: Values, key: Any) -> tuple[int, list[str]]:
     """Return how specific a key is (0: a kind, 1: a glob, 2: a name), and the parameters that it matches."""
     if not isinstance(key, str):
         raise SceneCaptumError(f"baselines must be keyed by names, globs or kinds, not {type(key).__name__}.")
@@ -197,7 +197,7 @@ def _broadcast(name: str, baseline: Any, value: torch.Tensor) -> torch.Tensor:
         ) from None
 
 
-def _check_bounds(renderer: Any, name: str, baseline: torch.Tensor) -> None:
+def _check_bounds(renderer: Renderer, name: str, baseline: torch.Tensor) -> None:
     if not torch.isfinite(baseline).all():
         raise SceneCaptumError(f"The baseline of {name!r} contains a value that is not finite.")
     low, high, open_low, interval = _bounds(renderer, name)
@@ -209,7 +209,7 @@ def _check_bounds(renderer: Any, name: str, baseline: torch.Tensor) -> None:
         )
 
 
-def _bounds(renderer: Any, name: str) -> tuple[float, float, bool, str]:
+def _bounds(renderer: Renderer, name: str) -> tuple[float, float, bool, str]:
     table = table_of(renderer)
     if table is not None:
         bounds = table[name].bounds

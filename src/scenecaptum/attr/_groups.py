@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from fnmatch import fnmatchcase
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import torch
 
 from ..errors import SceneCaptumError, near_misses
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ..scene import Parameter
 from ._baselines import table_of
 from ._data import AttributionData, covariances
@@ -22,7 +22,9 @@ A = TypeVar("A", bound=AttributionData)
 PRESETS = ("kind", "material", "object")
 
 
-def resolve_groups(renderer: Any, names: Iterable[str], groups: Groups = None) -> dict[str, tuple[str, ...]]:
+def resolve_groups(
+    renderer: Renderer, names: Iterable[str], groups: Groups = None
+) -> dict[str, tuple[str, ...]]:
     """Return the members of every group. Each parameter is in exactly one group.
 
     Example
@@ -112,7 +114,7 @@ def _matching(names: tuple[str, ...], group: str, pattern: str) -> list[str]:
 
 
 def _by_object(
-    renderer: Any, table: Mapping[str, Parameter], names: tuple[str, ...]
+    renderer: Renderer, table: Mapping[str, Parameter], names: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
     surfaces = Capabilities(renderer).surfaces
     if surfaces is None:

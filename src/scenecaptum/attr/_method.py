@@ -35,7 +35,7 @@ from ..estimation import (
     sum_gradients,
     with_image_transform,
 )
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, make_attribution
 from ._data import metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
@@ -99,7 +99,7 @@ class Run:
     """
 
     method: str
-    renderer: Any
+    renderer: Renderer
     values: dict[str, torch.Tensor]
     metrics: list[TargetedMetric]
     returns_list: bool
@@ -277,7 +277,7 @@ class GradientMethod:
         A torch function from the image to a scalar, or to a vector indexed by ``target``.
     """
 
-    def __init__(self, renderer: Any, metric: Metric) -> None:
+    def __init__(self, renderer: Renderer, metric: Metric) -> None:
         check_renderer_and_metric(renderer, metric)
         self.renderer = renderer
         self.metric = metric

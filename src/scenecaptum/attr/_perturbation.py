@@ -25,7 +25,7 @@ from ..estimation import (
     with_image_transform,
 )
 from ..finite import error_context
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, _versions, surfaces_of
 from ._convergence import convergence
 from ._interruption import AttributionInterrupted
@@ -151,7 +151,7 @@ class Residual(NamedTuple):
 class Perturbation:
     """Base class of methods that compare the metric of changed scenes, without derivatives."""
 
-    def __init__(self, renderer: Any, metric: Metric) -> None:
+    def __init__(self, renderer: Renderer, metric: Metric) -> None:
         check_renderer_and_metric(renderer, metric)
         self.renderer = renderer
         self.metric = metric
@@ -268,7 +268,7 @@ class Perturbation:
         )
 
 
-def _images(renderer: Any, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
+def _images(renderer: Renderer, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
     with error_context(f"On {arm.description}"):
         return render_images(renderer, dict(arm.values()), budget.seeds, budget.spp)
 

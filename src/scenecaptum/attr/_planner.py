@@ -30,7 +30,7 @@ from ..estimation import (
     require_memory,
     simultaneous_quantile,
 )
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, surfaces_of
 from ._method import InputEvaluation, Result, Run
 
@@ -346,7 +346,7 @@ def attribute_to_goal(
     return run.return_results(search.results(interrupted, **info), interrupted=interrupted)
 
 
-def _first_spp_per_replicate(renderer: Any) -> int:
+def _first_spp_per_replicate(renderer: Renderer) -> int:
     """Return the samples per replicate of the first round: nearly free, but enough to estimate the noise."""
     width, height = Capabilities(renderer).resolution or (0, 0)
     return min(max(NEARLY_FREE_SAMPLES // (width * height), 4), 64) if width * height else DEFAULT_FIRST_SPP

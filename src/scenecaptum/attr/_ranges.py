@@ -12,14 +12,14 @@ import numpy as np
 import torch
 
 from ..errors import SceneCaptumError, near_misses
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ..scene import reflect
 from ._baselines import table_of
 
 Tensors = Mapping[str, torch.Tensor]
 
 
-def ranges(renderer: Any, values: Tensors) -> dict[str, torch.Tensor]:
+def ranges(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the length of each parameter's physical range, a 0-d tensor.
 
     For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the largest
@@ -48,7 +48,7 @@ class Noise:
         kinds to numbers, 0 for all others.
     """
 
-    def __init__(self, renderer: Any, values: Tensors, stdevs: float | Mapping[str, float]) -> None:
+    def __init__(self, renderer: Renderer, values: Tensors, stdevs: float | Mapping[str, float]) -> None:
         self.values = values
         self._scales = dict.fromkeys(values, 0.0)
         fractions = _stdevs(renderer, values, stdevs)
@@ -73,7 +73,7 @@ class Noise:
         return reflect(noise.mul_(self._scales[name]).add_(value), low, high, open_low=self._open[name])
 
 
-def _bounds(renderer: Any) -> Mapping[str, tuple[float, float]]:
+def _bounds(renderer: Renderer) -> Mapping[str, tuple[float, float]]:
     bounds = Capabilities(renderer).bounds
     if bounds is None:
         raise SceneCaptumError(
@@ -89,7 +89,7 @@ def _length(value: torch.Tensor, low: float, high: float) -> torch.Tensor:
     return value.abs().amax() if bool(value.any()) else value.new_ones(())
 
 
-def _stdevs(renderer: Any, values: Tensors, stdevs: float | Mapping[str, float]) -> dict[str, float]:
+def _stdevs(renderer: Renderer, values: Tensors, stdevs: float | Mapping[str, float]) -> dict[str, float]:
     if not isinstance(stdevs, Mapping):
         return {name: _stdev("stdevs", stdevs) for name in values}
     table = table_of(renderer)

@@ -10,7 +10,7 @@ import torch
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Point
-from ..protocols import ResultKind
+from ..protocols import Renderer, ResultKind
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
 from ._planner import DEFAULT_SHARE, Goal, attribute_to_goal
@@ -152,7 +152,7 @@ class VanillaSceneGradient(GradientMethod):
 
 
 def _factors(
-    scale: AttributionScale, renderer: Any, values: Mapping[str, torch.Tensor]
+    scale: AttributionScale, renderer: Renderer, values: Mapping[str, torch.Tensor]
 ) -> dict[str, torch.Tensor]:
     if scale == "unit":
         return {}

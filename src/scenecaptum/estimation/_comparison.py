@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from ..protocols import Renderer
 from ._gradients import GradientEstimator, GradientSum, Point, sum_gradients
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
@@ -46,7 +47,7 @@ class _RendererPair:
 
 
 def differences(
-    renderer: Any,
+    renderer: Renderer,
     other: Any,
     metrics: Sequence[TargetedMetric],
     point: Point,

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, check_gradient, check_image, error_context
-from ..protocols import Capabilities, takes_keyword
+from ..protocols import Capabilities, Renderer
 from ._jackknife import Adjoints, adjoints_if_linear, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
@@ -256,7 +256,7 @@ class GradientEstimator:
 
     def __init__(
         self,
-        renderer: Any,
+        renderer: Renderer,
         metrics: Sequence[TargetedMetric],
         budget: Budget,
         transform_selector: TransformSelector,
@@ -272,7 +272,7 @@ class GradientEstimator:
         self.extra_spp = 0
         self._first_adjoints: list[Adjoints] = []
         # A renderer without seed_grad is called twice per replicate.
-        self._has_seed_grad = takes_keyword(renderer, "seed_grad")
+        self._render_with_seed_grad = Capabilities(renderer).with_seed_grad
 
     @property
     def total_image_spp(self) -> int | None:
@@ -336,8 +336,8 @@ class GradientEstimator:
         seeds = list(zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False))
         for number, (seed_grad, seed) in enumerate(seeds, 1):
             with error_context(f"In replicate {number} of {len(seeds)}"):
-                if self._has_seed_grad:
-                    graph = self.renderer(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
+                if self._render_with_seed_grad is not None:
+                    graph = self._render_with_seed_grad(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
                     images.append(graph.detach())
                 else:
                     graph = self.renderer(leaves, seed=seed_grad, spp=spp)
@@ -454,7 +454,7 @@ def sum_gradients(
     return sums, False
 
 
-def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tensor]:
+def input_values(renderer: Renderer, inputs: Tensors | None) -> dict[str, torch.Tensor]:
     """Return the values to attribute to: ``inputs``, or those of the renderer."""
     values = Capabilities(renderer).inputs if inputs is None else inputs
     if values is not None and not isinstance(values, Mapping):
@@ -473,7 +473,7 @@ def input_values(renderer: Any, inputs: Tensors | None) -> dict[str, torch.Tenso
     return {name: value.detach() for name, value in values.items()}
 
 
-def require_memory(renderer: Any, spp: Iterable[int | None], pictures: int) -> None:
+def require_memory(renderer: Renderer, spp: Iterable[int | None], pictures: int) -> None:
     """Raise if this number of images will not fit into memory at the same time, where the renderer can predict it.
 
     Raises

@@ -12,14 +12,14 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, describe_location
-from ..protocols import takes_keyword
+from ..protocols import Renderer, takes_keyword
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | tuple[int, ...] | None"
 
 
-def check_renderer_and_metric(renderer: Any, metric: Any) -> None:
+def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
     """Raise if either is not callable, or if they were passed in the wrong order."""
     for name, value in (("renderer", renderer), ("metric", metric)):
         if not callable(value):

@@ -10,7 +10,7 @@ import torch
 
 from ..denoising import Guides, denoise, is_picture
 from ..errors import SceneCaptumError
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 
 Denoise: TypeAlias = "Literal['auto'] | bool"
 
@@ -127,7 +127,7 @@ class TransformSelector:
         May have ``guides`` for the denoiser.
     """
 
-    def __init__(self, mode: Denoise, renderer: Any) -> None:
+    def __init__(self, mode: Denoise, renderer: Renderer) -> None:
         check_denoise(mode)
         self.mode = mode
         self._renderer = renderer

@@ -6,13 +6,13 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..finite import check_image, error_context
+from ..protocols import Renderer
 
 DEFAULT_REPLICATES = 8
 
@@ -128,7 +128,7 @@ def extra_image_seeds(seeds: Sequence[int]) -> list[int]:
 
 
 def render_images(
-    renderer: Any, values: Mapping[str, torch.Tensor], seeds: Sequence[int], spp: int | None
+    renderer: Renderer, values: Mapping[str, torch.Tensor], seeds: Sequence[int], spp: int | None
 ) -> list[torch.Tensor]:
     """Render an image for each seed without tracking gradients; raise if one is not finite."""
     images = []

@@ -11,7 +11,7 @@ import torch
 from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, without_checkpoint
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
@@ -40,7 +40,7 @@ class TimeLimit:
         Identifies the job in the checkpoint.
     """
 
-    def __init__(self, limit: float | None = None, renderer: Any = None, job: Any = ()) -> None:
+    def __init__(self, limit: float | None = None, renderer: Renderer | None = None, job: Any = ()) -> None:
         self.limit = limit
         self._job = job
         self._checkpoint = Capabilities(renderer).checkpoint
@@ -143,7 +143,7 @@ class Rounds(GradientEstimator):
 
     def __init__(
         self,
-        renderer: Any,
+        renderer: Renderer,
         metrics: Sequence[TargetedMetric],
         transform_selector: TransformSelector,
         bar: tqdm[Any],
@@ -168,12 +168,13 @@ class Rounds(GradientEstimator):
     def warm_up(self, point: Point, spp: int) -> None:
         """Render and differentiate once to compile all kernels; discard the results."""
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
-        seeds = (
-            {"seed": self._seed, "seed_grad": self._seed ^ 1} if self._has_seed_grad else {"seed": self._seed}
-        )
         # Results from a checkpoint would not compile anything.
         renderer = without_checkpoint(self.renderer)
-        graph = renderer(leaves, spp=spp, **seeds)
+        replaying = Capabilities(renderer).with_seed_grad
+        if replaying is None:
+            graph = renderer(leaves, seed=self._seed, spp=spp)
+        else:
+            graph = replaying(leaves, seed=self._seed, spp=spp, seed_grad=self._seed ^ 1)
         if not all(is_linear(metric, [graph.detach()]) for metric in self.metrics):
             more = math.ceil((self._ratio - 1) * spp)
             added = render_images(renderer, point.values, [self._seed ^ 2], more) if more else []

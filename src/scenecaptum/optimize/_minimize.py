@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +23,7 @@ from ..estimation import (
     render_images,
     with_image_transform,
 )
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._result import Measured, Moved, Optimization
 
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
@@ -32,7 +31,7 @@ BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, 
 
 
 def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     below: float,
     *,
@@ -166,11 +165,12 @@ class _BoundedAdam:
         Maximum offset.
     """
 
-    def __init__(self, renderer: Any, start: Mapping[str, torch.Tensor], change: float) -> None:
+    def __init__(self, renderer: Renderer, start: Mapping[str, torch.Tensor], change: float) -> None:
         self.start = start
         self.change = change
         self._ranges = {name: length.item() for name, length in ranges(renderer, start).items()}
-        self._bounds = {name: renderer.bounds[name] for name in start}
+        bounds = Capabilities(renderer).bounds or {}
+        self._bounds = {name: bounds[name] for name in start}
         self._offsets = {
             name: value.new_zeros(channel_totals(value).shape).requires_grad_()
             for name, value in start.items()

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import torch
 
 from ..denoising import straight_through
 from ..errors import SceneCaptumError, check_seed
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ..scene import reflect
 
 Values: TypeAlias = dict[str, torch.Tensor]
 
 
 def as_captum(
-    renderer: Any,
+    renderer: Renderer,
     metric: Callable[[torch.Tensor], torch.Tensor],
     *,
     seed: int | None = 0,
@@ -63,7 +63,7 @@ def as_captum(
     return forward, tuple(value[None].clone() for value in own.values())
 
 
-def _bounding(renderer: Any, own: Values, bounds: str) -> Callable[[Values], Values]:
+def _bounding(renderer: Renderer, own: Values, bounds: str) -> Callable[[Values], Values]:
     """Return the function that brings the values of a row within bounds before they are rendered."""
     if bounds == "raise":
         return lambda row: row

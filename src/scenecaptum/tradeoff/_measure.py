@@ -16,7 +16,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau
 from ._result import TOP, Tradeoff
 from ._rows import Measured, Reference
@@ -37,7 +37,7 @@ REFERENCE_SPP_FACTOR, REFERENCE_REPLICATES = 32, 16
 
 
 def measure(  # noqa: PLR0913 -- the options of every long job, and its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     target: Target = None,
     *,
@@ -155,7 +155,7 @@ class SettingRunner:
 
     def __init__(
         self,
-        renderer: Any,
+        renderer: Renderer,
         metric_for: Callable[[Any], Metric],
         target: Target = None,
         denoise: Denoise = "auto",
@@ -211,8 +211,9 @@ class SettingRunner:
         key = _renderer_options(setting)
         if key not in self._cache:
             renderer, own = self._renderer, self._own
-            if key != _renderer_options(own):
-                renderer = renderer.replace(
+            replace = Capabilities(renderer).replace
+            if replace is not None and key != _renderer_options(own):
+                renderer = replace(
                     max_depth=setting.max_depth,
                     resolution=setting.resolution if setting.resolution != own.resolution else None,
                     integrator=setting.integrator if setting.integrator != own.integrator else None,
@@ -229,10 +230,11 @@ def _renderer_options(setting: Setting) -> tuple[Any, ...]:
 class SplitSamples:
     """A renderer with a different number of samples in the forward and the backward pass."""
 
-    def __init__(self, renderer: Any, setting: Setting) -> None:
-        self._renderer = renderer
+    def __init__(self, renderer: Renderer, setting: Setting) -> None:
         self._setting = setting
         offered = Capabilities(renderer)
+        assert offered.with_spp_grad is not None
+        self._render = offered.with_spp_grad
         self.info = offered.info or {}
         self.guides = offered.guides
         self.checkpoint = offered.checkpoint
@@ -242,10 +244,7 @@ class SplitSamples:
     ) -> torch.Tensor:
         """Render with the samples of the setting."""
         spp_grad = math.ceil(spp * self._setting.gradient_spp / self._setting.primal_spp)
-        image: torch.Tensor = self._renderer(
-            inputs, seed=seed, spp=spp, seed_grad=seed_grad, spp_grad=spp_grad
-        )
-        return image
+        return self._render(inputs, seed=seed, spp=spp, seed_grad=seed_grad, spp_grad=spp_grad)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES
-from ..protocols import Capabilities, takes_keyword
+from ..protocols import Capabilities, Renderer
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
 
@@ -56,7 +56,7 @@ class Setting:
         return dataclasses.replace(self, **{key: value})
 
 
-def own_setting(renderer: Any) -> Setting:
+def own_setting(renderer: Renderer) -> Setting:
     """Return the current setting of a renderer."""
     spp = Capabilities(renderer).spp
     if spp is None:
@@ -73,7 +73,7 @@ def own_setting(renderer: Any) -> Setting:
     )
 
 
-def default_values(renderer: Any, base: Setting, *, vary_resolution: bool) -> dict[str, list[Any]]:
+def default_values(renderer: Renderer, base: Setting, *, vary_resolution: bool) -> dict[str, list[Any]]:
     """Return the options to vary by default and their values, as far as the renderer supports them."""
     spps = [max(base.primal_spp // 4, 1), 4 * base.primal_spp]
     vary: dict[str, list[Any]] = {"spp": spps}
@@ -90,7 +90,9 @@ def default_values(renderer: Any, base: Setting, *, vary_resolution: bool) -> di
     return vary
 
 
-def settings_of(renderer: Any, base: Setting, vary: Mapping[str, Iterable[Any]]) -> list[tuple[str, Setting]]:
+def settings_of(
+    renderer: Renderer, base: Setting, vary: Mapping[str, Iterable[Any]]
+) -> list[tuple[str, Setting]]:
     """Return pairs of varied option and setting, without duplicates; the first is the base, with an empty name."""
     settings = [("", base)]
     for key, values in vary.items():
@@ -116,11 +118,11 @@ def reference_setting(settings: Sequence[Setting], spp: int, replicates: int) ->
     )
 
 
-def _has_gradient_spp(renderer: Any) -> bool:
-    return takes_keyword(renderer, "spp_grad")
+def _has_gradient_spp(renderer: Renderer) -> bool:
+    return Capabilities(renderer).with_spp_grad is not None
 
 
-def _check_key(renderer: Any, key: str) -> None:
+def _check_key(renderer: Renderer, key: str) -> None:
     if key not in KEYS:
         raise SceneCaptumError(
             f"{key!r} cannot be varied.{near_misses(key, KEYS)} Options are {', '.join(KEYS)}."

@@ -13,6 +13,7 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
+from ..protocols import Capabilities, Renderer
 from ._ablation_result import Ablated, AblationTest
 from ._scenes import (
     MAX_STEP,
@@ -32,7 +33,7 @@ MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself 
 
 
 def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     attribution: SceneAttribution | None = None,
     target: Target = None,
@@ -153,7 +154,7 @@ def _choose_step(value: torch.Tensor, gradient: torch.Tensor, low: float, high: 
 
 
 def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
-    value, (low, high) = scenes.values[row.name], scenes.renderer.bounds[row.name]
+    value, (low, high) = scenes.values[row.name], (Capabilities(scenes.renderer).bounds or {})[row.name]
     chosen = _choose_step(value, gradient, low, high)
 
     def slope(length: float) -> torch.Tensor:

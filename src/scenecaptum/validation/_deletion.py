@@ -12,13 +12,14 @@ from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target
+from ..protocols import Renderer
 from ._deletion_result import DeletionInsertion
 from ._faithfulness import contributions, measure_without
 from ._scenes import Scenes
 
 
 def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and three of its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     attribution: SceneAttribution | None = None,
     target: Target = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ from ..estimation import (
     delete_one_jackknife,
     input_values,
 )
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._dgsm_result import DGSM, GlobalDerivative
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
@@ -36,7 +36,7 @@ _REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
 
 
 def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     target: Targets = None,
     *,
@@ -142,7 +142,7 @@ class Derivatives:
 
 
 def sample_derivatives(
-    renderer: Any,
+    renderer: Renderer,
     metrics: Sequence[TargetedMetric],
     scalars: Sequence[Scalar],
     values: Values,

@@ -21,6 +21,7 @@ from ..attr import (
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target
+from ..protocols import Renderer
 from ._faithfulness_result import Infidelity, SensitivityN
 from ._scenes import Scenes, denoise_of
 
@@ -36,7 +37,7 @@ _NOT_CONTRIBUTIONS = (
 
 
 def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     attribution: SceneAttribution | None = None,
     target: Target = None,
@@ -125,7 +126,7 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
 
 
 def perturbations(
-    renderer: Any, values: Tensors, stdevs: float | Mapping[str, float], count: int, seed: int
+    renderer: Renderer, values: Tensors, stdevs: float | Mapping[str, float], count: int, seed: int
 ) -> Iterator[dict[str, torch.Tensor]]:
     """Yield ``count`` perturbed copies of the values, with the noise of SmoothGrad."""
     noise = Noise(renderer, values, stdevs)
@@ -134,7 +135,7 @@ def perturbations(
 
 
 def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     attribution: SceneAttribution | None = None,
     target: Target = None,

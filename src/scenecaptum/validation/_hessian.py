@@ -15,7 +15,7 @@ from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric
-from ..protocols import Capabilities, accepted_keywords
+from ..protocols import Capabilities, Renderer, accepted_keywords
 from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
 
 # Reduce a stencil until the truncation error of its lower-order formula is at most this fraction of the slope.
@@ -62,7 +62,7 @@ ONE_SIDED = Stencil((0, 1 / 3, 2 / 3, 1), (-11 / 2, 9, -9 / 2, 1), (-9 / 2, 6, -
 
 
 def hessian_vector_product(
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     direction: Direction,
     target: Target = None,

@@ -11,13 +11,14 @@ from ..attr import SceneAttribution, VanillaSceneGradient, ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
+from ..protocols import Renderer
 from ._hessian import max_steps, product_of
 from ._interactions_result import HessianScale, Interactions
 from ._scenes import Scenes, denoise_of, unit_gradient
 
 
 def interactions(  # noqa: PLR0913 -- the options of every check, and its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     attribution: SceneAttribution | None = None,
     target: Target = None,

@@ -13,13 +13,14 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
+from ..protocols import Renderer
 from ._randomization_result import RandomizationCheck
 
 MIN_PARAMETERS = 4  # for a meaningful rank correlation
 
 
 def randomization_check(  # noqa: PLR0913 -- the options of every check, and its own
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     target: Target = None,
     *,

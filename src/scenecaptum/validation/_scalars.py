@@ -14,7 +14,7 @@ import torch
 from ..attr import table_of
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import Point
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ..scene import OPEN_MARGIN
 
 Values: TypeAlias = "Mapping[str, torch.Tensor]"
@@ -53,7 +53,7 @@ class Scalar:
 
 
 def find_scalars(
-    renderer: Any, values: Values, parameters: Sequence[str] | None, bounds: Intervals
+    renderer: Renderer, values: Values, parameters: Sequence[str] | None, bounds: Intervals
 ) -> list[Scalar]:
     """Return the parameters selected by names or globs, all by default, with their intervals.
 
@@ -93,7 +93,7 @@ def _given_interval(name: str, bounds: Mapping[str, tuple[float, float]]) -> tup
     return next((interval for key, interval in bounds.items() if fnmatchcase(name, key)), None)
 
 
-def _scalar(renderer: Any, name: str, value: torch.Tensor, given: tuple[float, float] | None) -> Scalar:
+def _scalar(renderer: Renderer, name: str, value: torch.Tensor, given: tuple[float, float] | None) -> Scalar:
     largest = value.abs().max().item()
     pattern = value / largest if value.ndim and largest else torch.ones_like(value)
     number = largest if value.ndim else value.item()
@@ -105,7 +105,7 @@ def _scalar(renderer: Any, name: str, value: torch.Tensor, given: tuple[float, f
     return Scalar(name, (Capabilities(renderer).labels or {}).get(name, name), low, high, pattern)
 
 
-def _physical_interval(renderer: Any, name: str, pattern: torch.Tensor) -> tuple[float, float]:
+def _physical_interval(renderer: Renderer, name: str, pattern: torch.Tensor) -> tuple[float, float]:
     """Return the interval in which every element of the parameter is within its physical bounds."""
     bounds = Capabilities(renderer).bounds
     if bounds is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +21,7 @@ from ..estimation import (
     require_memory,
     with_image_transform,
 )
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 
 # Fractions of a parameter's range: the longest step, and the shortest before it is taken in the other direction.
 MAX_STEP, MIN_STEP = 0.1, 0.01
@@ -54,7 +53,7 @@ class Scenes:
 
     def __init__(
         self,
-        renderer: Any,
+        renderer: Renderer,
         metric: Metric,
         target: Target,
         values: Mapping[str, torch.Tensor],
@@ -75,7 +74,7 @@ class Scenes:
     @classmethod
     def split(
         cls,
-        renderer: Any,
+        renderer: Renderer,
         metric: Metric,
         target: Target,
         *,

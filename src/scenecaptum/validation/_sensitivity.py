@@ -27,7 +27,7 @@ from ..estimation import (
     delete_one_jackknife,
     input_values,
 )
-from ..protocols import Capabilities
+from ..protocols import Capabilities, Renderer
 from ._dgsm import Derivatives, interval_gradients, render_count, sample_derivatives
 from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
 from ._sensitivity_result import SensitivityComparison, SensitivityIndex
@@ -46,7 +46,7 @@ _BOOTSTRAP_RESAMPLES = 200
 
 
 def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three sample sizes
-    renderer: Any,
+    renderer: Renderer,
     metric: Metric,
     target: Targets = None,
     *,
@@ -140,7 +140,7 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
 class _BlackBox:
     """The metrics as functions of the positions in the intervals."""
 
-    renderer: Any
+    renderer: Renderer
     metrics: Sequence[TargetedMetric]
     scalars: Sequence[Scalar]
     values: Values
