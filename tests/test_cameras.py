@@ -19,7 +19,7 @@ def directions_of_rays(mi: Any, renderer: SceneRenderer) -> torch.Tensor:
     """Return where Mitsuba's rays through the middles of the pixels go, in camera space."""
     width, height = renderer.resolution
     y, x = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
-    with renderer._engines[0].exclusive_scene():
+    with renderer._views[0].live.exclusive():
         position = mi.Point2f(x.ravel(), y.ravel())
         ray, _ = renderer._sensors[0].sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
         local = renderer._sensors[0].world_transform().inverse() @ ray.d

@@ -272,7 +272,7 @@ def fresh(mi: Any) -> Callable[..., Any]:
             "cornell-box", "reflectance", resolution=(8, 8), spp=8, max_depth=3, **options
         )
         renderer.renders = 0
-        for engine in renderer._engines:
+        for engine in (view.engine for view in renderer._views):
             for name in ("primal", "vjp"):
                 setattr(engine, name, _counted(renderer, getattr(engine, name), dies_in))
         return renderer

@@ -112,7 +112,7 @@ def test_what_is_left_to_path_replay_is_importance_sampled(mi: Any) -> None:
     (name,) = renderer.inputs
     leaves = renderer.leaves()
     renderer(leaves, seed=shifted(), seed_grad=shifted(1)).mean().backward()
-    ((_, noise), (_, by_surface)) = next(iter(renderer._engines[0]._importance_maps.values()))
+    ((_, noise), (_, by_surface)) = next(iter(renderer._views[0].engine._importance_maps._maps.values()))
     shown = torch.from_numpy(renderer.surfaces.shown([name]))
     near = torch.nn.functional.max_pool2d(shown[None], 5, 1, 2)[0]  # partly covered pixels, and neighbours
     assert noise.any()

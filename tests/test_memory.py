@@ -86,7 +86,7 @@ def test_jobs_are_refused_before_they_start(monkeypatch: pytest.MonkeyPatch, mi:
     def rendered(*_: Any) -> None:
         raise AssertionError("it was rendered")
 
-    monkeypatch.setattr(renderer._engines[0], "primal", rendered)
+    monkeypatch.setattr(renderer._views[0].engine, "primal", rendered)
     monkeypatch.setattr(_renderer, "available", lambda: int(picture / MAX_FRACTION) - GIGABYTE)
     with pytest.raises(SceneCaptumError, match="1 image of 4096×4096 pixels at 64 spp"):
         renderer(seed=shifted())

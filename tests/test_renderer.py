@@ -659,9 +659,10 @@ def test_a_failing_render_leaves_the_users_scene_as_it_was_found(
     def fail(*_: Any) -> None:
         raise RuntimeError("out of memory")
 
-    for method in ("_render", "_render_backward"):
+    engine = renderer._views[0].engine
+    for kernel in ("render", "render_backward"):
         with monkeypatch.context() as patch:
-            patch.setattr(renderer._engines[0], method, fail)
+            patch.setattr(engine, "_kernels", engine._kernels._replace(**{kernel: fail}))
             with pytest.raises(RuntimeError, match="out of memory"):
                 gradient(renderer, {FLOOR: torch.full((3,), 0.2)})
         before.assert_equal(Snapshot(mi, own_scene))
@@ -775,7 +776,7 @@ def test_an_unphysical_or_malformed_input_raises_before_anything_is_rendered(
         pytest.fail("something was rendered")
 
     for method in ("primal", "vjp", "jvp"):
-        monkeypatch.setattr(renderer._engines[0], method, rendered)
+        monkeypatch.setattr(renderer._views[0].engine, method, rendered)
     said = message(lambda: renderer({name: value}))
     assert [word for word in words if word not in said] == [], said
 

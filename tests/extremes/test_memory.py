@@ -81,7 +81,8 @@ def test_a_renderer_goes_with_its_last_reference(mi: Any) -> None:
         renderer = small_box()
         VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(replicates=2)
         gone = [
-            weakref.ref(one) for one in (renderer, renderer._engines[0], renderer._state, renderer._graph)
+            weakref.ref(one)
+            for one in (renderer, renderer._views[0].engine, renderer._state, renderer._graph)
         ]
         del renderer
         assert [one() for one in gone] == [None] * 4

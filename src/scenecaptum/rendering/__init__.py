@@ -3,6 +3,6 @@
 # What users see; the other names are for the rooms above.
 __all__ = ["RenderPlan", "SceneRenderer"]
 
-from ._plan import STOCK_INTEGRATORS as STOCK_INTEGRATORS
+from ._integrators import STOCK_INTEGRATORS as STOCK_INTEGRATORS
 from ._plan import RenderPlan as RenderPlan
 from ._renderer import SceneRenderer as SceneRenderer

@@ -13,8 +13,7 @@ from ..errors import SceneCaptumError
 from ..finite import check_gradient, check_image
 
 if TYPE_CHECKING:
-    from ._checkpointed import CheckpointedEngine
-    from ._engine import Engine
+    from ._view import View
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class RenderCall:
     distributes over the pixels by ``importance_sampling``.
     """
 
-    engine: Engine | CheckpointedEngine
+    view: View
     names: tuple[str, ...]
     seed: int
     seed_grad: int
@@ -47,8 +46,8 @@ class Render(torch.autograd.Function):
     def forward(call: RenderCall, *tensors: torch.Tensor) -> torch.Tensor:
         values = call.values(tensors)
         call.check(values)
-        image = call.engine.primal(values, call.seed, call.spp)
-        check_image(image, f"The render with seed {call.seed}", call.engine.describe_pixels)
+        image = call.view.engine.primal(values, call.seed, call.spp)
+        check_image(image, f"The render with seed {call.seed}", call.view.describe_pixels)
         return image
 
     @staticmethod
@@ -107,7 +106,7 @@ class RenderVJP(_Derivative):
         call: RenderCall, tracked: tuple[str, ...], adjoint: torch.Tensor, *tensors: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
         check_image(adjoint, f"The derivative with respect to the render with seed {call.seed}")
-        gradients = call.engine.vjp(
+        gradients = call.view.engine.vjp(
             call.values(tensors),
             tracked,
             adjoint,
@@ -132,9 +131,9 @@ class RenderJVP(_Derivative):
     def forward(call: RenderCall, moving: tuple[str, ...], *tensors: torch.Tensor) -> torch.Tensor:
         tangents = dict(zip(moving, tensors, strict=False))
         values = call.values(tensors[len(moving) :])
-        image = call.engine.jvp(values, tangents, call.seed_grad, call.spp_grad)
+        image = call.view.engine.jvp(values, tangents, call.seed_grad, call.spp_grad)
         check_image(
-            image, f"The derivative of the render with seed {call.seed_grad}", call.engine.describe_pixels
+            image, f"The derivative of the render with seed {call.seed_grad}", call.view.describe_pixels
         )
         return image
 

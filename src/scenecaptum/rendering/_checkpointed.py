@@ -16,7 +16,8 @@ import torch
 
 from ..checkpoint import Checkpoint, digest
 from ..scene import without_addresses
-from ._engine import Engine, Values
+from ._engine import Engine
+from ._live_scene import Values
 
 
 class CheckpointedEngine:
@@ -30,15 +31,17 @@ class CheckpointedEngine:
         Where results are stored.
     fingerprint
         Hash of the scene and the render settings: everything but the arguments that a result depends on.
+    device
+        The device of images and gradients.
     """
 
-    def __init__(self, engine: Engine, checkpoint: Checkpoint, fingerprint: str) -> None:
+    def __init__(
+        self, engine: Engine, checkpoint: Checkpoint, fingerprint: str, device: torch.device
+    ) -> None:
         self.engine = engine
         self._checkpoint = checkpoint
         self._fingerprint = fingerprint
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.engine, name)
+        self._device = device
 
     def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
         """Render, or return the stored image."""
@@ -78,9 +81,7 @@ class CheckpointedEngine:
     def _take(
         self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]
     ) -> tuple[torch.Tensor, ...]:
-        return self._checkpoint.get_or_render(
-            (kind, self._fingerprint, arguments), render, self.engine.device
-        )
+        return self._checkpoint.get_or_render((kind, self._fingerprint, arguments), render, self._device)
 
 
 def scene_contents(scene: Any) -> str:

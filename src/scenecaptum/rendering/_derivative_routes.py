@@ -6,7 +6,7 @@ Where path replay is correct was measured: see ``benchmarks/derivatives.py`` and
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -28,6 +28,10 @@ LOW_ROUGHNESS = 0.2
 STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "media": 0.02, "emitters": 0.05}
 STEP_NEAR_ONE = 0.004  # for an index near 1, where the curvature is greater
 RELATIVE_STEP = 0.05  # relative to the value, for parameters without a natural scale
+
+# With importance sampling a finite difference takes this many times fewer samples per render: common random
+# numbers remove most of its noise.
+DIFFERENCE_SPP_DIVISOR = 4
 
 # Scale factors of emitters that Mitsuba does not track, each with that of the same emitter's other light. The
 # image is linear in them.
@@ -55,33 +59,100 @@ class FiniteDifference:
     ----------
     points
         Pairs of a shift from the value and the weight of the image rendered there.
-    reason
-        Why path replay is not used.
     off
         Other parameters that are set to 0 in all of these renders.
     """
 
     points: tuple[tuple[torch.Tensor, torch.Tensor], ...]
-    reason: str
     off: tuple[str, ...] = ()
 
 
-def finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDifference | None:
-    """Return the finite difference that a parameter needs at a value, or None where path replay is correct."""
-    reason = reason_against_replay(parameter, value)
-    if reason is None:
-        return None
+@dataclass(frozen=True)
+class DerivativeRoute:
+    """How a parameter is differentiated at a value.
+
+    Attributes
+    ----------
+    replay_value
+        Where path replay differentiates: the value, moved off a singularity.
+    difference
+        The finite difference that replaces path replay, or None where path replay is correct.
+    reason
+        Why path replay is not used; None where it is.
+    is_low_roughness
+        Whether light tracing has less noise than path replay.
+    is_constant
+        Whether the image does not depend on the parameter.
+    """
+
+    replay_value: torch.Tensor
+    difference: FiniteDifference | None
+    reason: str | None
+    is_low_roughness: bool
+    is_constant: bool
+
+
+Routes = Mapping[str, DerivativeRoute]
+
+
+def derivative_routes(
+    parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor], tracked: Iterable[str]
+) -> dict[str, DerivativeRoute]:
+    """Decide how each tracked parameter is differentiated, given the values of all parameters."""
+    return {name: _derivative_route(parameters[name], values) for name in tracked}
+
+
+def _derivative_route(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> DerivativeRoute:
+    value = values[parameter.name]
+    reason = _reason_against_replay(parameter, value)
+    return DerivativeRoute(
+        replay_value=value if reason else _clamp_off_singularity(parameter, value),
+        difference=_finite_difference(parameter, value) if reason else None,
+        reason=reason,
+        is_low_roughness=parameter.kind == "roughness" and bool((value <= LOW_ROUGHNESS).any()),
+        is_constant=_is_constant(parameter, values),
+    )
+
+
+def uncorrected_routes(
+    parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor], tracked: Iterable[str]
+) -> dict[str, DerivativeRoute]:
+    """Return path replay at the value itself for each parameter that Mitsuba tracks, as stock integrators do."""
+    return {
+        name: DerivativeRoute(values[name], None, None, is_low_roughness=False, is_constant=False)
+        for name in tracked
+        if parameters[name].tracked
+    }
+
+
+def replayed_names(routes: Routes) -> list[str]:
+    """Return the parameters that are differentiated by path replay or light tracing."""
+    return [name for name, route in routes.items() if route.difference is None]
+
+
+def low_roughness_names(routes: Routes) -> list[str]:
+    """Return the replayed parameters with a low roughness, or none where they are less than half of all replayed.
+
+    Their light tracing takes samples from the other parameters.
+    """
+    replayed = replayed_names(routes)
+    names = [name for name in replayed if routes[name].is_low_roughness]
+    return names if 2 * len(names) >= len(replayed) else []
+
+
+def _finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDifference:
+    """Return the finite difference of a parameter at a value."""
     if parameter.kind == "emitters" and parameter.role in EMITTER_SCALES:
         # Mitsuba divides its samples between sky and sun by brightness: the other would add noise and cost
         # samples.
         other = parameter.name.removesuffix(parameter.role) + EMITTER_SCALES[parameter.role]
-        return FiniteDifference(_off_to_on(value), reason, (other,))
+        return FiniteDifference(_off_to_on(value), (other,))
     step = _step(parameter, value)
     low, high = _smooth_interval(parameter, value)
     if bool((value - step > low).all() and (value + step < high).all()):
-        return FiniteDifference(_central(step), reason)
+        return FiniteDifference(_central(step))
     upwards = value + 2 * step <= high
-    return FiniteDifference(_one_sided(torch.where(upwards, step, -step)), reason)
+    return FiniteDifference(_one_sided(torch.where(upwards, step, -step)))
 
 
 def _central(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
@@ -108,18 +179,7 @@ def _off_to_on(value: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], 
     return (on - value, 1 / on), (-value, -1 / on)
 
 
-def low_roughness_names(parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor]) -> list[str]:
-    """Return the parameters with a low roughness, or none where they are less than half of all parameters.
-
-    Their light tracing takes samples from the other parameters.
-    """
-    names = [
-        n for n, v in values.items() if parameters[n].kind == "roughness" and bool((v <= LOW_ROUGHNESS).any())
-    ]
-    return names if 2 * len(names) >= len(values) else []
-
-
-def clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
+def _clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
     """Return the value, moved away from where path replay would lose the derivative."""
     if value.ndim > 1:
         # Only textures with black texels are copied.
@@ -137,10 +197,10 @@ def _has_black(parameter: Parameter, texels: torch.Tensor) -> bool:
     return parameter.kind == "reflectance" and not bool(texels.all())
 
 
-def is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:
+def _is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:
     """Whether the image does not depend on a parameter: a metal of index 0 reflects all light, whatever its ``k``.
 
-    This needs a rule of its own, because ``clamp_off_singularity`` of the index would give ``k`` a slope.
+    This needs a rule of its own, because ``_clamp_off_singularity`` of the index would give ``k`` a slope.
     """
     if parameter.role != "k":
         return False
@@ -148,7 +208,7 @@ def is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> boo
     return index is not None and not index.any()
 
 
-def reason_against_replay(parameter: Parameter, value: torch.Tensor) -> str | None:
+def _reason_against_replay(parameter: Parameter, value: torch.Tensor) -> str | None:
     """Return why path replay is wrong for a parameter at a value, or None where it is correct."""
     if len(parameter.shape) > 1:
         return None

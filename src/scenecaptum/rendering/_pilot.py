@@ -15,10 +15,18 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..scene import SceneGraph, SceneParameters
+from ._derivative_routes import DIFFERENCE_SPP_DIVISOR, derivative_routes
+from ._importance_maps import ImportanceMaps
+from ._live_scene import LiveScene, Values
+from ._pixel_sampling import pixel_probabilities
 from ._texels import shape_index
+
+# Samples of a pilot: relative to those of the estimate, and in all at most.
+PILOT_FACTOR, MAX_PILOT_SAMPLES = 4, 2**17
 
 # Maximum number of accumulated values of each moment; in larger images blocks of pixels share theirs.
 MAX_VALUES = 2**22
@@ -163,6 +171,72 @@ class Pilot:
             float(self.squares[groups].sum(0) @ by_block[0]),
             float(self.fourths[groups].sum(0) @ by_block[1]),
         )
+
+
+class Pilots:
+    """Pilots of a scene for one sensor; cached until the scene's own values change.
+
+    Parameters
+    ----------
+    live, parameters
+        The scene and its parameters.
+    integrator
+        The planned integrator.
+    importance_maps
+        Where the samples of backward passes go.
+    """
+
+    def __init__(
+        self, live: LiveScene, parameters: SceneParameters, integrator: Any, importance_maps: ImportanceMaps
+    ) -> None:
+        self._live = live
+        self._parameters = parameters
+        self._integrator = integrator
+        self._importance_maps = importance_maps
+        self._pilots: dict[int, Pilot] = {}
+        self._originals: Values = {}  # those of the cached pilots
+
+    def cumulants(
+        self, values: Values, tracked: Sequence[str], adjoint: torch.Tensor, spp: int, replicates: int
+    ) -> dict[str, tuple[float, float]]:
+        """Return variance and fourth cumulant of the mean over replicates of importance-sampled gradients.
+
+        They are those of the light that each tracked parameter acts on, at the scene's own values. Parameters
+        without such light are left out, and so are low roughnesses that are differentiated by light tracing.
+        """
+        adjoint = adjoint.detach().float()
+        width, height = self._live.resolution
+        with self._live.exclusive():
+            routes = derivative_routes(self._parameters, {**self._live.original, **values}, tracked)
+            film = self._importance_maps.film
+            magnitude = film.rms_adjoint(adjoint) if film else adjoint.norm(dim=-1)
+            replayed, *light_traced = self._importance_maps.groups(values, routes)
+            sampled = pixel_probabilities(magnitude, replayed.maps) * (width * height * spp)
+            pilot = self._run(
+                max(1, min(PILOT_FACTOR * spp * replicates, MAX_PILOT_SAMPLES // (width * height)))
+            )
+        weights = magnitude.cpu().double().numpy().ravel()
+        uniform = np.full_like(weights, max(1, spp // DIFFERENCE_SPP_DIVISOR))
+        left_out = {name for group in light_traced for name in group.names}
+        found = {
+            name: pilot.cumulants(
+                name, weights, replicates * (sampled if name in replayed.names else uniform)
+            )
+            for name in tracked
+            if name not in left_out
+        }
+        return {name: cumulants for name, cumulants in found.items() if cumulants is not None}
+
+    def _run(self, spp: int) -> Pilot:
+        if self._originals is not self._live.original:
+            self._originals = self._live.original
+            self._pilots.clear()
+        if spp not in self._pilots:
+            live = self._live
+            groups = find_parameter_groups(live.graph, self._parameters)
+            with live.with_values({}):
+                self._pilots[spp] = run_pilot(self._integrator, live.scene, live.sensor, groups, spp, 0)
+        return self._pilots[spp]
 
 
 def run_pilot(

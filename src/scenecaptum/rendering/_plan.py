@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,16 +14,14 @@ import torch
 from ..backend import activate
 from ..scene import SceneGraph, SceneParameters
 from ..visualization import STYLE, group_by_text, html_cells, terminal_width, wrap
-from ._derivative_routes import low_roughness_names, reason_against_replay
+from ._derivative_routes import derivative_routes, low_roughness_names
+from ._integrators import INTEGRATORS, IntegratorKind, choose_integrator
 from ._memory import format_bytes
 
 # Up to this depth there is no Russian roulette: the last bounces cost little, and without random termination the
 # image is a smooth function of the parameters.
 FULL_PATH_DEPTH = 16
 DEFAULT_DEPTH = 6
-
-# Mitsuba's own path replay, without and with participating media.
-STOCK_INTEGRATORS = ("prb", "prbvolpath")
 
 
 @dataclass(frozen=True)
@@ -87,14 +85,16 @@ class RenderPlan:
 
     def create_integrator(self, *, hide_emitters: bool | None = None) -> Any:
         """Return the planned Mitsuba integrator, optionally with another ``hide_emitters``."""
-        return activate().load_dict(
-            {
-                "type": self.integrator,
-                "max_depth": self.max_depth,
-                "rr_depth": self.rr_depth,
-                "hide_emitters": self.hide_emitters if hide_emitters is None else hide_emitters,
-            }
+        return self.kind.create(
+            max_depth=self.max_depth,
+            rr_depth=self.rr_depth,
+            hide_emitters=self.hide_emitters if hide_emitters is None else hide_emitters,
         )
+
+    @property
+    def kind(self) -> IntegratorKind:
+        """What the renderer knows of the integrator."""
+        return INTEGRATORS[self.integrator]
 
     @property
     def decisions(self) -> tuple[tuple[str, str], ...]:
@@ -110,21 +110,17 @@ class RenderPlan:
 def make_plan(
     graph: SceneGraph,
     parameters: SceneParameters,
-    inputs: Mapping[str, torch.Tensor],
+    values: Mapping[str, torch.Tensor],
+    inputs: Sequence[str],
     max_depth: int | None,
 ) -> RenderPlan:
-    """Choose the integrator, its settings and a derivative method for each input."""
+    """Choose the integrator, its settings and a derivative method for each input, given the scene's values."""
     mi = activate()
     own = graph.scene.integrator()
     reasons: list[tuple[str, str]] = []
 
-    if graph.has(mi.Medium):
-        integrator = "scenecaptum_volumetric_replay"
-        reasons.append((f"integrator {integrator}", "path replay: the scene has a participating medium"))
-    else:
-        integrator = "scenecaptum_replay"
-        reasons.append((f"integrator {integrator}", "path replay, mirrors included; no medium in the scene"))
-
+    integrator = choose_integrator(media=graph.has(mi.Medium))
+    reasons.append((f"integrator {integrator.plugin}", integrator.reason))
     reasons.append((f"variant {mi.variant()}", "linear RGB; spectra are converted when the scene is loaded"))
 
     depth, reason = _depth(own, max_depth)
@@ -150,14 +146,13 @@ def make_plan(
     reasons.append(
         (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters are not tracked")
     )
-    against_replay = ((n, reason_against_replay(parameters[n], value)) for n, value in inputs.items())
-    differences = tuple((name, reason) for name, reason in against_replay if reason is not None)
+    routes = derivative_routes(parameters, values, inputs)
+    differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
     if differences:
         reasons.append(
             (f"{len(differences)} of them by finite differences", "two or three more renders each, see below")
         )
-    replayed = {name: value for name, value in inputs.items() if name not in dict(differences)}
-    low_roughness = low_roughness_names(parameters, replayed)
+    low_roughness = low_roughness_names(routes)
     if low_roughness:
         reasons.append(
             (
@@ -169,7 +164,9 @@ def make_plan(
         *((name, f"{p.fault}; left out, and rendered as it is") for name, p in parameters.items() if p.fault),
         *((name, caution) for name in inputs if (caution := parameters[name].caution)),
     )
-    return RenderPlan(integrator, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions)
+    return RenderPlan(
+        integrator.plugin, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions
+    )
 
 
 # Integrators of scenes that estimate something other than path replay does, or in another way, by class name.
@@ -204,14 +201,11 @@ def _unused_integrator(own: Any) -> list[tuple[str, str]]:
 
 def stock_plan(plan: RenderPlan) -> RenderPlan:
     """Return the same plan with Mitsuba's own integrator and its uncorrected derivatives."""
-    integrator = STOCK_INTEGRATORS["volumetric" in plan.integrator]
+    integrator = choose_integrator(media=plan.kind.media, stock=True)
     return dataclasses.replace(
         plan,
-        integrator=integrator,
-        reasons=(
-            (f"integrator {integrator}", "as requested: Mitsuba's own, for comparison"),
-            *plan.reasons[1:4],
-        ),
+        integrator=integrator.plugin,
+        reasons=((f"integrator {integrator.plugin}", integrator.reason), *plan.reasons[1:4]),
         differences=(),
     )
 

@@ -35,12 +35,11 @@ from ..scene import (
 )
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
-from ._plan import STOCK_INTEGRATORS, RenderPlan, make_plan, stock_plan
+from ._plan import RenderPlan, make_plan, stock_plan
 from ._sensors import choose_sensor, common_resolution
 
 if TYPE_CHECKING:
-    from ._checkpointed import CheckpointedEngine
-    from ._engine import Engine
+    from ._view import View
 
 
 class SceneRenderer(torch.nn.Module):
@@ -162,34 +161,29 @@ class SceneRenderer(torch.nn.Module):
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
             whole_number("max_depth", max_depth, high=2**31 - 1)
-        values = {name: self._state.original[name] for name in self._names}
-        return make_plan(self._graph, self._table, values, max_depth)
+        return make_plan(self._graph, self._table, self._state.original, self._names, max_depth)
 
     def _prepare(self, resolution: tuple[int, int], plan: RenderPlan) -> None:
-        """Create an engine for each sensor, all on the same scene."""
-        from ._engine import Engine
-        from ._stock_engine import StockEngine
+        """Create a view for each sensor, all on the same scene."""
+        from ._live_scene import LiveScene
+        from ._view import make_view
         from ._visibility import trace_surfaces
 
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
         self._surface_maps: dict[Any, SurfaceMap] = {}
         self._guides: Guides | None = None
-        self._engines: Sequence[Engine | CheckpointedEngine] = [
-            (StockEngine if plan.integrator in STOCK_INTEGRATORS else Engine)(
-                self._graph,
-                sensor,
-                self._state,
+        self._views: Sequence[View] = [
+            make_view(
+                LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
                 self._table,
-                plan,
-                resolution,
+                self.plan,
                 partial(
                     _cached_surface_map,
                     self._surface_maps,
                     index,
                     partial(trace_surfaces, self._graph, self._table, sensor, resolution),
                 ),
-                borrowed=self._borrowed,
             )
             for index, sensor in enumerate(self._sensors)
         ]
@@ -197,17 +191,11 @@ class SceneRenderer(torch.nn.Module):
 
     def _attach_checkpoint(self) -> None:
         """Let the engines use this renderer's checkpoint, or none."""
-        from ._checkpointed import CheckpointedEngine
-
-        bare = [
-            engine.engine if isinstance(engine, CheckpointedEngine) else engine for engine in self._engines
+        fingerprints = self._fingerprints() if self.checkpoint is not None else [""] * len(self._views)
+        self._views = [
+            view.with_checkpoint(self.checkpoint, fingerprint)
+            for view, fingerprint in zip(self._views, fingerprints, strict=True)
         ]
-        self._engines = bare
-        if self.checkpoint is not None:
-            self._engines = [
-                CheckpointedEngine(engine, self.checkpoint, fingerprint)
-                for engine, fingerprint in zip(bare, self._fingerprints(), strict=True)
-            ]
 
     def with_checkpoint(self, checkpoint: Folder) -> SceneRenderer:
         """Return this renderer with a folder that stores every render and backward pass; None for no folder.
@@ -297,7 +285,7 @@ class SceneRenderer(torch.nn.Module):
             "hide_emitters": plan.hide_emitters,
             "resolution": self.resolution,
         }
-        with self._engines[0].with_values({}):
+        with self._views[0].live.with_values({}):
             scene = scene_contents(self._graph.scene)
             return [fingerprint(scene, sensor, settings) for sensor in self._sensors]
 
@@ -334,8 +322,8 @@ class SceneRenderer(torch.nn.Module):
         with exclusively(self._variant):
             size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
             plan = self.plan if max_depth is None else self._plan_for(max_depth)
-            stock = integrator is not None or self.plan.integrator in STOCK_INTEGRATORS
-            if stock and plan.integrator not in STOCK_INTEGRATORS:
+            stock = integrator is not None or self.plan.kind.is_stock
+            if stock and not plan.kind.is_stock:
                 plan = stock_plan(plan)
             other = self._shallow_copy()
             other._prepare(size, plan)
@@ -344,8 +332,13 @@ class SceneRenderer(torch.nn.Module):
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
         """The selected parameters with the scene's own values, as new detached copies at each access."""
-        self._engines[0].refresh_originals()
-        return {name: self._engines[0].original[name].clone().to(self._device) for name in self._names}
+        values = self._own_values()
+        return {name: values[name].clone().to(self._device) for name in self._names}
+
+    def _own_values(self) -> dict[str, torch.Tensor]:
+        """Return the scene's own values, which the owner of a borrowed scene may have changed."""
+        self._views[0].live.refresh_originals()
+        return self._state.original
 
     def leaves(self) -> dict[str, torch.Tensor]:
         """Return ``inputs`` as leaves that require grad."""
@@ -383,9 +376,9 @@ class SceneRenderer(torch.nn.Module):
             from ._cameras import camera_of  # which registers a sensor under the active variant
 
             cameras = []
-            for engine, sensor in zip(self._engines, self._sensors, strict=True):
-                with engine.exclusive_scene():
-                    cameras.append(camera_of(sensor))
+            for view in self._views:
+                with view.live.exclusive():
+                    cameras.append(camera_of(view.live.sensor))
             return cameras
 
     @property
@@ -447,18 +440,16 @@ class SceneRenderer(torch.nn.Module):
 
         if self._guides is None:
             guides = []
-            for engine, sensor in zip(self._engines, self._sensors, strict=True):
-                with engine.with_values({}):
-                    guides.append(trace_guides(self._graph.scene, sensor, self.resolution))
+            for view in self._views:
+                with view.live.with_values({}):
+                    guides.append(trace_guides(view.live.scene, view.live.sensor, self.resolution))
             stacks = torch.stack([g.albedo for g in guides]), torch.stack([g.normal for g in guides])
             self._guides = Guides(*stacks) if self._stacked else guides[0]
         return self._guides
 
     def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
         wanted = self._names if names is None else tuple(names)
-        return tuple(
-            n for n in wanted if n in self._engines[0].original and len(self._table[n].shape) in (2, 3)
-        )
+        return tuple(n for n in wanted if n in self._state.original and len(self._table[n].shape) in (2, 3))
 
     def _surface_map(
         self, index: int, textures: tuple[str, ...] = (), *, through: bool = False
@@ -469,16 +460,16 @@ class SceneRenderer(torch.nn.Module):
 
         key = (index, textures, through)
         if key not in self._surface_maps:
-            engine, sensor = self._engines[index], self._sensors[index]
+            live = self._views[index].live
 
             def with_texels(name: str, texels: Any) -> Any:
-                return engine.with_values({name: torch.from_numpy(texels).to(self._device)})
+                return live.with_values({name: torch.from_numpy(texels).to(self._device)})
 
-            with engine.exclusive_scene():
+            with live.exclusive():
                 shapes = {name: self._table[name].shape for name in textures}
                 lookups = list(find_textures(self._graph, shapes, with_texels))
                 self._surface_maps[key] = trace_surfaces(
-                    self._graph, self._table, sensor, self.resolution, lookups, through=through
+                    self._graph, self._table, live.sensor, self.resolution, lookups, through=through
                 )
         return self._surface_maps[key]
 
@@ -536,7 +527,7 @@ class SceneRenderer(torch.nn.Module):
             images = [
                 render(
                     RenderCall(
-                        engine=engine,
+                        view=view,
                         names=tuple(given),
                         seed=_seed_of_camera(seed, number),
                         seed_grad=_seed_of_camera(seed_grad, number),
@@ -547,7 +538,7 @@ class SceneRenderer(torch.nn.Module):
                     ),
                     *tensors,
                 )
-                for number, engine in enumerate(self._engines)
+                for number, view in enumerate(self._views)
             ]
         except NotFiniteError as error:
             raise NotFiniteError(f"{error}{self._possible_causes()}") from error
@@ -599,8 +590,7 @@ class SceneRenderer(torch.nn.Module):
             If the parameter is unknown or not differentiable, or a shape or value is wrong.
         """
         given = dict(inputs or {})
-        self._engines[0].refresh_originals()
-        value = given.pop(name, self._engines[0].original.get(name, torch.zeros(())))
+        value = given.pop(name, self._own_values().get(name, torch.zeros(())))
         self._check_tensor(name, value)
         direction = torch.ones_like(value) if direction is None else direction.to(value)
         if direction.shape != value.shape:
@@ -654,8 +644,10 @@ class SceneRenderer(torch.nn.Module):
         spp = whole_number("spp", self.spp if spp is None else spp)
         adjoints = adjoint if self._stacked else [adjoint]
         cumulants = [
-            engine.cumulants(values, tuple(values), camera_adjoint, spp, replicates)
-            for engine, camera_adjoint in zip(self._engines, adjoints, strict=True)
+            view.pilots.cumulants(values, tuple(values), camera_adjoint, spp, replicates)
+            if view.pilots
+            else {}
+            for view, camera_adjoint in zip(self._views, adjoints, strict=True)
         ]
         variances, fourths = (
             {name: sum(camera[name][index] for camera in cumulants) for name in cumulants[0]}
@@ -729,16 +721,16 @@ class SceneRenderer(torch.nn.Module):
 
     def _check_tensor(self, name: str, value: torch.Tensor) -> None:
         """Check name, type and shape, but not the values, which a torch transform may hide."""
-        if name not in self._engines[0].original:
+        if name not in self._state.original:
             if name in self._table:
                 raise SceneCaptumError(f"{name!r} cannot be set: {self._table[name].problem}.")
             raise SceneCaptumError(
-                f"The scene has no parameter {name!r}.{near_misses(name, self._engines[0].original)}"
+                f"The scene has no parameter {name!r}.{near_misses(name, self._state.original)}"
             )
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
             raise SceneCaptumError(f"{name!r} must be a floating point tensor, not {came}.")
-        expected = self._engines[0].original[name].shape
+        expected = self._state.original[name].shape
         if value.shape != expected:
             raise SceneCaptumError(
                 f"{name!r} has shape {tuple(value.shape)}; the scene expects {tuple(expected)}."
@@ -747,7 +739,7 @@ class SceneRenderer(torch.nn.Module):
     def _check_values(self, values: Mapping[str, torch.Tensor]) -> None:
         for name, value in values.items():
             # The scene's own values were accepted by Mitsuba (e.g. a principled roughness of 0).
-            if torch.equal(value, self._engines[0].original[name]):
+            if torch.equal(value, self._state.original[name]):
                 continue
             low, high = (extreme.item() for extreme in value.aminmax())
             bounds = self._table[name].bounds
@@ -777,7 +769,7 @@ def _cached_surface_map(
 ) -> SurfaceMap:
     """Return a sensor's surface map.
 
-    Not a method: an engine with a reference to its renderer would keep both, and the scene, in memory.
+    Not a method: a view with a reference to its renderer would keep both, and the scene, in memory.
     """
     key = (index, (), False)
     if key not in maps:

@@ -52,7 +52,10 @@ class SceneState:
     def refresh_originals(self) -> None:
         """Read the scene's own values again, because its owner may have changed them."""
         self._snapshot = {name: kind(self._params[name]) for name, kind in self._types.items()}
-        self.original = {name: self._to_torch(name, value) for name, value in self._snapshot.items()}
+        found = {name: self._to_torch(name, value) for name, value in self._snapshot.items()}
+        # Caches are kept as long as this is the same dictionary.
+        if any(not torch.equal(value, self.original[name]) for name, value in found.items()):
+            self.original = found
         self._current = dict(self.original)
 
     def pending_writes(

@@ -74,7 +74,7 @@ def find_sampled_shapes(
     """
     film = sensor.film()
     if (
-        plan.integrator != "scenecaptum_replay"
+        not plan.kind.light_tracing
         or plan.hide_emitters
         or sensor.class_name() not in CONNECTABLE_SENSORS
         or list(film.size()) != list(film.crop_size())

@@ -1,0 +1,49 @@
+"""Calls of Dr.Jit functions with torch tensors.
+
+Imported only once a variant is active (see ``SceneRenderer``). ``dr.wrap`` converts the arrays. No graph of
+derivatives outlives a call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import torch
+
+from ..errors import SceneCaptumError
+
+NO_DERIVATIVE = (
+    "No derivative reaches any of the inputs: none of them affects a path that can be differentiated. See "
+    "renderer.plan for cautions, and add an input that the image depends on, such as a light."
+)
+
+
+def call_with_torch(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
+    """Call a function of Dr.Jit tensors with torch tensors."""
+    try:
+        return dr.wrap(source="torch", target="drjit")(function)(
+            *(tensor.detach().to(torch.float32).contiguous() for tensor in tensors)
+        )
+    except RuntimeError as error:
+        if is_detached_error(error):
+            raise SceneCaptumError(NO_DERIVATIVE) from error
+        raise
+
+
+def evaluate(*images: Any) -> Any:
+    """Evaluate and wait: otherwise Dr.Jit would start the next chunk beside this one, with memory of its own."""
+    dr.eval(*images)
+    dr.sync_thread()
+    return images[0] if images else None
+
+
+def is_detached_error(error: BaseException) -> bool:
+    """Whether an error was caused by Mitsuba finding nothing attached to the AD graph."""
+    return "not attached to the AD graph" in full_message(error)
+
+
+def full_message(error: BaseException | None) -> str:
+    """Return the messages of an error and of its causes."""
+    return "" if error is None else f"{error} {full_message(error.__cause__)}"

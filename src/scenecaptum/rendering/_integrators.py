@@ -1,0 +1,81 @@
+"""The integrators that a plan can choose. To add one, write its module and add it to ``INTEGRATORS``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from ..backend import activate
+
+
+@dataclass(frozen=True)
+class IntegratorKind:
+    """An integrator and what the renderer must know of it.
+
+    Attributes
+    ----------
+    plugin
+        Its name in Mitsuba.
+    module
+        The module that registers it, in ``rendering.integrators``; None for Mitsuba's own.
+    media
+        Whether it renders participating media.
+    reason
+        Why a plan chooses it.
+    light_tracing
+        Whether the derivatives of low roughnesses can be left to light tracing.
+    freezable
+        Whether frozen kernels see every change of a scene. They do not see phase functions.
+    """
+
+    plugin: str
+    module: str | None
+    media: bool
+    reason: str
+    light_tracing: bool = False
+    freezable: bool = True
+
+    @property
+    def is_stock(self) -> bool:
+        """Whether it is Mitsuba's own, with its uncorrected derivatives."""
+        return self.module is None
+
+    def create(self, **settings: Any) -> Any:
+        """Return the Mitsuba integrator."""
+        mi = activate()
+        if self.module is not None:
+            import_module(f"{__package__}.integrators.{self.module}")
+        return mi.load_dict({"type": self.plugin, **settings})
+
+
+_STOCK_REASON = "as requested: Mitsuba's own, for comparison"
+
+INTEGRATORS = {
+    kind.plugin: kind
+    for kind in (
+        IntegratorKind(
+            "scenecaptum_replay",
+            "path",
+            media=False,
+            reason="path replay, mirrors included; no medium in the scene",
+            light_tracing=True,
+        ),
+        IntegratorKind(
+            "scenecaptum_volumetric_replay",
+            "volumetric",
+            media=True,
+            reason="path replay: the scene has a participating medium",
+            freezable=False,
+        ),
+        IntegratorKind("prb", None, media=False, reason=_STOCK_REASON),
+        IntegratorKind("prbvolpath", None, media=True, reason=_STOCK_REASON, freezable=False),
+    )
+}
+
+STOCK_INTEGRATORS = tuple(plugin for plugin, kind in INTEGRATORS.items() if kind.is_stock)
+
+
+def choose_integrator(*, media: bool, stock: bool = False) -> IntegratorKind:
+    """Return the first integrator for scenes with or without media."""
+    return next(k for k in INTEGRATORS.values() if (k.media, k.is_stock) == (media, stock))

@@ -1,0 +1,167 @@
+"""A live Mitsuba scene: who may use it, and the values that it has meanwhile.
+
+Imported only once a variant is active (see ``SceneRenderer``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import weakref
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any
+
+import mitsuba as mi
+import torch
+
+from ..backend import device, exclusively
+from ..scene import SceneGraph
+from ._bridge import call_with_torch
+from ._state import SceneState
+
+Values = Mapping[str, torch.Tensor]
+
+# The scene whose values are tracked, if any. A virtual function call dispatches to the objects of every scene in
+# the process, so another scene's tracked values would enter this one's derivatives.
+_tracking: weakref.ref[LiveScene] | None = None
+
+
+class LiveScene:
+    """A scene as one of its sensors sees it. One thread at a time may use it.
+
+    Parameters
+    ----------
+    graph, sensor
+        The scene and the sensor.
+    state
+        The scene's values, which all sensors share.
+    resolution
+        ``(width, height)`` in pixels.
+    borrowed
+        Whether the scene belongs to the caller and must be restored after each use.
+
+    Attributes
+    ----------
+    device
+        The device of images and gradients.
+    """
+
+    def __init__(
+        self,
+        graph: SceneGraph,
+        sensor: Any,
+        state: SceneState,
+        resolution: tuple[int, int],
+        *,
+        borrowed: bool,
+    ) -> None:
+        self.graph = graph
+        self.scene = graph.scene
+        self.sensor = sensor
+        self.state = state
+        self.resolution = resolution
+        self.device = device()
+        self._borrowed = borrowed
+        self._variant = mi.variant()
+        self._is_in_use = False
+
+    @property
+    def original(self) -> dict[str, torch.Tensor]:
+        """The scene's own values: the same dictionary as long as they do not change."""
+        return self.state.original
+
+    def refresh_originals(self) -> None:
+        """Read a borrowed scene's own values again, because its owner may have changed them."""
+        if self._borrowed:
+            with exclusively(self._variant):
+                self.state.refresh_originals()
+
+    def call(
+        self,
+        function: Callable[..., Any],
+        values: Values,
+        tracked: Collection[str] | None = None,
+        tensors: Collection[torch.Tensor] = (),
+    ) -> Any:
+        """Give the scene these values and call a function of Dr.Jit tensors.
+
+        Parameters
+        ----------
+        function
+            Returns Dr.Jit tensors, which become torch tensors.
+        values
+            Values by parameter name; other parameters get the scene's own.
+        tracked
+            The parameters that Dr.Jit tracks. By default those that it tracks already: they do no harm to a primal
+            render, and writing them again would take time.
+        tensors
+            Arguments of the function.
+        """
+        with self.exclusive():
+            tracked = self.state.leaves.keys() if tracked is None else tracked
+            pending = self.state.pending_writes(values, tracked)
+
+            def write_and_call(*arrays: Any) -> Any:
+                self.state.write(pending, arrays[len(tensors) :], tracked)
+                return function(*arrays[: len(tensors)])
+
+            return call_with_torch(write_and_call, *tensors, *pending.values())
+
+    @contextlib.contextmanager
+    def with_values(self, values: Values) -> Iterator[None]:
+        """Give the scene these values, untracked, within ``exclusive``."""
+        with self.exclusive():
+            self.call(lambda: None, values, ())
+            yield
+
+    @contextlib.contextmanager
+    def exclusive(self) -> Iterator[None]:
+        """Lock Mitsuba for this thread, and restore a borrowed scene afterwards."""
+        with exclusively(self._variant), _collector_paused():
+            if self._is_in_use:
+                yield
+                return
+            self._take_over_tracking()
+            self.refresh_originals()
+            size = _film_size(self.sensor)
+            _resize(self.sensor, self.resolution)
+            self._is_in_use = True
+            try:
+                yield
+            finally:
+                self._is_in_use = False
+                if self._borrowed:
+                    self.state.restore()
+                    _resize(self.sensor, size)
+
+    def _take_over_tracking(self) -> None:
+        global _tracking  # noqa: PLW0603 -- there is one Dr.Jit, and it tracks for the whole process
+        previous = _tracking() if _tracking is not None else None
+        # The cameras of one renderer share their state.
+        if previous is not None and previous.state is not self.state:
+            previous.state.release()
+        _tracking = weakref.ref(self)
+
+
+@contextlib.contextmanager
+def _collector_paused() -> Iterator[None]:
+    """Pause garbage collection: collecting a scene while Dr.Jit records a frozen function aborts the process."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _film_size(sensor: Any) -> tuple[int, int]:
+    width, height = sensor.film().crop_size()
+    return int(width), int(height)
+
+
+def _resize(sensor: Any, size: tuple[int, int]) -> None:
+    if _film_size(sensor) != size:
+        film = mi.traverse(sensor)
+        film["film.size"] = list(size)
+        film.update()
