@@ -111,10 +111,10 @@ def compare(file: Path) -> int:
             print(f"   names    {run}: {sorted(now.keys() ^ before[run].keys())}")
             exceeded += 1
             continue
-        worst = max(now, key=lambda name: distance(now[name], before[run][name]))
-        largest = distance(now[worst], before[run][worst])
+        distances = {name: distance(name, now, before[run]) for name in now}
+        worst, largest = max(distances.items(), key=lambda item: item[1])
         exceeded += largest > LIMIT
-        print(f"{largest:9.1e} {'!' if largest > LIMIT else ' '} {run} ({worst})")
+        print(f"{largest:9.1e} {'!' if largest > LIMIT else ' '} {run} ({worst})", flush=True)
     print(f"{exceeded} of {len(before)} runs differ by more than {LIMIT:g}")
     return int(exceeded > 0)
 

@@ -37,19 +37,6 @@ DIFFERENCE_SPP_DIVISOR = 4
 # image is linear in them.
 EMITTER_SCALES = {"sky_scale": "sun_scale", "sun_scale": "sky_scale"}
 
-# Weights of principled lobes that are skipped, and so never sampled, where the weight is at a bound.
-LOBE_WEIGHTS = (
-    "metallic",
-    "spec_trans",
-    "clearcoat",
-    "sheen",
-    "flatness",
-    "diff_trans",
-    "specular",
-    "spec_tint",
-    "sheen_tint",
-)
-
 
 @dataclass(frozen=True)
 class FiniteDifference:
@@ -234,7 +221,7 @@ def _ior_near_one(p: Parameter, value: torch.Tensor) -> bool:
 
 def _lobe_switched_off(p: Parameter, value: torch.Tensor) -> bool:
     at_bound = bool(((value == p.bounds.low) | (value == p.bounds.high)).any())
-    return at_bound and (p.role in LOBE_WEIGHTS or p.kind == "opacity")
+    return at_bound and (p.lobe_weight or p.kind == "opacity")
 
 
 def _narrow_hair(p: Parameter, value: torch.Tensor) -> bool:

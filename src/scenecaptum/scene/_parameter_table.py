@@ -57,6 +57,8 @@ class Parameter:
         Whether Dr.Jit can track its derivative; otherwise finite differences are used.
     specular_inside
         Whether it belongs to a material with a perfectly specular lobe.
+    lobe_weight
+        Whether it weighs a lobe that is skipped where the weight is at a bound.
     fault
         Why the scene's own value is invalid (not finite or physically impossible), or None.
     problem
@@ -75,6 +77,7 @@ class Parameter:
     owners: tuple[str, ...]
     tracked: bool = True
     specular_inside: bool = False
+    lobe_weight: bool = False
     fault: str | None = None
     problem: str | None = None
     caution: str | None = None

@@ -14,66 +14,15 @@ from ._bounds import Bounds
 from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._naming import area_emitter_id
-from ._parameter_table import Parameter, SceneParameters
-
-_UNIT = Bounds(0.0, 1.0)
-_POSITIVE_UNIT = Bounds(0.0, 1.0, open_low=True)
-_NON_NEGATIVE = Bounds(0.0)
-_POSITIVE = Bounds(0.0, open_low=True)
-
-# Kind and bounds of material properties, by their name in Mitsuba's plugins.
-_SURFACE_ROLES: dict[str, tuple[str, Bounds]] = {
-    **dict.fromkeys(
-        (
-            "reflectance",
-            "diffuse_reflectance",
-            "specular_reflectance",
-            "specular_transmittance",
-            "diffuse_transmittance",
-            "base_color",
-        ),
-        ("reflectance", _UNIT),
-    ),
-    **dict.fromkeys(
-        ("alpha", "alpha_u", "alpha_v", "roughness", "longitudinal_roughness", "azimuthal_roughness"),
-        ("roughness", _POSITIVE_UNIT),
-    ),
-    "eta": ("ior", _POSITIVE),
-    "k": ("ior", _NON_NEGATIVE),
-    "specular": ("ior", _UNIT),
-    "opacity": ("opacity", _UNIT),
-    "weight": ("opacity", _UNIT),
-    "diff_trans": ("surface", Bounds(0.0, 2.0)),
-    **dict.fromkeys(("eumelanin", "pheomelanin", "sigma_a"), ("surface", _NON_NEGATIVE)),
-    **dict.fromkeys(
-        (
-            "metallic",
-            "anisotropic",
-            "spec_tint",
-            "sheen",
-            "sheen_tint",
-            "clearcoat",
-            "clearcoat_gloss",
-            "spec_trans",
-            "flatness",
-            "normalmap",
-        ),
-        ("surface", _UNIT),
-    ),
-}
-
-# Properties that Mitsuba's materials read as one number: the mean of a colour's channels, or a bitmap's luminance.
-_SCALAR_ROLES = {"opacity", "weight", "alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic"}
-_SCALAR_ROLES |= {"sheen", "sheen_tint", "spec_tint", "clearcoat", "clearcoat_gloss"}
-_SCALAR_ROLES |= {"spec_trans", "flatness", "diff_trans"}
-
-_EMITTER_ROLES: dict[str, Bounds] = dict.fromkeys(("cutoff_angle", "beam_width"), Bounds(0.0, 180.0))
-
-_MEDIUM_ROLES: dict[str, Bounds] = {"albedo": _UNIT, "g": Bounds(-1.0, 1.0)}
-
-# Position of an emitter in space or time: changing it moves shadows.
-_EMITTER_POSES = {"position", "direction", "sun_direction", "latitude", "longitude", "timezone"}
-_EMITTER_POSES |= {"year", "month", "day", "hour", "minute", "second"}
+from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
+from ._roles import (
+    EMITTER_BOUNDS,
+    EMITTER_POSES,
+    MATERIAL_ROLES,
+    MEDIUM_BOUNDS,
+    NON_NEGATIVE,
+    MaterialRole,
+)
 
 # Parts of a parameter's name that its label leaves out.
 _OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
@@ -128,6 +77,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         owners=graph.owners(node),
         tracked=tracked,
         specular_inside=_is_specular(user),
+        lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
         fault=fault,
         problem=problem or fault,
         caution=None if problem else _caution(role, user, shape, value),
@@ -139,18 +89,22 @@ def _kind_and_bounds(user: Any, role: str) -> tuple[str, Bounds]:
     if isinstance(user, mi.BSDF):
         # A perfect mirror without a named metal has eta = 0, k = 1.
         if role == "eta" and "Conductor" in user.class_name():
-            return "ior", _NON_NEGATIVE
-        return _SURFACE_ROLES.get(role, ("surface", Bounds()))
+            return "ior", NON_NEGATIVE
+        return _material_role(role).kind, _material_role(role).bounds
     if isinstance(user, mi.Emitter):
-        return "emitters", _EMITTER_ROLES.get(role, _NON_NEGATIVE)
+        return "emitters", EMITTER_BOUNDS.get(role, NON_NEGATIVE)
     if isinstance(user, (mi.Medium, mi.PhaseFunction)):
-        return "media", _MEDIUM_ROLES.get(role, _NON_NEGATIVE)
+        return "media", MEDIUM_BOUNDS.get(role, NON_NEGATIVE)
     if isinstance(user, mi.Shape):
         # A mesh attribute that no material reads.
         return ("surface", Bounds()) if mesh_attribute_size(user, role) else ("geometry", Bounds())
     if isinstance(user, (mi.Sensor, mi.Film, mi.Sampler)):
         return "camera", Bounds()
     return "scene", Bounds()
+
+
+def _material_role(role: str) -> MaterialRole:
+    return MATERIAL_ROLES.get(role, MaterialRole())
 
 
 def _problem(
@@ -173,7 +127,7 @@ def _problem(
         return "it changes how samples are drawn, not what is rendered"
     if "Transform" in type_name:
         return "it is a transformation; only materials, lights and media are differentiated"
-    if kind == "emitters" and role in _EMITTER_POSES:
+    if kind == "emitters" and role in EMITTER_POSES:
         return "it positions a light, which moves its shadows"
     if not (_is_array(value) or isinstance(value, float)):
         return f"it is a {type_name}, not a continuous quantity"
@@ -229,7 +183,10 @@ def _is_scalar(graph: SceneGraph, node: Any, shape: tuple[int, ...]) -> bool:
     if not isinstance(node, mi.Texture) or len(shape) not in (1, 3) or shape[-1] != 3:
         return False
     uses = graph.uses(node)
-    return bool(uses) and all(isinstance(user, mi.BSDF) and role in _SCALAR_ROLES for user, role in uses)
+    return bool(uses) and all(
+        isinstance(user, mi.BSDF) and MATERIAL_ROLES.get(role, MaterialRole()).is_number
+        for user, role in uses
+    )
 
 
 def _scalar_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
