@@ -155,7 +155,9 @@ class SceneRenderer(torch.nn.Module):
         self._sensors = [choose_sensor(loaded, which, resolution) for which in chosen]
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
-        self._state = SceneState(loaded, {name: p.shape for name, p in self._table.items() if not p.problem})
+        writable = {name: p for name, p in self._table.items() if not p.problem}
+        self._state = SceneState(loaded, {name: p.shape for name, p in writable.items()})
+        self._state.enable_lobes([name for name, p in writable.items() if p.plugin.startswith("Principled")])
         return size
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:

@@ -49,6 +49,16 @@ class SceneState:
         """The current values that Mitsuba stores as plain numbers, which become literals in kernels."""
         return tuple(self._params[name] for name, kind in self._types.items() if kind is float)
 
+    def enable_lobes(self, names: Collection[str]) -> None:
+        """Make materials evaluate lobes whose weights are 0, given the names of these weights.
+
+        A principled material skips a lobe whose weight was 0 when it was loaded, until the weight is written. A
+        frozen kernel, which was recorded before, would go on skipping it.
+        """
+        for name in names:
+            self._params.set_dirty(name)
+        self._params.update()
+
     def refresh_originals(self) -> None:
         """Read the scene's own values again, because its owner may have changed them."""
         self._snapshot = {name: kind(self._params[name]) for name, kind in self._types.items()}

@@ -1,0 +1,47 @@
+"""Frozen kernels see every change of the scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+
+from scenecaptum import SceneRenderer
+
+
+def room(plugin: str) -> dict[str, Any]:
+    """A ball of a principled material under a uniform sky."""
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+        "sky": {"type": "constant", "radiance": 1.0},
+        "lamp": {"type": "point", "position": [2.0, 2.0, 0.0], "intensity": 5.0},
+        "ball": {"type": "sphere", "center": [0.0, 0.0, 3.0], "bsdf": {"type": plugin}},
+    }
+
+
+@pytest.mark.parametrize("plugin", ["principled", "principledthin"])
+def test_a_lobe_that_was_off_when_the_scene_was_loaded_can_be_switched_on(mi: Any, plugin: str) -> None:
+    """A principled material skips lobes of weight 0, but a kernel recorded then must not go on doing so."""
+    renderer = SceneRenderer(room(plugin), "materials", spp=4)
+    renderer(seed=1), renderer(seed=1)
+    off = renderer(seed=2)
+    zeros = {name: value for name, value in renderer.inputs.items() if value.ndim == 0 and value == 0}
+    effective = 0
+    for name in zeros:
+        on = renderer({name: torch.tensor(0.5)}, seed=2)
+        fresh = SceneRenderer(room(plugin), "materials", spp=4)({name: torch.tensor(0.5)}, seed=2)
+        assert torch.allclose(on, fresh, rtol=1e-5), name
+        effective += not torch.allclose(on, off, rtol=1e-4)
+    # The others, such as the tint of the sheen, need another lobe that is on.
+    assert effective >= 4
+
+
+def test_the_derivative_of_a_lobe_that_is_off_is_not_zero(mi: Any) -> None:
+    renderer = SceneRenderer(room("principled"), "materials", spp=4)
+    renderer(seed=1), renderer(seed=1)
+    leaves = renderer.leaves()
+    renderer(leaves, seed=2).mean().backward()
+    assert leaves["ball.bsdf.metallic.value"].grad != 0
+    assert leaves["ball.bsdf.spec_trans.value"].grad != 0
