@@ -150,7 +150,10 @@ def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
         (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
         (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
         (["cornell-box", "--sensor", "panorama"], ["index of a sensor", "fisheye", "'panorama'"]),
-        (["cornell-box", "--threshold-factor", "5"], ["--threshold-factor", "glare", "--metric ugr"]),
+        (
+            ["cornell-box", "--threshold-factor", "5"],
+            ["--threshold-factor", "luminance", "--metric ugr, dgp or dgi"],
+        ),
         (["cornell-box", "--metric", "ugr", "--threshold-factor", "-1"], ["threshold_factor", "-1"]),
         (["cornell-box", "--spp", "0"], ["spp", "at least 1"]),
         (["cornell-box", "--resolution", "0x10"], ["width", "at least 1"]),

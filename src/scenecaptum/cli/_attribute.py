@@ -14,6 +14,7 @@ from ..attr import AttributionInterrupted, SceneAttribution, VanillaSceneGradien
 from ..estimation import Denoise
 from . import _arguments
 from ._files import writable, write_each
+from ._metrics import DEFAULT, add_metric, find_metrics
 
 REPORT = "report.html"
 
@@ -30,7 +31,7 @@ def add(commands: Any) -> None:
         epilog="example: scenecaptum attribute office --metric luminance --out out",
     )
     _arguments.add_scene(parser)
-    _arguments.add_metric(parser, several=True)
+    add_metric(parser, several=True)
     parser.add_argument(
         "--replicates",
         type=int,
@@ -81,7 +82,7 @@ def add_report(parser: argparse.ArgumentParser) -> None:
 
 def attribute(options: argparse.Namespace) -> int:
     """Run the command."""
-    metrics = _arguments.find_metrics(options.metrics or ["luminance"], options.threshold_factor)
+    metrics = find_metrics(options.metrics or [DEFAULT], options)
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         finished: list[SceneAttribution] = []

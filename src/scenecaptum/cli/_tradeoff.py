@@ -13,6 +13,7 @@ from ..errors import SceneCaptumError
 from ..tradeoff import KEYS, TOLERANCE, Tradeoff, measure
 from . import _arguments
 from ._files import writable, write_each
+from ._metrics import add_metric, find_metrics
 
 CONTENTS = {
     "tradeoff.csv": "table of the settings",
@@ -31,7 +32,7 @@ def add(commands: Any) -> None:
         "--vary spp=16,256 --vary max_depth=2,4,12",
     )
     _arguments.add_scene(parser)
-    _arguments.add_metric(parser)
+    add_metric(parser)
     parser.add_argument(
         "--vary",
         action="append",
@@ -62,7 +63,7 @@ def tradeoff(options: argparse.Namespace) -> int:
     """Run the command."""
     if not options.tolerance > 0:
         raise SceneCaptumError(f"--tolerance must be a relative error above 0, not {options.tolerance}.")
-    create = _arguments.find_metrics([options.metric], options.threshold_factor)[options.metric]
+    create = find_metrics([options.metric], options)[options.metric]
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         result = measure(

@@ -13,6 +13,7 @@ from typing import Any
 from ..validation import Ablated, AblationTest, ablation_test
 from . import _arguments
 from ._files import writable, write_each
+from ._metrics import add_metric, find_metrics
 
 NOT_CONFIRMED = 1
 
@@ -27,7 +28,7 @@ def add(commands: Any) -> None:
         epilog="example: scenecaptum validate office --metric luminance --spp 256 --out out",
     )
     _arguments.add_scene(parser)
-    _arguments.add_metric(parser)
+    add_metric(parser)
     parser.add_argument(
         "--top",
         type=int,
@@ -41,7 +42,7 @@ def add(commands: Any) -> None:
 
 def validate(options: argparse.Namespace) -> int:
     """Run the command."""
-    (create,) = _arguments.find_metrics([options.metric], options.threshold_factor).values()
+    (create,) = find_metrics([options.metric], options).values()
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         test = ablation_test(
