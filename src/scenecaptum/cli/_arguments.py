@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
 from ..rendering import SceneRenderer
 
@@ -32,7 +35,8 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         default="0",
         metavar="SENSOR",
-        help="index of the sensor in the scene, or fisheye for a 180° fisheye at its position (default: 0)",
+        help="index of the sensor in the scene, or fisheye for a 180° fisheye at its position "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--resolution", type=resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
@@ -45,9 +49,9 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=6,
         metavar="N",
-        help="maximum path depth in segments, -1 for no limit (default: 6)",
+        help="maximum path depth in segments, -1 for no limit (default: %(default)s)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: %(default)s)")
     parser.add_argument(
         "--checkpoint",
         type=Path,
@@ -63,10 +67,28 @@ def add_output(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("out"),
         metavar="DIR",
-        help="output folder (default: out)",
+        help="output folder (default: %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
+
+
+class Described(Protocol):
+    """An entry of a registry."""
+
+    @property
+    def description(self) -> str:
+        """What it is, in one line."""
+
+
+def describe(registry: Mapping[str, Described]) -> str:
+    """Return the names of a registry and what they stand for, for a help text."""
+    return ", ".join(f"{name} ({entry.description})" for name, entry in registry.items()).replace("%", "%%")
+
+
+def default_of(function: Callable[..., Any], parameter: str) -> Any:
+    """Return the default of a function's parameter, for the option that sets it."""
+    return inspect.signature(function).parameters[parameter].default
 
 
 def resolution(text: str) -> tuple[int, int]:

@@ -14,6 +14,7 @@ from ..errors import SceneCaptumError, near_misses
 from ..estimation import Metric
 from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
+from ._arguments import describe
 
 DEFAULT = "luminance"
 OPTIONS = ("threshold_factor",)  # passed to the metrics that have a parameter of this name
@@ -22,8 +23,7 @@ OWN = "your own function as FILE.py:NAME or MODULE:NAME"
 
 def add_metric(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the metric as ``metric``, or several metrics as ``metrics``, and their options."""
-    described = (f"{name} ({metric.description})" for name, metric in BY_NAME.items())
-    text = f"{', '.join(described)}, or {OWN}".replace("%", "%%")
+    text = f"{describe(BY_NAME)}, or {OWN}"
     if several:
         parser.add_argument(
             "--metric",
