@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from ..rendering import SceneRenderer
+from ..rendering import SceneRenderer, named_sensors
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -35,8 +35,8 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         default="0",
         metavar="SENSOR",
-        help="index of the sensor in the scene, or fisheye for a 180° fisheye at its position "
-        "(default: %(default)s)",
+        help="index of the sensor in the scene, or a sensor with the pose of the first: "
+        f"{describe(named_sensors())} (default: %(default)s)",
     )
     parser.add_argument(
         "--resolution", type=resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
