@@ -7,7 +7,7 @@ import inspect
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ..rendering import SceneRenderer, named_sensors
 
@@ -73,15 +73,7 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
 
 
-class Described(Protocol):
-    """An entry of a registry."""
-
-    @property
-    def description(self) -> str:
-        """What it is, in one line."""
-
-
-def describe(registry: Mapping[str, Described]) -> str:
+def describe(registry: Mapping[str, Any]) -> str:
     """Return the names of a registry and what they stand for, for a help text."""
     return ", ".join(f"{name} ({entry.description})" for name, entry in registry.items()).replace("%", "%%")
 

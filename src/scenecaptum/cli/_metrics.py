@@ -23,19 +23,13 @@ OWN = "your own function as FILE.py:NAME or MODULE:NAME"
 
 def add_metric(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the metric as ``metric``, or several metrics as ``metrics``, and their options."""
-    text = f"{describe(BY_NAME)}, or {OWN}"
-    if several:
-        parser.add_argument(
-            "--metric",
-            action="append",
-            dest="metrics",
-            metavar="METRIC",
-            help=f"{text}; may be repeated (default: {DEFAULT})",
-        )
-    else:
-        parser.add_argument(
-            "--metric", default=DEFAULT, metavar="METRIC", help=f"{text} (default: {DEFAULT})"
-        )
+    kind: dict[str, Any] = {"action": "append", "dest": "metrics"} if several else {"default": DEFAULT}
+    parser.add_argument(
+        "--metric",
+        metavar="METRIC",
+        help=f"{describe(BY_NAME)}, or {OWN}{'; may be repeated' if several else ''} (default: {DEFAULT})",
+        **kind,
+    )
     parser.add_argument(
         "--threshold-factor",
         type=float,
@@ -53,19 +47,20 @@ def add_metric(parser: argparse.ArgumentParser, *, several: bool = False) -> Non
 
 def find_metrics(
     names: list[str], options: argparse.Namespace
-) -> dict[str, Callable[[SceneRenderer], Metric]]:
+) -> Mapping[str, Callable[[SceneRenderer], Metric]]:
     """Return a function for each metric that creates it for a renderer; raise for names that are unknown."""
     given = {name: value for name in OPTIONS if (value := getattr(options, name)) is not None}
+    found = {
+        name: partial(_create, name, given) if name in BY_NAME else partial(_return, _import_metric(name))
+        for name in names
+    }
     for option in given:
         if not any(name in BY_NAME and option in BY_NAME[name].parameters for name in names):
             raise SceneCaptumError(
                 f"--{option.replace('_', '-')} has no effect on {', '.join(names)}: add "
                 f"--metric {_list_taking(option, ' or ')}, or remove it."
             )
-    return {
-        name: partial(_create, name, given) if name in BY_NAME else partial(_return, _import_metric(name))
-        for name in names
-    }
+    return found
 
 
 def _list_taking(option: str, conjunction: str) -> str:
