@@ -11,9 +11,10 @@ import pytest
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.cli._attribute import CONTENTS
+from scenecaptum.cli._formats import FORMATS
 from scenecaptum.validation import AblationTest
 
+FILES = [one.file for one in FORMATS.values() if one.by_default]
 SMALL = ["--resolution", "24x24", "--spp", "16", "--max-depth", "3", "--no-progress"]
 
 USER_METRICS = """
@@ -70,8 +71,8 @@ def finished(tmp_path_factory) -> tuple[Path, str]:
 
 def test_attribute_writes_every_file_and_says_so(finished):
     out, printed = finished
-    assert sorted(path.name for path in out.iterdir()) == sorted(CONTENTS)
-    for name in CONTENTS:
+    assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
+    for name in FILES:
         assert str(out / name) in printed
 
 
@@ -120,7 +121,7 @@ def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
     glare = ["--metric", "ugr", "--threshold-factor", "5", "--sensor", sensor]
     assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *glare]) == 0
     assert "UnifiedGlareRating" in capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == sorted(CONTENTS)
+    assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +151,10 @@ def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
         (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
         (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
         (["cornell-box", "--sensor", "panorama"], ["index of a sensor", "fisheye", "'panorama'"]),
-        (["cornell-box", "--threshold-factor", "5"], ["--threshold-factor", "glare", "--metric ugr"]),
+        (
+            ["cornell-box", "--threshold-factor", "5"],
+            ["--threshold-factor", "luminance", "--metric ugr, dgp or dgi"],
+        ),
         (["cornell-box", "--metric", "ugr", "--threshold-factor", "-1"], ["threshold_factor", "-1"]),
         (["cornell-box", "--spp", "0"], ["spp", "at least 1"]),
         (["cornell-box", "--resolution", "0x10"], ["width", "at least 1"]),
@@ -240,7 +244,7 @@ def test_interruption_leaves_finished_and_partial_results(tmp_path, capsys, monk
     folders = sorted(out.iterdir())
     assert len(folders) == 2
     for folder in folders:
-        assert sorted(path.name for path in folder.iterdir()) == sorted(CONTENTS)
+        assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
 
 
 def test_ctrl_c_before_anything_is_finished_leaves_no_folder(tmp_path, capsys, monkeypatch):

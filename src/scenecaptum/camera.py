@@ -29,13 +29,15 @@ class Camera:
     width, height
         Image size in pixels.
     projection
-        ``"perspective"`` or ``"fisheye"``.
+        The type of camera: ``"perspective"``, ``"fisheye"``.
     fov
         Field of view in degrees: horizontal for a perspective camera, across the image circle for a fisheye.
     directions
         ``(H, W, 3)``, float64: unit vectors to the pixel centres; x right, y up, z forward, row 0 at the top.
     solid_angles
         ``(H, W)``, float64, in steradians; 0 outside a fisheye's image circle.
+    sees_hemisphere
+        Whether the image covers the whole front hemisphere: a fisheye of 180° or more.
 
     Notes
     -----
@@ -49,6 +51,7 @@ class Camera:
     fov: float
     directions: torch.Tensor = field(repr=False)
     solid_angles: torch.Tensor = field(repr=False)
+    sees_hemisphere: bool = field(default=False, repr=False)
 
     @classmethod
     def perspective(
@@ -119,12 +122,8 @@ class Camera:
             angle,
             _from_disc(across, up, scale),
             _disc_pixels(across, up, radius, scale),
+            sees_hemisphere=angle >= 180.0,
         )
-
-    @property
-    def sees_hemisphere(self) -> bool:
-        """Whether the image covers the whole front hemisphere: a fisheye of 180° or more."""
-        return self.projection == "fisheye" and self.fov >= 180.0
 
 
 def _angle(name: str, value: float, *, below: float, of: str) -> float:

@@ -19,7 +19,8 @@ from toy import ToyRenderer
 
 from scenecaptum import SceneCaptumError, projection, tradeoff
 from scenecaptum.checkpoint import Checkpoint
-from scenecaptum.cli import _attribute, _files
+from scenecaptum.cli._files import write_files
+from scenecaptum.cli._formats import FORMATS
 from scenecaptum.files import atomic_write
 from scenecaptum.report import write_report
 from scenecaptum.visualization import save_render
@@ -33,9 +34,7 @@ def _tradeoff(path: Path) -> None:
 
 def _command(path: Path) -> None:
     """Write one of the files of ``scenecaptum attribute``."""
-    _files.write_each(
-        path.parent, [path.name], partial(_attribute._write_file, results.make(metric_bias=0.0))
-    )
+    write_files(results.make(), path.parent, [one for one in FORMATS.values() if one.file == path.name])
 
 
 WRITERS: dict[str, Callable[[Path], None]] = {
@@ -47,7 +46,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "map.exr": partial(projection.export, PICTURE),
     "heatmap.exr": partial(projection.export, results.make()),
     "tradeoff.csv": _tradeoff,
-    **dict.fromkeys(_attribute.CONTENTS, _command),
+    **dict.fromkeys((one.file for one in FORMATS.values()), _command),
 }
 
 

@@ -1,27 +1,15 @@
-"""Arguments shared by several commands, and the renderer and metrics created from them."""
+"""Arguments shared by several commands, and the renderer created from them."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
-import importlib.util
+import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .. import metrics
-from ..errors import SceneCaptumError, near_misses
-from ..estimation import Metric
-from ..rendering import SceneRenderer
-
-GLARE = {
-    "ugr": metrics.UnifiedGlareRating,
-    "dgp": metrics.DaylightGlareProbability,
-    "dgi": metrics.DaylightGlareIndex,
-}
-METRICS = ("luminance", *GLARE)
-METRIC_HELP = f"{', '.join(METRICS)}, or your own function as FILE.py:NAME or MODULE:NAME"
+from ..rendering import SceneRenderer, named_sensors
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +35,8 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         default="0",
         metavar="SENSOR",
-        help="index of the sensor in the scene, or fisheye for a 180° fisheye at its position (default: 0)",
+        help="index of the sensor in the scene, or a sensor with the pose of the first: "
+        f"{describe(named_sensors())} (default: %(default)s)",
     )
     parser.add_argument(
         "--resolution", type=resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
@@ -60,42 +49,14 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=6,
         metavar="N",
-        help="maximum path depth in segments, -1 for no limit (default: 6)",
+        help="maximum path depth in segments, -1 for no limit (default: %(default)s)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: %(default)s)")
     parser.add_argument(
         "--checkpoint",
         type=Path,
         metavar="DIR",
         help="folder that stores every finished replicate; rerun the same command to resume a killed job",
-    )
-
-
-def add_metric(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
-    """Add the metric as ``metric``, or several metrics as ``metrics``, and their options."""
-    if several:
-        parser.add_argument(
-            "--metric",
-            action="append",
-            dest="metrics",
-            metavar="METRIC",
-            help=f"{METRIC_HELP}; may be repeated (default: luminance)",
-        )
-    else:
-        parser.add_argument(
-            "--metric", default="luminance", metavar="METRIC", help=f"{METRIC_HELP} (default: luminance)"
-        )
-    parser.add_argument(
-        "--threshold-factor",
-        type=float,
-        metavar="X",
-        help="for glare ratings: sources are brighter than X times the mean luminance (default: 2000 cd/m²)",
-    )
-    parser.add_argument(
-        "--target",
-        type=int,
-        help="element of the metric to attribute, if it returns a vector",
-        metavar="INDEX",
     )
 
 
@@ -106,10 +67,20 @@ def add_output(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("out"),
         metavar="DIR",
-        help="output folder (default: out)",
+        help="output folder (default: %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
+
+
+def describe(registry: Mapping[str, Any]) -> str:
+    """Return the names of a registry and what they stand for, for a help text."""
+    return ", ".join(f"{name} ({entry.description})" for name, entry in registry.items()).replace("%", "%%")
+
+
+def default_of(function: Callable[..., Any], parameter: str) -> Any:
+    """Return the default of a function's parameter, for the option that sets it."""
+    return inspect.signature(function).parameters[parameter].default
 
 
 def resolution(text: str) -> tuple[int, int]:
@@ -151,50 +122,3 @@ def print_resumed(renderer: SceneRenderer) -> None:
     if (checkpoint := renderer.checkpoint) is not None:
         count = checkpoint.reused + checkpoint.rendered
         print(f"resumed: {checkpoint.reused} of {count} passes from {checkpoint.folder}")
-
-
-def find_metrics(
-    names: list[str], threshold_factor: float | None
-) -> dict[str, Callable[[SceneRenderer], Metric]]:
-    """Return a function for each metric that creates it for a renderer; raise for names that are unknown."""
-    if threshold_factor is not None and not GLARE.keys() & set(names):
-        raise SceneCaptumError(
-            f"--threshold-factor needs a glare rating: add --metric {' or '.join(GLARE)}, or remove it."
-        )
-    return {name: _metric(name, threshold_factor) for name in names}
-
-
-def _metric(name: str, threshold_factor: float | None) -> Callable[[SceneRenderer], Metric]:
-    """Return a function that creates the named metric, or the user's function, for a renderer."""
-    if name in GLARE:
-        return lambda renderer: GLARE[name](renderer.camera, threshold_factor=threshold_factor)
-    if name == "luminance":
-        return lambda _: metrics.MeanLuminance()
-    module, separator, attribute = name.rpartition(":")
-    if not separator:
-        raise SceneCaptumError(
-            f"There is no metric {name!r}.{near_misses(name, METRICS)} "
-            f"Use {', '.join(METRICS)}, or your own function as FILE.py:NAME or MODULE:NAME."
-        )
-    try:
-        imported = getattr(_import(module), attribute)
-    except Exception as error:  # the user's code may raise anything
-        raise SceneCaptumError(
-            f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}"
-        ) from error
-    metric: Metric = imported() if isinstance(imported, type) else imported
-    if not callable(metric):
-        raise SceneCaptumError(f"The metric {name!r} is {type(metric).__name__}, not a function of an image.")
-    return lambda _: metric
-
-
-def _import(name: str) -> Any:
-    """Import a module by its name, or by its path if it ends in ``.py``."""
-    if not name.endswith(".py"):
-        return importlib.import_module(name)
-    spec = importlib.util.spec_from_file_location(Path(name).stem, name)
-    if spec is None or spec.loader is None:
-        raise ImportError(name)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..attr import AttributionInterrupted, SceneAttribution, VanillaSceneGradient
-from ..estimation import Denoise
+from ..estimation import DEFAULT_REPLICATES, Denoise
+from ..report import json_text, write_report
 from . import _arguments
-from ._files import writable, write_each
+from ._files import print_files, writable, write_files
+from ._formats import FORMATS, default_formats
+from ._metrics import DEFAULT, add_metric, find_metrics
 
 REPORT = "report.html"
 
@@ -29,14 +29,21 @@ def add(commands: Any) -> None:
         "heatmap and the numbers.",
         epilog="example: scenecaptum attribute office --metric luminance --out out",
     )
+    add_options(parser)
+    parser.set_defaults(run=attribute)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command, which ``attribute`` reads."""
     _arguments.add_scene(parser)
-    _arguments.add_metric(parser, several=True)
+    add_metric(parser, several=True)
     parser.add_argument(
         "--replicates",
         type=int,
-        default=8,
+        default=DEFAULT_REPLICATES,
         metavar="N",
-        help="minimum number of independent replicates for the error bars; 1 for no error bars (default: 8)",
+        help="minimum number of independent replicates for the error bars; 1 for no error bars "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--tolerance",
@@ -56,7 +63,7 @@ def add(commands: Any) -> None:
         choices=DENOISE,
         default="auto",
         help="denoise the image for a non-linear metric, such as a glare rating; auto: if that reduces the "
-        "measured error (default: auto)",
+        "measured error (default: %(default)s)",
     )
     parser.add_argument(
         "--picture-spp",
@@ -65,13 +72,20 @@ def add(commands: Any) -> None:
         help="samples per pixel of the image for a non-linear metric (default: 2 times --spp, or 4 times if the "
         "image is denoised)",
     )
+    add_results(parser)
+
+
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the files that are written."""
     _arguments.add_output(parser)
-    add_report(parser)
-    parser.set_defaults(run=attribute)
-
-
-def add_report(parser: argparse.ArgumentParser) -> None:
-    """Add the option for a report."""
+    parser.add_argument(
+        "--format",
+        action="append",
+        choices=FORMATS,
+        dest="formats",
+        metavar="FORMAT",
+        help=f"{_arguments.describe(FORMATS)}; may be repeated (default: {', '.join(default_formats())})",
+    )
     parser.add_argument(
         "--report",
         action="store_true",
@@ -81,7 +95,7 @@ def add_report(parser: argparse.ArgumentParser) -> None:
 
 def attribute(options: argparse.Namespace) -> int:
     """Run the command."""
-    metrics = _arguments.find_metrics(options.metrics or ["luminance"], options.threshold_factor)
+    metrics = find_metrics(options.metrics or [DEFAULT], options)
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         finished: list[SceneAttribution] = []
@@ -99,10 +113,10 @@ def attribute(options: argparse.Namespace) -> int:
                     show_progress=_arguments.shows_progress(options),
                 )
             except AttributionInterrupted as interruption:
-                _write_result(interruption.partial, folder, as_json=options.json)
+                _write_result(interruption.partial, folder, options)
                 _write_report([*finished, interruption.partial], options)
                 raise
-            _write_result(attribution, folder, as_json=options.json)
+            _write_result(attribution, folder, options)
             finished.append(attribution)
             # After every metric, so that an interruption of the next one leaves a report.
             _write_report(finished, options)
@@ -115,91 +129,23 @@ def _folder_name(metric: str) -> str:
     return "".join(c if c.isalnum() else "-" for c in metric).strip("-")
 
 
-def _write_result(attribution: SceneAttribution, folder: Path, *, as_json: bool) -> None:
+def _write_result(attribution: SceneAttribution, folder: Path, options: argparse.Namespace) -> None:
     """Write the files of a result and print it."""
-    write_each(folder, CONTENTS, partial(_write_file, attribution))
-    if as_json:
-        print(_json(attribution))
+    selected = options.formats or default_formats()
+    formats = [one for name, one in FORMATS.items() if name in selected]
+    write_files(attribution, folder, formats)
+    if options.json:
+        print(json_text(attribution))
         return
     print(attribution)
-    print()
-    for name, content in CONTENTS.items():
-        print(f"{folder / name}  {content}")
+    print_files(folder, formats)
 
 
 def _write_report(attributions: Sequence[SceneAttribution], options: argparse.Namespace) -> None:
     """Write the report of the results so far, if requested."""
     if not options.report:
         return
-    from ..report import write_report
-
     path = options.out / REPORT
     write_report(attributions, path)
     if not options.json:
         print(f"{path}  interactive page with all results")
-
-
-# Written in this order: numbers first, so that an interruption while plotting leaves them.
-CONTENTS = {
-    "attribution.json": "numbers and settings",
-    "attribution.csv": "table of the numbers",
-    "attribution.npz": "complete result, for SceneAttribution.load",
-    "render.png": "render",
-    "heatmap.png": "render and saliency map",
-    "bars.png": "ranking with error bars",
-}
-
-
-def _write_file(attribution: SceneAttribution, name: str, path: Path) -> None:
-    from ..visualization import save_render
-
-    match name:
-        case "attribution.json":
-            path.write_text(_json(attribution) + "\n", encoding="utf-8")
-        case "attribution.csv":
-            _write_csv(attribution, path)
-        case "attribution.npz":
-            attribution.save(path)
-        case "render.png":
-            assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
-            save_render(attribution.image, path)
-        case "heatmap.png":
-            attribution.plot_heatmap().savefig(path, dpi=150)
-        case "bars.png":
-            attribution.plot_bars().savefig(path, dpi=150)
-
-
-def _json(attribution: SceneAttribution) -> str:
-    return json.dumps(_numbers(attribution), indent=1, ensure_ascii=False, allow_nan=False)
-
-
-def _numbers(attribution: SceneAttribution) -> dict[str, Any]:
-    picture = attribution.info.get("picture") or {}
-    return {
-        "metric": {
-            "name": attribution.info["metric"],
-            "value": attribution.metric_value,
-            "standard_error": attribution.metric_standard_error,
-            "bias": attribution.info["metric_bias"],
-            "interval_95": attribution.metric_interval(0.95),
-            "caution": picture.get("caution"),
-        },
-        "ranking": [row._asdict() for row in attribution.ranking()],
-        "info": dict(attribution.info),
-    }
-
-
-def _write_csv(attribution: SceneAttribution, path: Path) -> None:
-    rows = attribution.ranking()
-    channels = range(max(len(row.total) for row in rows))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        columns = ["rank", "name", "label", "saliency", "saliency_error"]
-        gradients = [f"gradient_{c + 1}" for c in channels] + [f"error_{c + 1}" for c in channels]
-        writer.writerow([*columns, *gradients, "metric_caution"])
-        caution = (attribution.info.get("picture") or {}).get("caution") or ""
-        for row in rows:
-            padding = [""] * (len(channels) - len(row.total))
-            errors = ("",) * len(row.total) if row.total_error is None else row.total_error
-            head = [row.rank, row.name, row.label, row.saliency, row.saliency_error]
-            writer.writerow([*head, *row.total, *padding, *errors, *padding, caution])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 from typing import Any
 
-from . import _arguments
-from ._attribute import add_report, attribute
+from ._attribute import add_options, add_results, attribute
+
+ARGUMENTS = ("office", "--resolution", "320x180", "--spp", "64")
 
 
 def add(commands: Any) -> None:
@@ -13,25 +15,7 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "demo", help="attribute the mean luminance of a bundled office scene in about a minute"
     )
-    _arguments.add_output(parser)
-    add_report(parser)
-    parser.set_defaults(
-        run=attribute,
-        scene="office",
-        parameters=None,
-        metrics=None,
-        inputs=None,
-        threshold_factor=None,
-        sensor="0",
-        target=None,
-        resolution=(320, 180),
-        spp=64,
-        max_depth=6,
-        seed=0,
-        checkpoint=None,
-        picture_spp=None,
-        replicates=8,
-        denoise="auto",
-        tolerance=None,
-        time_limit=None,
-    )
+    add_results(parser)
+    complete = argparse.ArgumentParser()
+    add_options(complete)
+    parser.set_defaults(run=attribute, **vars(complete.parse_args(ARGUMENTS)))

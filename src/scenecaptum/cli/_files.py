@@ -1,14 +1,49 @@
-"""The output folder of a command."""
+"""The output folder of a command, and the files that it writes there."""
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write, write_error
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI = 150
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class OutputFormat(Generic[Result]):
+    """A file that a command writes.
+
+    Attributes
+    ----------
+    file
+        Its name.
+    description
+        Its content, in one line.
+    write
+        Writes a result to a path.
+    by_default
+        Whether it is written unless other formats are selected.
+    """
+
+    file: str
+    description: str
+    write: Callable[[Result, Path], None]
+    by_default: bool = True
+
+
+def figure_writer(draw: Callable[[Result], Figure]) -> Callable[[Result, Path], None]:
+    """Return a function that writes the figure of a result to a path."""
+    return lambda result, path: draw(result).savefig(path, dpi=_DPI)
 
 
 @contextlib.contextmanager
@@ -32,12 +67,19 @@ def writable(folder: Path) -> Iterator[None]:
             folder.rmdir()
 
 
-def write_each(folder: Path, names: Iterable[str], write: Callable[[str, Path], None]) -> None:
-    """Write each file atomically: call ``write`` with its name and a temporary path."""
+def write_files(result: Result, folder: Path, formats: Iterable[OutputFormat[Result]]) -> None:
+    """Write a result in each format, each file atomically."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise write_error(folder, error) from error
-    for name in names:
-        with atomic_write(folder / name) as partial:
-            write(name, partial)
+    for one in formats:
+        with atomic_write(folder / one.file) as partial:
+            one.write(result, partial)
+
+
+def print_files(folder: Path, formats: Iterable[OutputFormat[Any]]) -> None:
+    """Print the paths of the files, and what each contains."""
+    print()
+    for one in formats:
+        print(f"{folder / one.file}  {one.description}")

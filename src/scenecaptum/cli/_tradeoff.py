@@ -5,19 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 from ..errors import SceneCaptumError
 from ..tradeoff import KEYS, TOLERANCE, Tradeoff, measure
 from . import _arguments
-from ._files import writable, write_each
+from ._files import OutputFormat, figure_writer, print_files, writable, write_files
+from ._metrics import add_metric, find_metrics
 
-CONTENTS = {
-    "tradeoff.csv": "table of the settings",
-    "tradeoff.png": "relative error over time",
-}
+FORMATS = (
+    OutputFormat("tradeoff.csv", "table of the settings", Tradeoff.to_csv),
+    OutputFormat("tradeoff.png", "relative error over time", figure_writer(Tradeoff.plot)),
+)
 
 
 def add(commands: Any) -> None:
@@ -31,7 +30,7 @@ def add(commands: Any) -> None:
         "--vary spp=16,256 --vary max_depth=2,4,12",
     )
     _arguments.add_scene(parser)
-    _arguments.add_metric(parser)
+    add_metric(parser)
     parser.add_argument(
         "--vary",
         action="append",
@@ -46,13 +45,19 @@ def add(commands: Any) -> None:
         metavar="N",
         help="samples per pixel of the reference (default: 32 × --spp)",
     )
-    parser.add_argument("--runs", type=int, default=8, metavar="N", help="runs of each setting (default: 8)")
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=_arguments.default_of(measure, "runs"),
+        metavar="N",
+        help="runs of each setting (default: %(default)s)",
+    )
     parser.add_argument(
         "--tolerance",
         type=float,
         default=TOLERANCE,
         metavar="X",
-        help=f"target relative error of the recommendation (default: {TOLERANCE})",
+        help="target relative error of the recommendation (default: %(default)s)",
     )
     _arguments.add_output(parser)
     parser.set_defaults(run=tradeoff)
@@ -62,7 +67,7 @@ def tradeoff(options: argparse.Namespace) -> int:
     """Run the command."""
     if not options.tolerance > 0:
         raise SceneCaptumError(f"--tolerance must be a relative error above 0, not {options.tolerance}.")
-    create = _arguments.find_metrics([options.metric], options.threshold_factor)[options.metric]
+    create = find_metrics([options.metric], options)[options.metric]
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         result = measure(
@@ -76,14 +81,12 @@ def tradeoff(options: argparse.Namespace) -> int:
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
-        write_each(options.out, CONTENTS, partial(_write_file, result))
+        write_files(result, options.out, FORMATS)
         if options.json:
             print(_json(result, options.tolerance))
             return 0
         print(result.text(options.tolerance))
-        print()
-        for name, content in CONTENTS.items():
-            print(f"{options.out / name}  {content}")
+        print_files(options.out, FORMATS)
         _arguments.print_resumed(renderer)
     return 0
 
@@ -109,13 +112,6 @@ def _value(key: str, text: str) -> Any:
         return int(text)
     except ValueError:
         return text
-
-
-def _write_file(result: Tradeoff, _: str, path: Path) -> None:
-    if path.suffix == ".csv":
-        result.to_csv(path)
-    else:
-        result.plot().savefig(path, dpi=150)
 
 
 def _json(result: Tradeoff, tolerance: float) -> str:

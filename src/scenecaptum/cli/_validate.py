@@ -6,13 +6,13 @@ import argparse
 import csv
 import dataclasses
 import json
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..validation import Ablated, AblationTest, ablation_test
 from . import _arguments
-from ._files import writable, write_each
+from ._files import OutputFormat, figure_writer, print_files, writable, write_files
+from ._metrics import add_metric, find_metrics
 
 NOT_CONFIRMED = 1
 
@@ -27,13 +27,13 @@ def add(commands: Any) -> None:
         epilog="example: scenecaptum validate office --metric luminance --spp 256 --out out",
     )
     _arguments.add_scene(parser)
-    _arguments.add_metric(parser)
+    add_metric(parser)
     parser.add_argument(
         "--top",
         type=int,
-        default=10,
+        default=_arguments.default_of(ablation_test, "top"),
         metavar="N",
-        help="number of most salient parameters to test (default: 10)",
+        help="number of most salient parameters to test (default: %(default)s)",
     )
     _arguments.add_output(parser)
     parser.set_defaults(run=validate)
@@ -41,7 +41,7 @@ def add(commands: Any) -> None:
 
 def validate(options: argparse.Namespace) -> int:
     """Run the command."""
-    (create,) = _arguments.find_metrics([options.metric], options.threshold_factor).values()
+    (create,) = find_metrics([options.metric], options).values()
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         test = ablation_test(
@@ -52,40 +52,27 @@ def validate(options: argparse.Namespace) -> int:
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
-        write_each(options.out, CONTENTS, partial(_write_file, test))
+        write_files(test, options.out, FORMATS)
     if options.json:
         print(_json(test))
     else:
         print(test)
-        print()
-        for name, content in CONTENTS.items():
-            print(f"{options.out / name}  {content}")
+        print_files(options.out, FORMATS)
         _arguments.print_resumed(renderer)
     return 0 if test.is_confirmed else NOT_CONFIRMED
 
 
-CONTENTS = {
-    "validation.json": "numbers and verdict",
-    "validation.csv": "table of the numbers",
-    "validation.png": "prediction, measurement and noise of each parameter",
-}
+def _write_json(test: AblationTest, path: Path) -> None:
+    path.write_text(_json(test) + "\n", encoding="utf-8")
 
 
-def _write_file(test: AblationTest, _: str, path: Path) -> None:
-    match path.suffix:
-        case ".json":
-            path.write_text(_json(test) + "\n", encoding="utf-8")
-        case ".csv":
-            with path.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(
-                    file, ["rank", *(field.name for field in dataclasses.fields(Ablated))]
-                )
-                writer.writeheader()
-                writer.writerows(
-                    {"rank": rank, **dataclasses.asdict(row)} for rank, row in enumerate(test.rows, start=1)
-                )
-        case ".png":
-            test.plot().savefig(path, dpi=150)
+def _write_csv(test: AblationTest, path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, ["rank", *(field.name for field in dataclasses.fields(Ablated))])
+        writer.writeheader()
+        writer.writerows(
+            {"rank": rank, **dataclasses.asdict(row)} for rank, row in enumerate(test.rows, start=1)
+        )
 
 
 def _json(test: AblationTest) -> str:
@@ -97,3 +84,14 @@ def _json(test: AblationTest) -> str:
         "parameters": [dataclasses.asdict(row) for row in test.rows],
     }
     return json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)
+
+
+FORMATS = (
+    OutputFormat("validation.json", "numbers and verdict", _write_json),
+    OutputFormat("validation.csv", "table of the numbers", _write_csv),
+    OutputFormat(
+        "validation.png",
+        "prediction, measurement and noise of each parameter",
+        figure_writer(AblationTest.plot),
+    ),
+)

@@ -11,6 +11,7 @@ from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
 from ._luminance import luminance as luminance
 from ._luminance_map import plot_luminance as plot_luminance
+from ._named import NamedMetric
 from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
@@ -18,3 +19,18 @@ from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
 from ._shape_classifier import ShapeClassifier as ShapeClassifier
 from ._sources import GlareSource as GlareSource
 from ._ugr import UnifiedGlareRating as UnifiedGlareRating
+
+# By their names on the command line; a metric that needs a reference or a network of your own has none.
+BY_NAME = {
+    "luminance": NamedMetric(MeanLuminance, "mean luminance"),
+    "percentile": NamedMetric(LuminancePercentile, "95th percentile of luminance"),
+    "contrast": NamedMetric(ContrastRatio, "95th over 5th percentile of luminance"),
+    "illuminance": NamedMetric(VerticalIlluminance, "vertical illuminance at the camera"),
+    "ugr": NamedMetric(UnifiedGlareRating, "unified glare rating"),
+    "dgp": NamedMetric(DaylightGlareProbability, "daylight glare probability"),
+    "dgi": NamedMetric(DaylightGlareIndex, "daylight glare index"),
+    "shape-logit": NamedMetric(
+        lambda: ClassLogit(ShapeClassifier.pretrained()),
+        "logits of the bundled classifier, --target 0 for a sphere, 1 for a cube, 2 for a cylinder",
+    ),
+}

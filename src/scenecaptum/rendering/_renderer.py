@@ -36,7 +36,7 @@ from ..scene import (
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, stock_plan
-from ._sensors import choose_sensor, common_resolution
+from ._sensors import camera_of, choose_sensor, common_resolution
 
 if TYPE_CHECKING:
     from ._view import View
@@ -75,9 +75,9 @@ class SceneRenderer(torch.nn.Module):
     max_depth
         Longest path in segments (-1: no limit); the scene's own by default.
     sensor
-        Index of the sensor, or ``"fisheye"``: a 180° equidistant fisheye with the pose of the first one, square
-        unless ``resolution`` is given. A list of these renders a stack ``(cameras, H, W, 3)``, which the metric
-        reduces; its results have no heatmap.
+        Index of the sensor, or a type of sensor, which gets the pose of the first one and is square unless
+        ``resolution`` is given: ``"fisheye"``, a 180° equidistant fisheye. A list of these renders a stack
+        ``(cameras, H, W, 3)``, which the metric reduces; its results have no heatmap.
     parameters
         Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
 
@@ -375,8 +375,6 @@ class SceneRenderer(torch.nn.Module):
     def cameras(self) -> list[Camera]:
         """The camera of every sensor."""
         with exclusively(self._variant):
-            from ._cameras import camera_of  # which registers a sensor under the active variant
-
             cameras = []
             for view in self._views:
                 with view.live.exclusive():

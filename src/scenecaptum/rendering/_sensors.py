@@ -1,23 +1,92 @@
-"""Select sensors of a scene and their common resolution."""
+"""The types of sensors, and how to select sensors of a scene and their common resolution."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from typing import Any, NamedTuple
 
+from ..camera import Camera
 from ..errors import SceneCaptumError, whole_number
 
 
+class SensorType(NamedTuple):
+    """A type of sensor whose pixels have a known geometry.
+
+    The module ``sensors.NAME`` has its ``camera_of(sensor)``, and its plugin if Mitsuba has none.
+
+    Attributes
+    ----------
+    description
+        What it is, for the help text.
+    class_names
+        Names of its classes in Mitsuba.
+    plugin
+        For a type that ``sensor=`` can name, the Mitsuba plugin that is created with the pose of the scene's first
+        sensor.
+    connectable
+        Whether light tracing can connect to it, by ``sample_direction`` and ``near_clip``.
+    """
+
+    description: str
+    class_names: tuple[str, ...]
+    plugin: str | None = None
+    connectable: bool = False
+
+
+SENSORS = {
+    "perspective": SensorType(
+        "pinhole or thin-lens camera", ("PerspectiveCamera", "ThinLensCamera"), connectable=True
+    ),
+    "fisheye": SensorType("180° equidistant fisheye", ("FisheyeSensor",), "scenecaptum_fisheye"),
+}
+
+
+def named_sensors() -> dict[str, SensorType]:
+    """Return the types that ``sensor=`` can name."""
+    return {name: sensor for name, sensor in SENSORS.items() if sensor.plugin}
+
+
+def is_connectable(sensor: Any) -> bool:
+    """Whether light tracing can connect paths to a sensor."""
+    name = _type_name(sensor)
+    return name is not None and SENSORS[name].connectable
+
+
+def camera_of(sensor: Any) -> Camera:
+    """Return the geometry of a sensor's pixels."""
+    name = _type_name(sensor)
+    if name is None:
+        raise SceneCaptumError(
+            f"The geometry of a {sensor.class_name()} is not known, only that of {_list(SENSORS)} sensors. Select "
+            f"another with sensor=: {_list(named_sensors())} has the pose of the scene's first sensor."
+        )
+    camera: Camera = _module(name).camera_of(sensor)
+    return camera
+
+
+def _type_name(sensor: Any) -> str | None:
+    return next((name for name, known in SENSORS.items() if sensor.class_name() in known.class_names), None)
+
+
+def _module(name: str) -> Any:
+    return import_module(f".sensors.{name}", __package__)  # needs an active variant
+
+
+def _list(names: Iterable[str]) -> str:
+    return " or ".join(f'"{name}"' for name in names)
+
+
 def choose_sensor(scene: Any, which: int | str, resolution: tuple[int, int] | None) -> Any:
-    """Return a sensor of the scene by its index, or a fisheye with the pose of the first."""
+    """Return a sensor of the scene by its index, or one of a named type with the pose of the first."""
     sensors = scene.sensors()
     if isinstance(which, str):
-        if which != "fisheye":
-            raise SceneCaptumError(f'sensor must be the index of a sensor or "fisheye", not {which!r}.')
-        from ._cameras import fisheye_at
-
+        if which not in named_sensors():
+            raise SceneCaptumError(
+                f"sensor must be the index of a sensor or {_list(named_sensors())}, not {which!r}."
+            )
         side = min(sensors[0].film().crop_size())
-        return fisheye_at(sensors[0], _checked(resolution) if resolution else (side, side))
+        return _create(which, sensors[0], _checked(resolution) if resolution else (side, side))
     index = whole_number("sensor", which, 0, len(sensors) - 1)
     if "pixel_format = rgb," not in str(sensors[index].film()):
         raise SceneCaptumError(
@@ -25,6 +94,31 @@ def choose_sensor(scene: Any, which: int | str, resolution: tuple[int, int] | No
             "pass the scene's file or dict, which is loaded with an RGB film."
         )
     return sensors[index]
+
+
+def _create(name: str, pose: Any, resolution: tuple[int, int]) -> Any:
+    """Create a sensor of a named type with the pose of another."""
+    import mitsuba as mi
+
+    _module(name)  # registers the plugin
+    width, height = resolution
+    matrix = pose.world_transform().matrix
+    rows = [[float(matrix[row, column][0]) for column in range(4)] for row in range(4)]
+    return mi.load_dict(
+        {
+            "type": SENSORS[name].plugin,
+            "to_world": mi.ScalarTransform4f(rows),
+            "film": {
+                "type": "hdrfilm",
+                "width": width,
+                "height": height,
+                "pixel_format": "rgb",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            },
+            "sampler": {"type": "independent", "sample_count": pose.sampler().sample_count()},
+        }
+    )
 
 
 def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None) -> tuple[int, int]:

@@ -117,7 +117,7 @@ def _result(
         # Including objects that no pixel shows, as in ``heatmap``.
         "largest": _number(max([row.saliency for row in ranking] + list(map(abs, saliencies)), default=0.0)),
         "texels": _texels(attribution, surfaces),
-        "info": _plain(attribution.info),
+        "info": plain(attribution.info),
     }
 
 
@@ -211,12 +211,12 @@ def _number(value: float | None) -> float | None:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _plain(info: Any) -> Any:
+def plain(info: Any) -> Any:
     """Return settings as JSON values; objects of other types as strings."""
     if isinstance(info, Mapping):
-        return {str(key): _plain(value) for key, value in info.items()}
+        return {str(key): plain(value) for key, value in info.items()}
     if isinstance(info, (list, tuple)):
-        return [_plain(item) for item in info]
+        return [plain(item) for item in info]
     if isinstance(info, float):
         return info if math.isfinite(info) else str(info)
     return info if info is None or isinstance(info, (str, int, bool)) else str(info)

@@ -31,10 +31,10 @@ from ...scene import SceneGraph
 from .._backward import filtered_adjoint
 from .._plan import RenderPlan
 from .._sampler import SobolSampler
+from .._sensors import is_connectable
 
 LOBE_STRATA = 16  # a square number
 PATHS_PER_SAMPLE = 2  # light paths per path-replay sample, for direct and for indirect light each
-CONNECTABLE_SENSORS = ("PerspectiveCamera", "ThinLensCamera")
 
 
 @dataclass
@@ -76,7 +76,7 @@ def find_sampled_shapes(
     if (
         not plan.kind.light_tracing
         or plan.hide_emitters
-        or sensor.class_name() not in CONNECTABLE_SENSORS
+        or not is_connectable(sensor)
         or list(film.size()) != list(film.crop_size())
         or graph.class_names() & {"Instance", "BumpMap", "NormalMap"}
     ):

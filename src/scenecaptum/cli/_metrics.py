@@ -1,0 +1,113 @@
+"""The metrics of a command: those of the registry ``metrics.BY_NAME``, and the user's own functions."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ..errors import SceneCaptumError, near_misses
+from ..estimation import Metric
+from ..metrics import BY_NAME
+from ..rendering import SceneRenderer
+from ._arguments import describe
+
+DEFAULT = "luminance"
+OPTIONS = ("threshold_factor",)  # passed to the metrics that have a parameter of this name
+OWN = "your own function as FILE.py:NAME or MODULE:NAME"
+
+
+def add_metric(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the metric as ``metric``, or several metrics as ``metrics``, and their options."""
+    kind: dict[str, Any] = {"action": "append", "dest": "metrics"} if several else {"default": DEFAULT}
+    parser.add_argument(
+        "--metric",
+        metavar="METRIC",
+        help=f"{describe(BY_NAME)}, or {OWN}{'; may be repeated' if several else ''} (default: {DEFAULT})",
+        **kind,
+    )
+    parser.add_argument(
+        "--threshold-factor",
+        type=float,
+        metavar="X",
+        help=f"for {_list_taking('threshold_factor', ' and ')}: glare sources are brighter than X times the mean "
+        "luminance (default: 2000 cd/m²)",
+    )
+    parser.add_argument(
+        "--target",
+        type=int,
+        help="element of the metric to attribute, if it returns a vector",
+        metavar="INDEX",
+    )
+
+
+def find_metrics(
+    names: list[str], options: argparse.Namespace
+) -> Mapping[str, Callable[[SceneRenderer], Metric]]:
+    """Return a function for each metric that creates it for a renderer; raise for names that are unknown."""
+    given = {name: value for name in OPTIONS if (value := getattr(options, name)) is not None}
+    found = {
+        name: partial(_create, name, given) if name in BY_NAME else partial(_return, _import_metric(name))
+        for name in names
+    }
+    for option in given:
+        if not any(name in BY_NAME and option in BY_NAME[name].parameters for name in names):
+            raise SceneCaptumError(
+                f"--{option.replace('_', '-')} has no effect on {', '.join(names)}: add "
+                f"--metric {_list_taking(option, ' or ')}, or remove it."
+            )
+    return found
+
+
+def _list_taking(option: str, conjunction: str) -> str:
+    """Return the names of the metrics that an option applies to, as in ``a, b and c``."""
+    *names, last = (name for name, metric in BY_NAME.items() if option in metric.parameters)
+    return conjunction.join(filter(None, [", ".join(names), last]))
+
+
+def _create(name: str, options: Mapping[str, Any], renderer: SceneRenderer) -> Metric:
+    metric = BY_NAME[name]
+    known = {option: value for option, value in options.items() if option in metric.parameters}
+    # Not every sensor has a camera, and not every metric needs one.
+    if "camera" in metric.parameters:
+        known["camera"] = renderer.camera
+    return metric.create(**known)
+
+
+def _return(metric: Metric, _: SceneRenderer) -> Metric:
+    return metric
+
+
+def _import_metric(name: str) -> Metric:
+    """Import the user's metric."""
+    module, separator, attribute = name.rpartition(":")
+    if not separator:
+        raise SceneCaptumError(
+            f"There is no metric {name!r}.{near_misses(name, BY_NAME)} Use {', '.join(BY_NAME)}, or {OWN}."
+        )
+    try:
+        imported = getattr(_import_module(module), attribute)
+    except Exception as error:  # the user's code may raise anything
+        raise SceneCaptumError(
+            f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}"
+        ) from error
+    metric: Metric = imported() if isinstance(imported, type) else imported
+    if not callable(metric):
+        raise SceneCaptumError(f"The metric {name!r} is {type(metric).__name__}, not a function of an image.")
+    return metric
+
+
+def _import_module(name: str) -> Any:
+    """Import a module by its name, or by its path if it ends in ``.py``."""
+    if not name.endswith(".py"):
+        return importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location(Path(name).stem, name)
+    if spec is None or spec.loader is None:
+        raise ImportError(name)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

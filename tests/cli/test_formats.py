@@ -1,0 +1,87 @@
+"""The registry of output formats: every format is written, alone and with all others, and from Python."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+import results
+
+from scenecaptum import SceneAttribution, cli
+from scenecaptum.cli._files import OutputFormat
+from scenecaptum.cli._formats import FORMATS
+from scenecaptum.report import write_csv, write_json
+
+TINY = ["cornell-box", "--resolution", "16x16", "--spp", "8", "--max-depth", "2", "--inputs", "emitters"]
+QUIET = ["--replicates", "2", "--no-progress"]
+
+
+def attribute(out: Path, *formats: str) -> int:
+    selected = [word for name in formats for word in ("--format", name)]
+    return cli.main(["attribute", *TINY, *QUIET, *selected, "--out", str(out)])
+
+
+def test_every_format_writes_its_own_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [one.file for one in FORMATS.values()]
+    assert len({*files, "report.html"}) == len(files) + 1
+    assert attribute(tmp_path, *FORMATS) == 0
+    printed = capsys.readouterr().out
+    for one in FORMATS.values():
+        assert f"{tmp_path / one.file}  {one.description}" in printed
+        assert (tmp_path / one.file).stat().st_size > 100
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
+
+
+def test_only_what_is_selected_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new format is one line of the registry."""
+
+    def write_names(attribution: SceneAttribution, path: Path) -> None:
+        path.write_text("\n".join(attribution))
+
+    names = OutputFormat("names.txt", "names of the parameters", write_names, by_default=False)
+    monkeypatch.setitem(FORMATS, "names", names)
+    assert attribute(tmp_path, "names", "csv", "names") == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["attribution.csv", "names.txt"]
+    assert (tmp_path / "names.txt").read_text() == "light.emitter.radiance.value"
+    for command in ("attribute", "demo"):
+        with pytest.raises(SystemExit):
+            cli.main([command, "--help"])
+        assert "names (names of the parameters)" in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_unknown_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        attribute(tmp_path / "out", "jsonl")
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert "'jsonl'" in error
+    assert all(name in error for name in FORMATS)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("errors", [True, False])
+def test_numbers_are_written_from_python(tmp_path: Path, errors: bool) -> None:
+    attribution = results.make(barred=errors)
+    write_json(attribution, tmp_path / "a.json")
+    write_csv(attribution, tmp_path / "a.csv")
+    numbers = json.loads((tmp_path / "a.json").read_text())
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    ranking = attribution.ranking()
+    assert [row["name"] for row in rows] == [row["name"] for row in numbers["ranking"]]
+    assert [float(row["saliency"]) for row in rows] == [row.saliency for row in ranking]
+    assert (rows[0]["error_1"] == "") is not errors
+    assert numbers["metric"]["name"] == attribution.info["metric"]
+
+
+def test_demo_has_the_options_of_attribute() -> None:
+    parse = cli._main._parser().parse_args
+    demo, attribution = (
+        parse(["demo"]),
+        parse(["attribute", "office", "--resolution", "320x180", "--spp", "64"]),
+    )
+    assert vars(demo) == vars(attribution)
