@@ -7,11 +7,10 @@ from collections.abc import Mapping
 import torch
 
 from ..checkpoint import Folder
-from ..estimation import DEFAULT_REPLICATES, Denoise, Point
+from ..estimation import DEFAULT_REPLICATES, DEFAULT_SHARE, Denoise, Goal, Point
 from ..protocols import ResultKind
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._planner import DEFAULT_SHARE, Goal, attribute_to_goal
 
 
 class InputXGradientScene(GradientMethod):
@@ -84,4 +83,4 @@ class InputXGradientScene(GradientMethod):
         )
         goal = Goal(tolerance, share, top, time_limit)
         point = Point(run.values, factors=run.values)
-        return attribute_to_goal(run, point, goal, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)
+        return run.attribute_point(point, goal, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)

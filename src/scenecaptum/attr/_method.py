@@ -19,10 +19,13 @@ from ..estimation import (
     Adjoints,
     Budget,
     Denoise,
+    Goal,
     GradientEstimator,
     GradientSum,
     Metric,
+    Planner,
     Point,
+    Sampling,
     Target,
     TargetedMetric,
     TransformSelector,
@@ -36,7 +39,7 @@ from ..estimation import (
     with_image_transform,
 )
 from ..protocols import Capabilities, Renderer
-from ._attribution import SceneAttribution, make_attribution
+from ._attribution import SceneAttribution, make_attribution, surfaces_of
 from ._data import metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
 from ._interruption import AttributionInterrupted
@@ -154,6 +157,50 @@ class Run:
             )
             for metric, total, evaluation in zip(self.metrics, sums, evaluations, strict=True)
         ]
+        return self.return_results(results, interrupted=interrupted)
+
+    def attribute_point(
+        self, point: Point, goal: Goal, first_spp: int | None, against: Any = None, **info: Any
+    ) -> Result:
+        """Return the result of ``attribute`` for a single point, in rounds if there is a goal.
+
+        ``first_spp`` are the samples per pixel of the first round. ``against`` is another renderer, with which the
+        gradients are compared at the end.
+        """
+        if goal.is_set:
+            return self._attribute_to_goal(point, goal, first_spp, against, **info)
+        if against is not None:
+            raise SceneCaptumError("against= requires a goal: give tolerance=, top= or time_limit= as well.")
+        return self.attribute([point], **info)
+
+    def _attribute_to_goal(
+        self, point: Point, goal: Goal, first_spp: int | None, against: Any, **info: Any
+    ) -> Result:
+        settings = self.settings
+        planner = Planner(
+            self.renderer,
+            self.metrics,
+            self.transform_selector,
+            point,
+            self.members,
+            goal,
+            Sampling(
+                settings.seed, first_spp, settings.replicates, settings.picture_spp, settings.show_progress
+            ),
+            against=against,
+            prepare=lambda: surfaces_of(self.renderer, self.values),
+        )
+        interrupted, rounds = planner.run(), planner.rounds
+        results = []
+        for number, (metric, total) in enumerate(zip(self.metrics, planner.sums, strict=True)):
+            adjoints = total.adjoints
+            assert adjoints is not None
+            used = metric.with_transform(adjoints.transform)
+            evaluation = InputEvaluation(adjoints, rounds.image, rounds.total_image_spp, used)
+            info["planner"] = planner.report(number, interrupted=interrupted)
+            results.append(
+                self.result(metric, total, evaluation, rounds.budget, rounds, interrupted=interrupted, **info)
+            )
         return self.return_results(results, interrupted=interrupted)
 
     def budget(self, points: int, *, pairs: int | None = None) -> Budget:

@@ -9,11 +9,10 @@ import torch
 
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Denoise, Point
+from ..estimation import DEFAULT_REPLICATES, DEFAULT_SHARE, Denoise, Goal, Point
 from ..protocols import Renderer, ResultKind
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._planner import DEFAULT_SHARE, Goal, attribute_to_goal
 from ._ranges import ranges
 
 AttributionScale = Literal["unit", "range", "value"]
@@ -148,7 +147,7 @@ class VanillaSceneGradient(GradientMethod):
         point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)
         info = {"scale": scale, "quantity": _KINDS[scale].value}
-        return attribute_to_goal(run, point, goal, spp, against=against, **info)
+        return run.attribute_point(point, goal, spp, against, **info)
 
 
 def _factors(

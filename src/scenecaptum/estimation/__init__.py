@@ -6,6 +6,8 @@ Renderers and metrics are known only by what they do (``protocols``). Nothing he
 __all__: list[str] = []
 
 from ._comparison import differences as differences
+from ._goal import DEFAULT_SHARE as DEFAULT_SHARE
+from ._goal import Goal as Goal
 from ._gradients import MIN_METRIC_SPP as MIN_METRIC_SPP
 from ._gradients import GradientEstimator as GradientEstimator
 from ._gradients import GradientSum as GradientSum
@@ -27,6 +29,7 @@ from ._metric_image import Denoise as Denoise
 from ._metric_image import ImageTransform as ImageTransform
 from ._metric_image import TransformSelector as TransformSelector
 from ._metric_image import choose_transform as choose_transform
+from ._planner import Planner as Planner
 from ._quadrature import Method as Method
 from ._quadrature import Quadrature as Quadrature
 from ._quadrature import quadrature as quadrature
@@ -34,6 +37,7 @@ from ._replicates import DEFAULT_REPLICATES as DEFAULT_REPLICATES
 from ._replicates import NOISY_PICTURE_RATIO as NOISY_PICTURE_RATIO
 from ._replicates import Budget as Budget
 from ._replicates import ReplicateStatistics as ReplicateStatistics
+from ._replicates import Sampling as Sampling
 from ._replicates import channel_totals as channel_totals
 from ._replicates import covariance_of_mean as covariance_of_mean
 from ._replicates import render_images as render_images

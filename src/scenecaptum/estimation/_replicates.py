@@ -24,6 +24,17 @@ NOISY_PICTURE_RATIO = 4.0
 
 
 @dataclass(frozen=True)
+class Sampling:
+    """The sampling that a user asks for; see ``VanillaSceneGradient.attribute``."""
+
+    seed: int
+    spp: int | None
+    replicates: int
+    picture_spp: int | None = None
+    show_progress: bool = False
+
+
+@dataclass(frozen=True)
 class Budget:
     """Samples and seeds for every point of parameter space and every independent replicate there.
 
