@@ -13,6 +13,9 @@ import pytest
 import torch
 from seeds import OFFSET, shift_defaults, shifted
 
+# At the end: tests/extremes comes before benchmarks/extremes.py.
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
 # Tests run in three processes, and Dr.Jit has threads in each: torch's own would only wait for a core.
 torch.set_num_threads(1)
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "paper"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "paper"
 
 
 def test_page_sets_the_paper_beside_what_was_measured(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def test_names_are_still_those_of_mitsuba(mi: Any, nameless: Path) -> None:
 @pytest.fixture(scope="module")
 def rooms() -> list[Path]:
     """Published rooms, of whose shapes hundreds have no id: $SCENECAPTUM_SCENES, or beside the repository."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
+    beside = Path(__file__).resolve().parents[3] / "shared" / "scenes"
     folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
     return [path for room in ("kitchen", "classroom") if (path := folder / room / "scene.xml").is_file()]
 

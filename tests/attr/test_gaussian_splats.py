@@ -27,7 +27,7 @@ from scenecaptum import (
 )
 from scenecaptum.estimation import channel_totals
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "gaussian_splats.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "gaussian_splats.py"
 THINGS = {name: f"{name}.*" for name in ("apple", "leaf", "glass", "wall")}
 WALL = "wall.colour"
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from chance import allowed
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZE = (32, 18)
 
 

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import gc
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from seeds import seeds
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-
 from derivative_table import CASES, QUICK, Case
 from derivatives import DIFFERENCE, GOOD, OURS, Estimate, MitsubaReference, Ours, estimates, z_score
+from seeds import seeds
 
 SEEDS = 8
 

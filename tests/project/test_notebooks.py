@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-FOLDER = Path(__file__).parents[1] / "examples" / "notebooks"
+FOLDER = Path(__file__).parents[2] / "examples" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 1_500_000  # bytes of all of them: they are cloned with the library
 

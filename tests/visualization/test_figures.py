@@ -541,7 +541,7 @@ def test_figures_leave_global_state_alone() -> None:
 def test_the_example_draws_every_figure(mi: Any, tmp_path: Path) -> None:
     from PIL import Image
 
-    path = Path(__file__).parents[1] / "examples" / "figures.py"
+    path = Path(__file__).parents[2] / "examples" / "figures.py"
     spec = importlib.util.spec_from_file_location("figures", path)
     assert spec is not None
     assert spec.loader is not None

@@ -402,7 +402,7 @@ def test_a_missing_or_unfit_torchvision_is_explained(monkeypatch, error, message
 
 @pytest.fixture(scope="module")
 def trainer():
-    path = Path(__file__).parents[1] / "examples" / "train_shape_classifier.py"
+    path = Path(__file__).parents[2] / "examples" / "train_shape_classifier.py"
     spec = importlib.util.spec_from_file_location("train_shape_classifier", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,6 @@ import torch
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.scene.bundled import cornell_box
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 SIDE, SPP, REPLICATES = 16, 4, 8
 BULB = "bulb.emitter.radiance.value"

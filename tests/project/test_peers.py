@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 import torch
-from seeds import shifted
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-
 from peers import BEGIN, END, TARGET, Case, Errors, Number, Numbers, Samples, cost, interval, write_section
+from seeds import shifted
 
 
 def noisy(runs, sd, bias=0.0, seed=0):

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "rooms.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "rooms.py"
 
 
 def test_imports_run_downward_without_circles_and_only_to_public_modules() -> None:

@@ -135,7 +135,7 @@ def test_memory_granted_once_is_granted_again(monkeypatch: pytest.MonkeyPatch, m
 @pytest.mark.long
 def test_predictions_are_not_far_below_the_measured_memory() -> None:
     """At most a quarter below: an accepted job must not be killed for its memory."""
-    script = Path(__file__).parents[1] / "benchmarks" / "memory.py"
+    script = Path(__file__).parents[2] / "benchmarks" / "memory.py"
     cases = [
         "cornell-box 64x64 64 8",
         "cornell-box 1280x720 8 8",
