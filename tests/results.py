@@ -10,7 +10,7 @@ from seeds import shifted
 
 from scenecaptum import SceneAttribution
 from scenecaptum.projection import SurfaceMap
-from scenecaptum.visualization._figures import LOWERS, RAISES, UNCLEAR
+from scenecaptum.visualization import LOWERS, RAISES, UNCLEAR
 
 NASTY = "<script>alert('&')</script>"
 

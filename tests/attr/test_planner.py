@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from chance import allowed
-from results import make
 from seeds import seeds, shifted
 from toy import ToyRenderer
 from tqdm import tqdm
@@ -33,7 +32,6 @@ from scenecaptum.estimation import (
     student_t,
 )
 from scenecaptum.scene.bundled import cornell_box
-from scenecaptum.visualization._text import goal_notes
 
 RUNS = 30
 
@@ -699,47 +697,7 @@ def test_effect_of_depth_and_resolution_is_that_of_renderers_made_so(cornell):
     assert "depth 8 at 32×32 changes" in str(found)
 
 
-# ------------------------------------------------------------------------------------------ words, and bad input
-
-
-def planned(**changes):
-    planner = {
-        "tolerance": 0.05,
-        "share": 0.05,
-        "top": None,
-        "time_limit": None,
-        "reached": True,
-        "stopped": "goal",
-        "relative_half_width": 0.0463,
-        "order": None,
-    }
-    return make(planner={**planner, **changes})
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({}, "95 % half-widths ≤ 4.6 % (target: 5 %)"),
-        (
-            {"reached": False, "stopped": "the time limit"},
-            "95 % half-widths ≤ 4.6 % (target: 5 %, stopped by the time limit)",
-        ),
-        (
-            {"tolerance": None, "time_limit": 10.0, "reached": None},
-            "95 % half-widths ≤ 4.6 % in 10 s",
-        ),
-        ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
-        ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
-        (
-            {"top": 3, "order": [["a", "b"], ["c"]], "reached": False, "stopped": "the time limit"},
-            "order of the top 3 not resolved, stopped by the time limit",
-        ),
-    ],
-)
-def test_tables_say_in_one_line_what_was_reached(changes, words):
-    assert goal_notes(planned(**changes)) == [words]
-    assert words in str(planned(**changes))
-    assert words in planned(**changes)._repr_html_()
+# ------------------------------------------------------------------------------------------ bad input, files
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ from seeds import shifted
 
 from extremes import fuzz, specimens
 from scenecaptum import SceneAttribution, SceneCaptumError, SceneRenderer, cli
-from scenecaptum.scene import load_scene
-from scenecaptum.scene._loading import hashable_source
+from scenecaptum.scene import hashable_source, load_scene
 
 SENSOR = '<sensor type="perspective"/>'
 

@@ -18,31 +18,31 @@ from scenecaptum import SceneAttribution
 KILLS, SEED = 20, 20261121
 PASSES = 2 * 16  # as many pictures as backward passes: a linear metric takes no more
 
-# The job, and a line in a log whenever a pass begins or ends.
+# The job; it logs its start, and each render and backward pass that it begins.
 JOB = """
 import os, sys
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.checkpoint import Checkpoint
 
 folder, log, out = sys.argv[1:4]
 log = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
-def logged(render):
-    def call(*arguments, **options):
-        os.write(log, b"begun\\n")
-        return render(*arguments, **options)
-    return call
+class LoggedCheckpoint(Checkpoint):
+    def get_or_render(self, inputs, render, device=None):
+        def logged():
+            os.write(log, b"begun\\n")
+            return render()
+        return super().get_or_render(inputs, logged, device)
 
 renderer = SceneRenderer("cornell-box", "reflectance", resolution=(32, 32), spp=16 * 512, max_depth=4)
-from scenecaptum.rendering._engine import Engine  # takes a variant
 method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
-method.attribute(replicates=2, spp=2)  # imports and compiles what it takes, in vain
-Engine.primal, Engine.vjp = logged(Engine.primal), logged(Engine.vjp)
+method.attribute(replicates=2, spp=2)  # warm-up: imports and compiles
 os.write(log, b"started\\n")
-method.attribute(seed=1, replicates=16, checkpoint=folder or None).save(out)
+method.attribute(seed=1, replicates=16, checkpoint=LoggedCheckpoint(folder)).save(out)
 """
 
 
-def run(folder: Path | str, log: Path, out: Path, seconds: float | None = None) -> int | None:
+def run(folder: Path, log: Path, out: Path, seconds: float | None = None) -> int | None:
     """Run the job, and kill it so many seconds after it started; return its status, None if it was killed."""
     command = [sys.executable, "-c", JOB, str(folder), str(log), str(out)]
     before = log.read_text().count("started") if log.exists() else 0
@@ -61,7 +61,7 @@ def run(folder: Path | str, log: Path, out: Path, seconds: float | None = None) 
 @pytest.mark.long
 def test_kill_at_random_moments(tmp_path: Path) -> None:
     folder, log = tmp_path / "kept", tmp_path / "log"
-    assert run("", log, tmp_path / "whole.npz") == 0
+    assert run(tmp_path / "uninterrupted", log, tmp_path / "whole.npz") == 0
     working = SceneAttribution.load(tmp_path / "whole.npz").info["seconds"]
     assert log.read_text().count("begun") == PASSES
     log.unlink()

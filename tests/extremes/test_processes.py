@@ -16,7 +16,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.rendering import _renderer
+from scenecaptum.scene import SceneGraph
 
 FLOOR = "floor.reflectance.value"
 PATIENCE = 100.0  # seconds; only a process that hangs takes them
@@ -70,13 +70,13 @@ def test_threads_may_share_a_renderer(expected: list[Any]) -> None:
 def test_a_refused_scene_is_gone_before_its_error_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     """Going with the error, it would go while another thread renders, whose kernels reach every object alive."""
     loaded: list[weakref.ref[Any]] = []
+    construct = SceneGraph.__init__
 
-    class Watched(_renderer.SceneGraph):
-        def __init__(self, scene: Any) -> None:
-            super().__init__(scene)
-            loaded.append(weakref.ref(self))
+    def watched(graph: SceneGraph, scene: Any) -> None:
+        construct(graph, scene)
+        loaded.append(weakref.ref(graph))
 
-    monkeypatch.setattr(_renderer, "SceneGraph", Watched)
+    monkeypatch.setattr(SceneGraph, "__init__", watched)
     with pytest.raises(SceneCaptumError, match=r"nothing\.such") as caught:
         SceneRenderer("cornell-box", "nothing.such")
     assert caught.value.__traceback__ is not None, "it holds the frames in which the scene was loaded"

@@ -22,7 +22,7 @@ import pytest
 from seeds import shift_text
 
 import scenecaptum
-from scenecaptum.cli._main import _parser
+from scenecaptum.cli import parser
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
@@ -110,7 +110,7 @@ def test_commands_in_pages_exist(page):
 def check_command(words: list[str]) -> None:
     match words:
         case ["scenecaptum", *arguments]:
-            _parser().parse_args(arguments)
+            parser().parse_args(arguments)
         case ["make", *targets]:
             assert all(
                 re.search(rf"^{one}:", (ROOT / "Makefile").read_text(), re.MULTILINE) for one in targets

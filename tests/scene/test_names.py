@@ -25,7 +25,7 @@ from scenecaptum import (
 )
 from scenecaptum.scene import SceneParameters, discover, load_scene
 from scenecaptum.scene._graph import SceneGraph
-from scenecaptum.visualization._numbers import columns, shorten
+from scenecaptum.visualization import columns, shorten
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 

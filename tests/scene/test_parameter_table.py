@@ -14,8 +14,7 @@ from results import make
 from scenecaptum.rendering import RenderPlan
 from scenecaptum.scene import Parameter, SceneParameters
 from scenecaptum.scene._bounds import Bounds
-from scenecaptum.visualization import table_html, table_text
-from scenecaptum.visualization._numbers import columns, shorten
+from scenecaptum.visualization import columns, shorten, table_html, table_text
 
 NASTY = "<img src=x onerror=alert(1)>"
 

@@ -17,14 +17,17 @@ from seeds import shifted
 
 from scenecaptum import SceneAttribution, SceneCaptumError
 from scenecaptum.visualization import (
+    align_decimals,
     display_image,
     plot_bars,
     plot_heatmap,
     save_render,
+    shorten,
     table_html,
     table_text,
+    with_error,
 )
-from scenecaptum.visualization._numbers import align_decimals, shorten, with_error
+from scenecaptum.visualization._text import goal_notes
 
 
 @pytest.fixture(autouse=True)
@@ -113,6 +116,46 @@ def test_missing_error_bars_are_said_and_explained() -> None:
     assert "no error bars: 1 replicate" in text
     assert "±" not in text
     assert "no error bars" not in table_text(make())
+
+
+def planned(**changes: Any) -> SceneAttribution:
+    planner = {
+        "tolerance": 0.05,
+        "share": 0.05,
+        "top": None,
+        "time_limit": None,
+        "reached": True,
+        "stopped": "goal",
+        "relative_half_width": 0.0463,
+        "order": None,
+    }
+    return make(planner={**planner, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "95 % half-widths ≤ 4.6 % (target: 5 %)"),
+        (
+            {"reached": False, "stopped": "the time limit"},
+            "95 % half-widths ≤ 4.6 % (target: 5 %, stopped by the time limit)",
+        ),
+        (
+            {"tolerance": None, "time_limit": 10.0, "reached": None},
+            "95 % half-widths ≤ 4.6 % in 10 s",
+        ),
+        ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
+        ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
+        (
+            {"top": 3, "order": [["a", "b"], ["c"]], "reached": False, "stopped": "the time limit"},
+            "order of the top 3 not resolved, stopped by the time limit",
+        ),
+    ],
+)
+def test_a_goal_is_reported_in_one_line(changes: dict[str, Any], words: str) -> None:
+    assert goal_notes(planned(**changes)) == [words]
+    assert words in str(planned(**changes))
+    assert words in planned(**changes)._repr_html_()
 
 
 def test_interruption_is_said() -> None:
