@@ -30,7 +30,7 @@ REPEATS = 150
 
 
 def assert_bars_are_honest(spread: torch.Tensor, bars: torch.Tensor) -> None:
-    """The deviation of the repeats is known to 1/√(2n); four of these are allowed either way."""
+    """The standard deviation of n repeats has a relative error of 1/√(2n); four of these are allowed."""
     ratio, width = spread / bars.square().mean(0).sqrt(), 4 / math.sqrt(2 * REPEATS)
     assert ((ratio - 1).abs() < width).all(), f"spread over bar {ratio.tolist()}, allowed 1 ± {width:.2f}"
 
@@ -82,7 +82,7 @@ def test_bad_number_of_replicates_is_refused(replicates):
 @pytest.mark.parametrize("renderer_class", [ToyRenderer, ReplayingToyRenderer])
 @pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS)
 def test_standard_error_is_the_spread_over_repeats_and_the_mean_is_right(renderer_class, metric):
-    # The jackknife is a first-order statement: the noise of an image must stay well inside the sigmoid's width.
+    # The jackknife is of first order: the noise of an image must be far smaller than the sigmoid's width.
     renderer = renderer_class(noise=0.1 if metric is glare_like else 0.3)
     repeats = [VanillaSceneGradient(renderer, metric).attribute(seed=seed) for seed in seeds(REPEATS)]
     values = torch.stack([one["x"] for one in repeats])
@@ -93,8 +93,9 @@ def test_standard_error_is_the_spread_over_repeats_and_the_mean_is_right(rendere
     assert (z.abs() < allowed(REPEATS, 3)).all(), f"bias in standard errors {z.tolist()}"
 
 
-def test_bars_hold_the_noise_of_the_image_that_leave_one_out_adjoints_alone_would_hide():
-    """The gradient of the log of a noisy image: half of its error comes from the image."""
+def test_error_bars_include_the_noise_of_the_image():
+    """The gradient of the log of a noisy image: half of its error comes from the image, which adjoints of
+    leave-one-out means alone would not show."""
     renderer = ReplayingToyRenderer(noise=0.3)
     repeats = [VanillaSceneGradient(renderer, log_mean).attribute(seed=seed) for seed in seeds(REPEATS)]
     truth = exact_gradient(renderer, log_mean)
@@ -102,7 +103,7 @@ def test_bars_hold_the_noise_of_the_image_that_leave_one_out_adjoints_alone_woul
         [(lo <= truth) & (truth <= hi) for lo, hi in (one.interval(0.95)["x"] for one in repeats)]
     )
     share = covered.float().mean().item()
-    # The three channels move together, so their number does not make the share any surer.
+    # The three channels are correlated, so their number does not make the share more accurate.
     width = 4 * math.sqrt(0.95 * 0.05 / REPEATS)
     assert abs(share - 0.95) < width, f"95 % intervals cover {share:.1%}, allowed 95 ± {width:.1%}"
 
@@ -118,12 +119,12 @@ def test_jackknife_bias_of_the_metric_matches_the_delta_method():
     assert abs(z) < allowed(REPEATS), f"mean estimate {biases.mean():.2e}, not {expected:.2e}, z = {z:.1f}"
 
 
-def test_bias_of_a_linear_metric_is_zero_and_costs_no_pass():
+def test_bias_of_a_linear_metric_is_zero_and_costs_no_backward_pass():
     attribution = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute()
     assert not attribution.bias["x"].any()
 
 
-def test_one_replicate_has_no_bars_and_says_so():
+def test_one_replicate_has_no_error_bars_and_says_so():
     attribution = VanillaSceneGradient(ToyRenderer(), log_mean).attribute(replicates=1)
     assert attribution.standard_error is None
     assert attribution.saliency_error() is None
@@ -208,7 +209,7 @@ def cornell_attribution(cornell):
 
 
 def test_attribution_agrees_with_finite_differences_of_many_seeds(cornell, cornell_attribution):
-    """The attribution's own seeds are independent, so it agrees with the expected derivative within its bars."""
+    """The attribution has independent seeds: it agrees with the expected derivative within its error bars."""
     name = "light.emitter.radiance.value"
     value, step = cornell.inputs[name], torch.tensor([1.0, 0.0, 0.0])
     metric = metrics.MeanLuminance()
@@ -245,7 +246,7 @@ def test_info_says_how_it_was_computed(cornell_attribution):
     assert {"scenecaptum", "torch", "mitsuba", "drjit", "python"} <= info["versions"].keys()
 
 
-def test_ranking_is_by_falling_norm(cornell_attribution):
+def test_ranking_is_by_descending_norm(cornell_attribution):
     rows = cornell_attribution.ranking()
     saliencies = [row.saliency for row in rows]
     assert saliencies == sorted(saliencies, reverse=True)
@@ -255,7 +256,7 @@ def test_ranking_is_by_falling_norm(cornell_attribution):
     assert first.saliency == pytest.approx(cornell_attribution[first.name].norm().item())
 
 
-def test_texture_counts_like_its_colour():
+def test_texture_ranks_like_its_colour():
     """A texture's saliency is that of its texel sum, so that a constant texture ranks like the colour it shows."""
     per_texel = torch.full((4, 5, 3), 0.1)
     torch.testing.assert_close(channel_totals(per_texel), torch.full((3,), 2.0))
@@ -271,7 +272,7 @@ def test_saliency_error_follows_the_covariance_of_the_channels():
     assert_bars_are_honest(norms.std(), torch.tensor([one.saliency_error()["x"] for one in repeats]))
 
 
-def test_unknown_name_suggests_the_nearest(cornell_attribution):
+def test_unknown_name_suggests_a_similar_one(cornell_attribution):
     with pytest.raises(SceneCaptumError, match=r"Did you mean 'light\.emitter\.radiance\.value'"):
         cornell_attribution["light.emitter.radiance"]
 
@@ -297,7 +298,7 @@ def test_saved_result_loads_with_everything_and_still_draws(cornell_attribution,
     assert str(loaded) == str(cornell_attribution)
 
 
-def test_a_result_without_bars_survives_saving(tmp_path):
+def test_a_result_without_error_bars_survives_saving(tmp_path):
     attribution = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(replicates=1)
     attribution.save(tmp_path / "result.npz")
     loaded = SceneAttribution.load(tmp_path / "result.npz")
@@ -322,7 +323,7 @@ def test_a_damaged_file_is_refused(damage, cornell_attribution, tmp_path):
         SceneAttribution.load(path)
 
 
-def test_saving_where_nothing_can_be_written_leaves_nothing(tmp_path, cornell_attribution):
+def test_failed_saving_leaves_no_file(tmp_path, cornell_attribution):
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneCaptumError, match="cannot be written"):
         cornell_attribution.save(tmp_path / "file" / "result.npz")
@@ -334,7 +335,7 @@ def test_difference_of_a_result_with_itself_is_exactly_zero(cornell_attribution)
 
 
 def test_errors_of_a_difference_use_shared_noise_where_there_is_some():
-    """Two metrics on the same samples: the bar of their difference is what the difference really spreads."""
+    """Two metrics on the same samples: the error bar of their difference is its actual spread."""
     renderer = ReplayingToyRenderer()
 
     def difference(seed: int) -> SceneAttribution:
@@ -364,7 +365,7 @@ def test_results_for_different_parameters_cannot_be_subtracted(cornell_attributi
 
 
 class InterruptedRenderer(ToyRenderer):
-    """Stands for Ctrl-C in the middle of the backward passes."""
+    """Raises KeyboardInterrupt during the backward passes."""
 
     def __init__(self, after: int) -> None:
         super().__init__()
@@ -382,7 +383,7 @@ class InterruptedRenderer(ToyRenderer):
             raise KeyboardInterrupt
 
 
-def test_interruption_carries_the_result_of_the_finished_passes():
+def test_interruption_carries_the_result_of_the_finished_replicates():
     with pytest.raises(AttributionInterrupted) as caught:
         VanillaSceneGradient(InterruptedRenderer(after=3), torch.mean).attribute()
     partial = caught.value.partial
@@ -408,7 +409,7 @@ def test_a_renderer_and_a_metric_in_the_wrong_order_are_refused_at_construction(
 
 
 @pytest.mark.parametrize("inputs", [torch.ones(3), (torch.ones(3),), 3])
-def test_inputs_that_are_no_mapping_are_named(inputs: object) -> None:
+def test_inputs_that_are_not_a_mapping_are_refused(inputs: object) -> None:
     method = VanillaSceneGradient(ToyRenderer(), torch.mean)
     with pytest.raises(
         SceneCaptumError, match=f"a dict from parameter name to tensor.*{type(inputs).__name__}"
@@ -416,7 +417,7 @@ def test_inputs_that_are_no_mapping_are_named(inputs: object) -> None:
         method.attribute(inputs)
 
 
-def test_rooms_are_attributes_of_the_package_and_load_when_used() -> None:
+def test_subpackages_are_attributes_and_load_when_used() -> None:
     code = (
         "import sys, scenecaptum as sc\n"
         "assert 'scenecaptum.validation' not in sys.modules\n"

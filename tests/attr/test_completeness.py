@@ -23,7 +23,7 @@ from scenecaptum.attr._convergence import verdict
 from scenecaptum.visualization import table_text
 
 REPEATS = 12
-SURE = 1 - 1e-4  # of each of some hundred elements, most of which go together
+SURE = 1 - 1e-4  # for each of about a hundred elements, most of them correlated
 
 
 def log_mean(image: torch.Tensor) -> torch.Tensor:
@@ -31,7 +31,7 @@ def log_mean(image: torch.Tensor) -> torch.Tensor:
 
 
 class Sheet(ToyRenderer):
-    """The same, seen through a sheet that is tinted texel by texel."""
+    """The same, seen through a sheet with a tint for each texel."""
 
     def __init__(self, noise: float = 0.3) -> None:
         super().__init__(noise)
@@ -49,7 +49,7 @@ def exact(renderer: ToyRenderer, **settings) -> SceneAttribution:
 @pytest.mark.parametrize("groups", [None, {"all": "*"}])
 @pytest.mark.parametrize("n_steps", [4, 8, 32])
 def test_each_integral_lies_within_its_error_from_black(n_steps, groups):
-    """8 steps miss what they integrate by many times their noise: the error is that of the quadrature."""
+    """With 8 steps the quadrature error is many times the noise."""
     renderer = Sheet(noise=0.1)
     truth = exact(renderer, groups=groups)
     method = IntegratedGradientsScene(renderer, log_mean)
@@ -82,7 +82,7 @@ def test_the_error_of_a_quadrature_is_a_part_of_each_error():
     )
 
 
-def test_a_difference_has_the_quadrature_errors_of_both():
+def test_a_difference_includes_the_quadrature_errors_of_both():
     renderer = Sheet()
     one, other = (
         IntegratedGradientsScene(renderer, metric).attribute(n_steps=8, baselines=0.0, seed=shifted())
@@ -133,7 +133,7 @@ def test_rounding_is_allowed_for():
     assert verdict(1e-6, None, 1.0, rounding=1e-5) == "adds up"
 
 
-def test_the_verdict_is_printed_with_what_it_rests_on():
+def test_the_verdict_is_printed_with_its_reasons():
     found = IntegratedGradientsScene(ToyRenderer(), log_mean).attribute(
         n_steps=8, baselines=0.0, seed=shifted()
     )
@@ -146,8 +146,8 @@ def test_the_verdict_is_printed_with_what_it_rests_on():
     assert "quadrature" not in str(noisy)
 
 
-def test_a_metric_that_is_infinite_at_the_baseline_explains_nothing():
-    """The gradient at the baseline, which a Riemann sum takes for its error only, is infinite too."""
+def test_completeness_is_undecided_if_the_metric_is_infinite_at_the_baseline():
+    """The gradient there is infinite too; a Riemann sum uses it for its error only."""
 
     def log_of_black(image: torch.Tensor) -> torch.Tensor:
         return torch.log(image.mean())
@@ -167,7 +167,7 @@ def test_shapley_values_add_up_by_construction():
     assert f"adds up: delta 0 of {found.info['explained']:.3f}" in " ".join(str(found).split())
 
 
-def test_gradient_shap_has_the_error_of_its_scenes():
+def test_the_error_of_gradient_shap_includes_the_choice_of_scenes():
     found = GradientShapScene(ToyRenderer(noise=0.1), metrics.MeanLuminance()).attribute(
         baselines=[0.1, 0.2], n_samples=200, spp=4000, seed=shifted()
     )

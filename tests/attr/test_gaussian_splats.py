@@ -43,7 +43,7 @@ splats = imported()
 
 
 def bright(image: torch.Tensor) -> torch.Tensor:
-    """Return about what share of the picture is bright: the opposite of linear."""
+    """Return about which share of the image is bright: far from linear."""
     return torch.sigmoid((image - 0.4) / 0.1).mean()
 
 
@@ -56,7 +56,7 @@ def renderer():
 
 
 class Recorded(splats.SplatRenderer):
-    """Keeps the scenes at which gradients are taken."""
+    """Records the scenes at which gradients are taken."""
 
     def __init__(self) -> None:
         super().__init__(16)
@@ -65,7 +65,7 @@ class Recorded(splats.SplatRenderer):
     def __call__(self, inputs, *, seed, spp):
         if any(value.requires_grad for value in inputs.values()):
             scene = {name: value.detach().clone() for name, value in inputs.items()}
-            # However many passes a scene gets, here they are all the same.
+            # All replicates of a scene are equal here.
             self.scenes[torch.cat([v.reshape(-1) for v in scene.values()]).numpy().tobytes()] = scene
         return super().__call__(inputs, seed=seed, spp=spp)
 
@@ -90,7 +90,7 @@ def nothing(renderer):
 
 
 def assert_same(found, expected, rtol: float = 1e-4) -> None:
-    """Compare to a fraction of the largest number of all."""
+    """Compare up to a fraction of the largest number."""
     assert set(found) == set(expected)
     scale = max(value.abs().max().item() for value in expected.values())
     for name, right in expected.items():
@@ -125,7 +125,7 @@ def test_its_docstrings_run():
     assert not failed
 
 
-def test_a_picture_is_what_blending_one_gaussian_over_the_other_gives(renderer):
+def test_a_picture_blends_the_gaussians_from_back_to_front(renderer):
     """From the back to the front, against the closed form that the renderer has."""
     image = torch.zeros(16, 16, 3)
     owners = [name for name, count in renderer.counts.items() for _ in range(count)]
@@ -150,7 +150,7 @@ def test_plain_gradients_are_autograds(renderer, metric, scale):
     found = VanillaSceneGradient(renderer, metric).attribute(scale=scale)
     factors = {
         "unit": dict.fromkeys(renderer.inputs, 1.0),
-        # A colour has no upper bound: its largest channel stands in.
+        # A colour has no upper bound: its largest channel replaces the range.
         "range": {n: v.max() if n.endswith(".colour") else 1.0 for n, v in renderer.inputs.items()},
         "value": renderer.inputs,
     }[scale]
@@ -166,7 +166,7 @@ def test_inputs_times_gradients_are_autograds(renderer, metric):
 
 
 @every_metric
-def test_integrated_gradients_are_the_integral(renderer, metric):
+def test_integrated_gradients_are_the_integral_of_autograds(renderer, metric):
     recorded, count = Recorded(), 400
     for step in range(count):
         recorded(
@@ -196,7 +196,7 @@ def test_integrated_gradients_add_up(renderer, metric, baselines):
 
 @every_metric
 @pytest.mark.parametrize("nt_type", ["smoothgrad", "smoothgrad_sq", "vargrad"])
-def test_smoothgrad_is_a_moment_of_the_gradients_at_its_scenes(metric, nt_type):
+def test_smoothgrad_is_a_moment_of_the_gradients_at_its_samples(metric, nt_type):
     recorded, count = Recorded(), 40
     found = SmoothGradScene(recorded, metric).attribute(nt_type=nt_type, nt_samples=count)
     gradients = recorded.gradients(metric)
@@ -221,15 +221,16 @@ def test_the_noise_of_smoothgrad_is_a_fraction_of_the_range_and_reflected(render
             assert low < values.min(), f"{name} is outside its bounds or was cut off there"
             assert values.max() < high, f"{name} is outside its bounds or was cut off there"
         spreads[stdev] = {n: (v - renderer.inputs[n]).square().mean().sqrt() for n, v in drawn.items()}
-    # 4 320 numbers: their deviation is known to 1 %.
+    # 4 320 numbers: the relative error of their standard deviation is 1 %.
     assert spreads[0.05][WALL].item() == pytest.approx(0.05 * renderer.inputs[WALL].max().item(), rel=0.05)
     assert spreads[0.05]["wall.opacity"].item() == pytest.approx(0.05, rel=4 / math.sqrt(2 * 60))
-    # Between bounds at 0 and 1, noise as wide as these spreads evenly: 1/√12 about the middle, and 0.2 aside.
+    # Between bounds at 0 and 1, reflected noise of this width is uniform: it deviates by 1/√12 from the middle,
+    # which is 0.2 away.
     assert spreads[1.0]["wall.opacity"].item() == pytest.approx(math.hypot(12**-0.5, 0.2), rel=0.3)
 
 
 @every_metric
-def test_gradient_shap_is_the_mean_over_places_on_the_way(renderer, metric):
+def test_gradient_shap_is_the_mean_over_points_of_the_path(renderer, metric):
     recorded, count = Recorded(), 100
     found = GradientShapScene(recorded, metric).attribute(n_samples=count)
     rows = {name: renderer.inputs[name] * g for name, g in recorded.gradients(metric).items()}
@@ -240,7 +241,7 @@ def test_gradient_shap_is_the_mean_over_places_on_the_way(renderer, metric):
     places = torch.stack([scene[apple] / renderer.inputs[apple] for scene in recorded.scenes.values()])
     for row, scene in zip(places, recorded.scenes.values(), strict=True):
         torch.testing.assert_close(scene[WALL], row * renderer.inputs[WALL])
-    # The largest distance of 100 even draws from an even distribution exceeds 0.19 once in a thousand times.
+    # The Kolmogorov–Smirnov distance of 100 uniform numbers exceeds 0.19 once in a thousand times.
     steps = torch.arange(count) / count
     assert (places.sort().values - steps).abs().max() < 0.2
 
@@ -260,20 +261,20 @@ def changed(value: torch.Tensor, index, to: torch.Tensor | float) -> torch.Tenso
 
 
 @every_metric
-def test_ablation_is_the_difference_that_it_makes(renderer, metric):
+def test_ablation_is_the_difference_of_two_renders(renderer, metric):
     found = FeatureAblationScene(renderer, metric).attribute()
     full, expected = measured(renderer, metric, {}), {}
     for name, value in renderer.inputs.items():
         expected[name] = torch.zeros_like(value)
         for place in [(..., channel) for channel in range(value.shape[-1])] if value.ndim else [...]:
             effect = full - measured(renderer, metric, {name: changed(value, place, 0.0)})
-            # That of a channel of the wall is spread over its texels.
+            # The effect of a channel of the wall is spread over its texels.
             expected[name][place] = effect / (24 if name == WALL else 1)
     assert_same(found, expected, rtol=1e-5)
 
 
 @every_metric
-def test_ablation_of_a_thing_is_the_difference_that_it_makes(renderer, metric):
+def test_ablation_of_a_group_is_the_difference_of_two_renders(renderer, metric):
     found = FeatureAblationScene(renderer, metric).attribute(groups=THINGS)
     full, absent = measured(renderer, metric, {}), nothing(renderer)
     without = {thing: {n: v for n, v in absent.items() if n.startswith(thing)} for thing in THINGS}
@@ -311,7 +312,7 @@ def test_sampled_shapley_values_add_up_and_agree_within_their_errors(renderer, m
 
 
 @every_metric
-def test_occlusion_is_the_difference_that_a_hidden_patch_makes(renderer, metric):
+def test_occlusion_is_the_difference_of_two_renders(renderer, metric):
     found = OcclusionScene(renderer, metric).attribute(sliding_window_shapes=2)
     wall, full = renderer.inputs[WALL], measured(renderer, metric, {})
     expected = torch.zeros_like(wall)
@@ -340,7 +341,7 @@ def test_occlusion_is_the_difference_that_a_hidden_patch_makes(renderer, metric)
         (OcclusionScene, {"sliding_window_shapes": 2}),
     ],
 )
-def test_what_has_no_noise_has_no_error(renderer, metric, method, settings):
+def test_without_noise_errors_are_zero(renderer, metric, method, settings):
     found, other = (method(renderer, metric).attribute(**settings, seed=seed) for seed in seeds(2))
     assert max(found.saliency().values()) > 0
     assert found.metric_standard_error == 0

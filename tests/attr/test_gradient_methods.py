@@ -27,7 +27,7 @@ from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._quadrature_error import covariance_of_quadrature
 from scenecaptum.estimation import Budget
 
-# Captum sets requires_grad on the detached inputs it is given, and says so.
+# Captum warns when it sets requires_grad on detached inputs.
 pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already require gradients")
 
 WALL, LIGHT = "left_wall.reflectance.value", "light.emitter.radiance.value"
@@ -58,7 +58,7 @@ def sigmoid(image: torch.Tensor) -> torch.Tensor:
 
 
 def forward(renderer: Glowing, metric):
-    """The same for Captum: a batch of inputs to a batch of numbers."""
+    """The same for Captum: from a batch of inputs to a batch of numbers."""
 
     def call(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         rows = zip(x, y, strict=True)
@@ -116,7 +116,7 @@ def test_captums_delta_is_ours():
 
 @pytest.mark.parametrize("nt_type", ["smoothgrad", "smoothgrad_sq", "vargrad"])
 def test_noise_tunnel_agrees_within_its_error(nt_type):
-    """Inside the bounds, where reflection does nothing; the noise of both is their own."""
+    """Inside the bounds, where reflection does nothing; both draw independent noise."""
     renderer, count = Glowing(), 400
     call, inputs = forward(renderer, sigmoid)
     ours = SmoothGradScene(renderer, sigmoid).attribute(
@@ -127,7 +127,7 @@ def test_noise_tunnel_agrees_within_its_error(nt_type):
         inputs, nt_type=nt_type, nt_samples=count, stdevs=(0.04, 0.0), abs=False
     )
     for name, expected in zip(ours, theirs, strict=True):
-        # Theirs is as noisy as ours.
+        # Captum's estimate is as noisy as ours.
         z = (ours[name] - expected[0]) / (math.sqrt(2) * ours.standard_error[name])
         assert z.abs().max() < allowed(400, 4), f"{name}: {ours[name]} against {expected[0]}, z = {z}"
 
@@ -163,7 +163,7 @@ def test_scales_are_factors():
         VanillaSceneGradient(renderer, sigmoid).attribute(scale=scale) for scale in ("unit", "range", "value")
     )
     torch.testing.assert_close(of_range["x"], unit["x"])
-    torch.testing.assert_close(of_range["y"], 1.5 * unit["y"])  # no upper bound: its value stands in
+    torch.testing.assert_close(of_range["y"], 1.5 * unit["y"])  # no upper bound: its value replaces the range
     torch.testing.assert_close(of_value["x"], renderer.inputs["x"] * unit["x"])
 
 
@@ -188,7 +188,7 @@ def test_several_targets_come_from_the_same_renders():
         assert together == renderer.calls - before
 
 
-def test_one_noisy_sample_that_is_free_of_noise_is_the_plain_gradient():
+def test_one_sample_of_smoothgrad_is_the_plain_gradient():
     renderer = Glowing(noise=0.3)
     plain = VanillaSceneGradient(renderer, sigmoid).attribute(seed=shifted(2))
     smooth = SmoothGradScene(renderer, sigmoid).attribute(nt_samples=1, seed=shifted(2))
@@ -197,7 +197,7 @@ def test_one_noisy_sample_that_is_free_of_noise_is_the_plain_gradient():
 
 
 @pytest.mark.parametrize("nt_type", ["smoothgrad_sq", "vargrad"])
-def test_the_noise_of_rendering_is_no_variance_of_the_gradient(nt_type):
+def test_render_noise_is_not_counted_as_variance_of_the_gradient(nt_type):
     renderer = Glowing(noise=0.5)
     repeats = [
         SmoothGradScene(renderer, torch.mean).attribute(nt_type=nt_type, nt_samples=6, stdevs=0.0, seed=seed)
@@ -220,7 +220,7 @@ def test_the_noise_of_rendering_is_no_variance_of_the_gradient(nt_type):
     ],
 )
 def test_error_bars_and_deltas_of_integrated_gradients_are_honest(n_steps, metric):
-    """With 24 steps only every third tells its noise."""
+    """With 24 steps only every third has replicates to estimate its noise."""
     renderer, repeats = Glowing(noise=0.3), 100
     found = [
         IntegratedGradientsScene(renderer, metric).attribute(baselines=0.1, n_steps=n_steps, seed=seed)
@@ -232,7 +232,7 @@ def test_error_bars_and_deltas_of_integrated_gradients_are_honest(n_steps, metri
         bars = torch.stack([one.standard_error[name] for one in found]).square().mean(0).sqrt()
         z = (values.mean(0) - truth[name]) / (values.std(0) / math.sqrt(repeats))
         assert z.abs().max() < allowed(repeats, 4), f"{name}: bias in standard errors {z}"
-        # What the quadrature might add to them, the noise of which is not taken off altogether, is small.
+        # The quadrature adds little to them, although its estimate contains some noise.
         ratio, width = values.std(0) / bars, 4 / math.sqrt(2 * repeats)
         assert (ratio < 1 + width).all(), f"{name}: {ratio}"
         assert (ratio > 0.85 - width).all(), f"{name}: {ratio}"
@@ -244,7 +244,7 @@ def test_error_bars_and_deltas_of_integrated_gradients_are_honest(n_steps, metri
     assert abs(z) < allowed(repeats)
 
 
-def test_a_difference_has_the_difference_of_the_deltas():
+def test_the_delta_of_a_difference_is_the_difference_of_the_deltas():
     renderer = Glowing(noise=0.3)
     method = IntegratedGradientsScene(renderer, sigmoid)
     one, other = (method.attribute(baselines=base, n_steps=4) for base in (0.1, 0.2))
@@ -264,13 +264,13 @@ def test_samples_are_split_over_the_points(points, replicates, pairs):
     seen = [one * count for one, count in zip(budget.spp, budget.replicates, strict=True)]
     assert abs(budget.total - spp) <= replicates or min(budget.spp) == max(budget.spp) == 1
     assert max(seen) - min(seen) <= replicates
-    # Every point can show the metric as many pictures as any other.
+    # The metric is evaluated on equally many images at every point.
     assert {len(row) for row in budget.seeds} == {replicates}
     seeds = [seed for half in (budget.seeds, budget.gradient_seeds) for row in half for seed in row]
     assert len(set(seeds)) == len(seeds)
 
 
-def test_a_metric_that_is_not_linear_sees_enough_at_every_step():
+def test_a_non_linear_metric_gets_enough_samples_at_every_step():
     renderer = Glowing(noise=1.0)
     linear, bent = (
         IntegratedGradientsScene(renderer, m).attribute(baselines=0.5, n_steps=16, spp=32)
@@ -280,7 +280,7 @@ def test_a_metric_that_is_not_linear_sees_enough_at_every_step():
     assert bent.info["budget"]["spp_added_for_the_metric"] == 16 * 16
 
 
-def test_a_metric_that_bends_only_later_on_the_way_is_noticed():
+def test_non_linearity_later_on_the_path_is_detected():
     """Steps with a single replicate are compared with the first step, where the metric was linear."""
 
     def overexposed(image: torch.Tensor) -> torch.Tensor:
@@ -299,7 +299,7 @@ def test_a_metric_that_bends_only_later_on_the_way_is_noticed():
     assert z.abs().max() < allowed(60, 3), f"z = {z}"
 
 
-def test_rounding_is_no_failure_to_add_up():
+def test_rounding_does_not_count_against_completeness():
     found = IntegratedGradientsScene(Glowing(), sigmoid).attribute(n_steps=32, replicates=1)
     assert found.info["convergence"] == "adds up"
     assert found.convergence_delta_error is None
@@ -310,7 +310,7 @@ def test_rounding_is_no_failure_to_add_up():
     assert (still.info["explained"], still.info["convergence"]) == (0.0, "adds up")
 
 
-def test_what_ctrl_c_leaves_stands_for_the_whole():
+def test_an_interrupted_integral_estimates_the_whole():
     renderer = Glowing()
     stop_at = 40
 
@@ -348,7 +348,7 @@ def test_integrated_gradients_of_the_light_are_the_picture(box):
     assert abs(z) < allowed(8)
 
 
-def test_integrated_gradients_of_all_add_up(box):
+def test_integrated_gradients_add_up(box):
     for metric in (metrics.MeanLuminance(), lambda image: torch.log(image.mean() + 0.01)):
         attribution = IntegratedGradientsScene(box, metric).attribute(n_steps=8)
         assert abs(attribution.convergence_delta) < allowed(8) * attribution.convergence_delta_error
@@ -374,7 +374,7 @@ def test_groups_add_up_their_members_and_their_errors(box):
     torch.testing.assert_close(kinds["emitters"], alone[LIGHT].sum(), rtol=1e-4, atol=0)
     assert sum(kinds.values()).item() == pytest.approx(sum(v.sum().item() for v in alone.values()), rel=1e-4)
     assert kinds.convergence_delta == pytest.approx(alone.convergence_delta, abs=1e-5)
-    # The channels of a colour share their paths: their errors add as their covariance says.
+    # The channels of a colour share their paths: their errors add according to their covariance.
     # The error of a sum's quadrature is its own.
     spread, together = (
         (found.covariance[name] - covariance_of_quadrature(found.quadrature_error[name], found[name])).sum()

@@ -7,6 +7,7 @@ import math
 
 import pytest
 import torch
+from chance import binomial_margin
 from seeds import seeds, shifted
 from toy import ToyRenderer
 
@@ -17,7 +18,7 @@ RUNS = 100
 
 
 class Fireflies(ToyRenderer):
-    """The same, but of the samples of a picture one in ``one_in`` is brighter by a factor."""
+    """The same, but one in ``one_in`` samples of an image is brighter by a factor."""
 
     def __init__(self, brighter: float = 0.0, one_in: int = 400, noise: float = 0.3) -> None:
         super().__init__(noise)
@@ -46,11 +47,11 @@ def test_errors_of_few_replicates_are_marked():
     assert "(all parameters)" in " ".join(str(few).split())
     assert not attribute(Fireflies(), shifted(), spp=4, replicates=4).untrusted_errors()
     alone = attribute(Fireflies(), shifted(), replicates=1)
-    assert alone.untrusted_errors() == {}  # there is no error to be trusted
+    assert alone.untrusted_errors() == {}  # there is no error bar
 
 
 def test_a_dominating_replicate_is_marked(tmp_path):
-    """64 samples in 8 replicates; one in 400 is a thousand times as bright, so that single ones occur."""
+    """64 samples in 8 replicates; one in 400 is 1000 times as bright, so that some runs contain one."""
     renderer = Fireflies(brighter=1000.0)
     found = [attribute(renderer, seed) for seed in seeds(60)]
     met = [one for one in found if sum(row.norm() > 10 for row in one.replicates["x"]) == 1]
@@ -62,7 +63,7 @@ def test_a_dominating_replicate_is_marked(tmp_path):
     assert SceneAttribution.load(tmp_path / "met.npz").untrusted_errors() == met[0].untrusted_errors()
 
 
-def test_a_mark_stands_where_only_some_are_doubtful():
+def test_only_parameters_with_doubtful_errors_are_marked():
     rows = torch.linspace(-1, 1, 8)[:, None] * 0.01 + 1.0
     one = attribute(ToyRenderer(), shifted())
     spiky = rows.clone()
@@ -82,18 +83,18 @@ def test_a_mark_stands_where_only_some_are_doubtful():
 
 
 def test_normal_replicates_are_trusted():
-    """False alarms are no more frequent than was set: one in a hundred results."""
+    """False alarms are no more frequent than the set rate of one in a hundred results."""
     alarms = sum(bool(attribute(Fireflies(), seed).untrusted_errors()) for seed in seeds(RUNS))
     assert alarms <= RUNS * FALSE_ALARM_RATE + 4 * math.sqrt(RUNS * FALSE_ALARM_RATE)
 
 
-def test_limit_is_that_of_grubbs():
+def test_the_limit_is_that_of_grubbs_test():
     """The critical value for 8 observations at 1 %, two-sided: G = 2.274 (Grubbs and Beck, 1972)."""
     fraction = _critical_fraction(8, 0.01)
     assert math.sqrt(fraction * 7) == pytest.approx(2.274, abs=2e-3)
 
 
-def test_rounding_is_no_spread():
+def test_rounding_is_not_counted_as_spread():
     assert not attribute(Fireflies(noise=0.0), shifted()).untrusted_errors()
 
 
@@ -113,8 +114,8 @@ def test_median_of_means_is_the_median():
     assert median.metric_value == mean.metric_value
 
 
-def test_median_moves_less_than_the_mean_and_owns_up_to_it():
-    """A firefly moves the mean by an eighth of its replicate, the median hardly; its error has the difference."""
+def test_median_moves_less_than_the_mean_and_its_error_includes_the_difference():
+    """A firefly moves the mean by an eighth of its replicate and the median hardly at all."""
     renderer = Fireflies(brighter=1000.0)
     clean = torch.stack([attribute(Fireflies(), seed)["x"] for seed in seeds(60)])
     means = [attribute(renderer, seed) for seed in seeds(60)]
@@ -137,7 +138,7 @@ def test_intervals_of_the_median_cover_the_truth_for_normal_replicates():
     for seed in seeds(RUNS):
         low, high = attribute(renderer, seed).median_of_means().interval(0.95)["x"]
         inside += bool(low[0] <= truth[0] <= high[0])
-    assert inside / RUNS > 0.95 - 3 * math.sqrt(0.95 * 0.05 / RUNS)
+    assert inside / RUNS > 0.95 - binomial_margin(0.95, RUNS)
 
 
 def test_equal_replicates_do_not_hide_the_error():
@@ -156,7 +157,7 @@ def test_equal_replicates_do_not_hide_the_error():
     assert median.standard_error["rare"].item() > 0.375
 
 
-def test_no_median_without_replicates_of_one_scene():
+def test_a_median_needs_several_replicates_of_one_scene():
     steps = IntegratedGradientsScene(ToyRenderer(), torch.mean).attribute(
         baselines={"x": torch.zeros(3)}, n_steps=4
     )

@@ -1,4 +1,4 @@
-"""What every attribution method owes, whatever the scene: on the Cornell box and on the office."""
+"""Identities that every attribution method fulfils on any scene: on the Cornell box and the office."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def attribute(
 
 
 def hidden(scene: dict[str, Any], mi: Any) -> dict[str, Any]:
-    """Add a ball of its own material, locked in a black box far from everything."""
+    """Add a ball with a separate material inside a distant black box."""
     transform = mi.ScalarTransform4f
     black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}}
     return scene | {
@@ -60,7 +60,7 @@ def renderer(request: pytest.FixtureRequest, mi: Any) -> SceneRenderer:
 
 
 @every_method
-def test_what_cannot_matter_gets_nothing(renderer, method):
+def test_a_parameter_without_effect_gets_zero(renderer, method):
     found = attribute(renderer, method, groups="material")
     assert found.saliency()["secret"] <= allowed(8) * found.saliency_error()["secret"]
     assert max(found.saliency().values()) > 0
@@ -68,7 +68,7 @@ def test_what_cannot_matter_gets_nothing(renderer, method):
 
 @every_method
 def test_attributions_are_linear_in_the_metric(renderer, method):
-    """Within their errors: the samples of a backward pass go to other pixels for another metric."""
+    """Within their errors: the pixels that a backward pass samples depend on the metric."""
 
     def upper(image: torch.Tensor) -> torch.Tensor:
         return image[:4].mean()
@@ -85,7 +85,7 @@ def test_attributions_are_linear_in_the_metric(renderer, method):
 
 @pytest.mark.parametrize("metric", [mean_luminance, log_luminance], ids=["linear", "log"])
 @pytest.mark.parametrize("method", ["integrated", "gradient shap"])
-def test_gradients_along_a_way_add_up(renderer, method, metric):
+def test_integrated_gradients_add_up(renderer, method, metric):
     found = attribute(renderer, method, metric, **({"n_steps": 8} if method == "integrated" else {}))
     assert abs(found.convergence_delta) < allowed(8) * found.convergence_delta_error
 
@@ -105,8 +105,8 @@ def assert_agree(first: SceneAttribution, second: SceneAttribution, names: dict[
 
 
 @every_method
-def test_a_scene_written_in_another_way_is_the_same_scene(mi, method):
-    """A floor of its own material or one that it refers to, from one side or both: the same room."""
+def test_equivalent_descriptions_of_a_scene_give_equal_results(mi, method):
+    """The floor's material is inline or referenced, one-sided or two-sided: the same room."""
     plain = BUNDLED["cornell-box"]()
     other = dict(plain)
     other["floor_shape"] = plain["floor_shape"] | {"bsdf": {"type": "twosided", "bsdf": plain["floor"]}}
@@ -115,7 +115,7 @@ def test_a_scene_written_in_another_way_is_the_same_scene(mi, method):
     inputs = ["reflectance", "emitters"]
     ungrouped = (
         {"groups": None} if method != "shapley" else {}
-    )  # two players have exact values, with good errors
+    )  # two players get exact values with accurate errors
     one, two = (
         attribute(SceneRenderer(scene, inputs, **settings), method, seed=shifted(seed), **ungrouped)
         for seed, scene in enumerate((plain, other))
@@ -130,7 +130,7 @@ def test_a_scene_written_in_another_way_is_the_same_scene(mi, method):
 
 
 def lamps(mi: Any, centres: list[float], width: float) -> dict[str, Any]:
-    """Lamps in a row over a floor: its own mirror image where the centres are."""
+    """Lamps in a row over a floor; symmetric if the centres are."""
     transform = mi.ScalarTransform4f
     scene = {
         "type": "scene",
@@ -163,7 +163,7 @@ def mean_and_error(replicates: torch.Tensor) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "shapley"])
-def test_equal_lamps_count_alike_and_the_halves_of_one_share_it(mi, method):
+def test_equal_lamps_count_alike_and_half_lamps_share(mi, method):
     halves = of_lamps(mi, method, [-0.5, 0.5], 0.5)
     assert len(halves) == 2
     difference, error = mean_and_error(halves["lamp_0"] - halves["lamp_1"])

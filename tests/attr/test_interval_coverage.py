@@ -1,4 +1,4 @@
-"""Whether error bars are honest: takes minutes."""
+"""The coverage of 95 % intervals: takes minutes."""
 
 from __future__ import annotations
 

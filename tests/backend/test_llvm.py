@@ -21,7 +21,7 @@ def _no_explicit_library(monkeypatch):
 
 @pytest.fixture
 def library(tmp_path):
-    """Write a file that claims to be an LLVM library, and is none."""
+    """Write a file that looks like an LLVM library."""
 
     def write(content, name="libLLVM.so"):
         path = tmp_path / name
@@ -119,7 +119,7 @@ def test_reading_a_version_loads_nothing():
     assert not loaded
 
 
-def test_each_bad_file_gets_its_reason(library, tmp_path):
+def test_each_unusable_file_has_a_reason(library, tmp_path):
     assert "too old" in _llvm._inspect(library(b"libLLVM-16.so.1", "old.so")).problem
     assert _llvm._inspect(library(b"", "none.so")).problem == "not an LLVM library"
     assert _llvm._inspect(tmp_path / "absent.so").problem.startswith("unreadable")
@@ -131,7 +131,7 @@ def test_each_bad_file_gets_its_reason(library, tmp_path):
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="only ELF files name their processor like this"
 )
-def test_a_library_for_another_processor_is_passed_over(tmp_path):
+def test_a_library_for_another_processor_is_skipped(tmp_path):
     header = bytearray(Path(sys.executable).read_bytes()[:64])
     path = tmp_path / "libLLVM.so"
     path.write_bytes(bytes(header) + b"libLLVM.so.19.1")
@@ -153,7 +153,7 @@ def test_a_library_for_another_processor_is_passed_over(tmp_path):
         ("libLLVM.so.20.1-rust-1.87.0-stable", False),
     ],
 )
-def test_only_whole_llvm_libraries_are_looked_at(tmp_path, name, expected):
+def test_only_complete_llvm_libraries_are_considered(tmp_path, name, expected):
     (tmp_path / name).touch()
     assert bool(_llvm._libraries_in(tmp_path)) is expected
 
@@ -165,7 +165,7 @@ def test_links_to_one_library_count_once(library, monkeypatch, tmp_path):
     assert _llvm.llvm_libraries() == [LLVMLibrary(Path(os.path.realpath(real)), 19)]
 
 
-def test_conda_and_the_environments_own_folders_are_searched(tmp_path, monkeypatch):
+def test_folders_of_conda_and_the_environment_are_searched(tmp_path, monkeypatch):
     conda, prefix = tmp_path / "conda", tmp_path / "prefix"
     unpacked = prefix / "lib" / "llvm" / "usr" / "lib" / "x86_64-linux-gnu"
     for folder in (conda / "lib", unpacked):
@@ -181,12 +181,12 @@ def test_conda_and_the_environments_own_folders_are_searched(tmp_path, monkeypat
 # ----------------------------------------------------------------------------------------- choosing
 
 
-def test_the_newest_measured_version_is_chosen(no_trials):
+def test_the_newest_tested_version_is_chosen(no_trials):
     libraries = [LLVMLibrary(Path(f"/{version}"), version) for version in (17, 19, 22, 21, 30)]
     assert _llvm.choose_llvm(libraries).version == 22
 
 
-def test_unmeasured_versions_are_tried_newest_first(monkeypatch):
+def test_untested_versions_are_tried_newest_first(monkeypatch):
     monkeypatch.setattr(_llvm, "trial_failure", lambda _, one: "aborts" if one.version == 30 else None)
     libraries = [LLVMLibrary(Path(f"/{version}"), version) for version in (17, 18, 30)]
     assert _llvm.choose_llvm(libraries).version == 18
@@ -199,7 +199,7 @@ def test_an_explicit_usable_library_wins(monkeypatch, no_trials):
 
 
 @pytest.mark.parametrize("content", [b"libLLVM-15.so.1", b"not a library"])
-def test_an_explicit_unusable_library_is_passed_over(library, monkeypatch, no_trials, content):
+def test_an_explicit_unusable_library_is_skipped(library, monkeypatch, no_trials, content):
     bad, good = library(content, "bad.so"), library(b"libLLVM.so.19.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(bad))
     monkeypatch.setattr(_llvm, "_linker_cache", lambda: [good])
@@ -208,7 +208,7 @@ def test_an_explicit_unusable_library_is_passed_over(library, monkeypatch, no_tr
     assert _llvm.choose_llvm().path == Path(os.path.realpath(good))
 
 
-def test_a_trial_reports_failure_instead_of_aborting(library):
+def test_a_failed_trial_is_reported_without_aborting(library):
     impostor = LLVMLibrary(library(b"libLLVM.so.99.1"), 99)
     assert "LLVM" in _llvm.trial_failure("llvm_ad_rgb", impostor)
 
@@ -218,7 +218,7 @@ def test_a_trial_reports_failure_instead_of_aborting(library):
     reason="no old LLVM on this machine",
 )
 def test_old_versions_really_fail():
-    """Guard the reason for all this: when Dr.Jit learns to live with old libraries, the limit should go."""
+    """If Dr.Jit works with old versions again, the limit should be removed."""
     old = next(one for one in _llvm.llvm_libraries() if (one.version or 99) < _llvm.OLDEST_LLVM)
     assert _llvm.trial_failure("llvm_ad_rgb", LLVMLibrary(old.path, old.version)) is not None
 
@@ -227,7 +227,7 @@ def test_old_versions_really_fail():
 
 
 @needs_llvm
-def test_activate_passes_over_an_old_library_and_renders(library):
+def test_activate_skips_an_old_library_and_renders(library):
     got = answer(
         """
         mi = activate()
@@ -242,7 +242,7 @@ def test_activate_passes_over_an_old_library_and_renders(library):
     assert got == ["llvm_ad_rgb", "cpu", "LogLevel.Error", str(_llvm.choose_llvm().path), [1, 2]]
 
 
-def test_without_a_usable_library_the_error_says_how_to_get_one(library):
+def test_without_a_usable_library_the_error_names_the_fix(library):
     message = answer(
         """
         _llvm._linker_cache, _llvm._library_folders = list, list
@@ -267,7 +267,7 @@ def test_without_a_usable_library_the_error_says_how_to_get_one(library):
         ("darwin", set(), "brew install llvm"),
     ],
 )
-def test_the_fix_suits_the_platform(monkeypatch, platform, names, command):
+def test_the_fix_depends_on_the_platform(monkeypatch, platform, names, command):
     monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setattr(_diagnosis, "_os_release", lambda: names)
     monkeypatch.setattr(_diagnosis, "_apt_package", lambda: "libllvm20")
@@ -301,8 +301,8 @@ def test_apt_is_asked_which_packages_it_knows(monkeypatch, tmp_path, listed, pac
     assert _diagnosis._apt_package() == package
 
 
-def test_apt_without_a_package_sends_one_elsewhere(monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))  # no apt-cache at all: as good as one that knows nothing
+def test_without_an_apt_package_another_source_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))  # no apt-cache: the same as one without packages
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(_diagnosis, "_os_release", lambda: {"ubuntu", "debian"})
     monkeypatch.setattr(_diagnosis, "_is_root", lambda: False)
@@ -374,7 +374,7 @@ def test_a_driver_alone_does_not_make_cuda_the_default(monkeypatch):
 
 
 @needs_llvm
-def test_a_dr_jit_imported_without_llvm_is_explained():
+def test_dr_jit_imported_before_llvm_was_found_is_explained():
     message = answer(
         """
         import drjit
@@ -401,7 +401,7 @@ def test_importing_the_backend_imports_nothing_heavy():
 
 
 @needs_llvm
-def test_the_diagnosis_of_a_sound_machine():
+def test_the_diagnosis_of_a_working_machine():
     diagnosis = backend.diagnose()
     text = str(diagnosis)
     assert diagnosis.ok, text
@@ -427,13 +427,13 @@ def test_the_diagnosis_without_llvm_names_the_fix(library, monkeypatch, capsys):
 
 
 @needs_llvm
-def test_the_backend_alone_is_a_doctor_too():
+def test_the_backend_can_be_run_as_the_doctor():
     result = python("-m", "scenecaptum.backend")
     assert result.returncode == 0, result.stderr
     assert "All is well" in result.stdout
 
 
-def test_the_doctor_needs_no_llvm_to_say_that_there_is_none():
+def test_the_doctor_runs_without_llvm():
     code = """
         import sys
         from scenecaptum import cli
@@ -459,7 +459,7 @@ def test_the_diagnosis_names_a_missing_package(monkeypatch):
     assert diagnosis.fix.endswith("-m pip install drjit")
 
 
-def test_a_renderer_that_fails_is_not_called_sound(library, monkeypatch):
+def test_a_failing_trial_render_is_a_failed_diagnosis(library, monkeypatch):
     good = library(b"libLLVM.so.19.1")  # by its bytes; the trial finds out
     monkeypatch.setattr(_llvm, "_library_files", lambda: [good])
     monkeypatch.setattr(_diagnosis, "_cuda_problem", lambda: "no NVIDIA driver")

@@ -35,7 +35,7 @@ not_a_function = 3
 """
 
 
-# As the thin-lens and orthographic scenes of Mitsuba's own data leave $spp to the command line.
+# Mitsuba's thin-lens and orthographic example scenes also leave $spp to the command line.
 OPEN = """<scene version="2.0.0">
     <default name="distance" value="4"/>
     <sensor type="thinlens">
@@ -60,7 +60,7 @@ def user_metrics(tmp_path) -> Path:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> tuple[Path, str]:
-    """One real run: the folder it wrote and what it printed."""
+    """One complete run: its output folder and what it printed."""
     out = tmp_path_factory.mktemp("cli") / "deep" / "out"
     command = [sys.executable, "-m", "scenecaptum.cli", "attribute", "cornell-box", *SMALL, "--out", str(out)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -68,7 +68,7 @@ def finished(tmp_path_factory) -> tuple[Path, str]:
     return out, run.stdout
 
 
-def test_attribute_writes_every_file_and_says_so(finished):
+def test_attribute_writes_and_lists_every_file(finished):
     out, printed = finished
     assert sorted(path.name for path in out.iterdir()) == sorted(CONTENTS)
     for name in CONTENTS:
@@ -89,13 +89,13 @@ def test_numbers_agree_between_the_files(finished):
     assert loaded.ranking()[0].label in printed
 
 
-def test_pictures_are_pictures(finished):
+def test_image_files_are_valid(finished):
     out, _ = finished
     for name in ("render.png", "heatmap.png", "bars.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_json_is_all_that_is_printed(tmp_path, capsys, user_metrics):
+def test_json_output_is_only_json(tmp_path, capsys, user_metrics):
     arguments = ["attribute", "cornell-box", *SMALL, "--json", "--out", str(tmp_path / "out")]
     assert cli.main([*arguments, "--metric", f"{user_metrics}:brightness", "--inputs", "emitters"]) == 0
     numbers = json.loads(capsys.readouterr().out)
@@ -103,7 +103,7 @@ def test_json_is_all_that_is_printed(tmp_path, capsys, user_metrics):
     assert [row["name"] for row in numbers["ranking"]] == ["light.emitter.radiance.value"]
 
 
-def test_values_of_dollar_names_reach_the_scene(tmp_path, capsys):
+def test_placeholder_values_reach_the_scene(tmp_path, capsys):
     (tmp_path / "open.xml").write_text(OPEN)
     scene, out = str(tmp_path / "open.xml"), str(tmp_path / "out")
     given = ["-D", "spp=4", "-D", "size=8", "--define", "distance=6.5"]
@@ -115,7 +115,7 @@ def test_values_of_dollar_names_reach_the_scene(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("sensor", ["0", "fisheye"])
-def test_glare_is_rated_for_the_camera_that_is_chosen(tmp_path, capsys, sensor):
+def test_glare_is_rated_for_the_selected_camera(tmp_path, capsys, sensor):
     out = tmp_path / "out"
     glare = ["--metric", "ugr", "--threshold-factor", "5", "--sensor", sensor]
     assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *glare]) == 0
@@ -202,7 +202,7 @@ def unwritable_folders(tmp_path: Path) -> list[Path]:
     (tmp_path / "file").write_text("")
     folders = [tmp_path / "file", tmp_path / "file" / "out"]
     if Path("/proc/self").exists():
-        folders.append(Path("/proc/scenecaptum"))  # refuses even root
+        folders.append(Path("/proc/scenecaptum"))  # not even root may write there
     if os.geteuid() != 0:
         (tmp_path / "locked").mkdir(mode=0o555)
         folders.append(tmp_path / "locked")
@@ -222,7 +222,7 @@ def test_an_output_folder_that_cannot_be_written_is_refused_before_rendering(tmp
         assert error.count("\n") == 1
 
 
-def test_interruption_leaves_finished_and_partial_results(tmp_path, capsys, monkeypatch, user_metrics):
+def test_interruption_keeps_finished_and_partial_results(tmp_path, capsys, monkeypatch, user_metrics):
     out = tmp_path / "out"
     attribute = VanillaSceneGradient.attribute
 

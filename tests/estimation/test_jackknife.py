@@ -1,4 +1,4 @@
-"""What several noisy pictures say of a metric's noise and bias: judged by closed forms."""
+"""The jackknife estimates of a metric's noise and bias, against closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def noisy(count: int, *shape: int, noise: float, seed: int) -> list[torch.Tensor
 
 
 def kinked(image: torch.Tensor) -> torch.Tensor:
-    """A layer of ReLUs, whose derivative is constant but for jumps."""
+    """A layer of ReLUs, whose derivative is piecewise constant."""
     generator = torch.Generator().manual_seed(shifted())
     weights = torch.randn(2000, image.numel(), generator=generator) / math.sqrt(image.numel())
     signs = torch.randn(2000, generator=generator)
@@ -28,7 +28,7 @@ def kinked(image: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("samples", SHARES, ids=lambda one: f"{len(one)} of {sum(one):g}")
-def test_means_have_the_covariance_of_the_mean_and_no_weight_below_zero(samples):
+def test_weighted_means_have_the_covariance_of_the_mean_and_no_negative_weights(samples):
     shares = torch.tensor(samples, dtype=torch.float64) / sum(samples)
     roots = shares.sqrt()
     directions, step = _directions(tuple(roots.tolist()))
@@ -37,11 +37,11 @@ def test_means_have_the_covariance_of_the_mean_and_no_weight_below_zero(samples)
     torch.testing.assert_close(directions.sum(0), torch.zeros_like(roots))
     assert (shares + step * roots * directions > -1e-12).all()
     leaving_one_out = (roots / (1 - shares)).min().item()
-    assert step > leaving_one_out - 1e-9  # of two pictures either is a half
+    assert step > leaving_one_out - 1e-9  # each of two images has a weight of one half
 
 
 @pytest.mark.parametrize("samples", SHARES, ids=lambda one: f"{len(one)} of {sum(one):g}")
-def test_of_a_quadratic_metric_each_pass_gets_the_adjoint_of_its_own_picture(samples):
+def test_each_replicate_of_a_quadratic_metric_gets_the_adjoint_of_its_own_image(samples):
     images = noisy(len(samples), 2, 2, noise=0.3, seed=shifted(1))
     seen = jackknife(TargetedMetric(lambda image: image.square().sum()), images, samples)
     for image, adjoint in zip(images, seen.per_replicate, strict=True):
@@ -55,7 +55,7 @@ def test_a_linear_metric_has_one_adjoint_without_rounding():
     assert all(torch.equal(one, seen.per_replicate[0]) for one in seen.per_replicate)
 
 
-def test_bias_is_trusted_where_the_metric_bends_and_not_where_it_jumps():
+def test_bias_is_trusted_for_smooth_metrics_and_not_for_jumps():
     images = noisy(8, 4, 4, noise=0.05, seed=shifted(2))
 
     def trust(metric) -> float:
@@ -77,8 +77,8 @@ def test_bias_is_trusted_where_the_metric_bends_and_not_where_it_jumps():
     assert trust(kinked) < 0.3
 
 
-def test_a_metric_with_kinks_is_not_made_noisier_by_the_correction():
-    """The true adjoint of every repeat is that of the picture without noise; the plain one is that of the mean."""
+def test_the_correction_adds_no_noise_for_a_metric_with_kinks():
+    """The true adjoint is that of the image without noise; the uncorrected one is that of the mean image."""
     metric = TargetedMetric(kinked)
     _, truth = metric.value_and_adjoint(torch.ones(4, 4, 3))
     plain, corrected = 0.0, 0.0

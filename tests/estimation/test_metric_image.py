@@ -1,4 +1,4 @@
-"""What a metric sees: pictures that are denoised where a measurement says so, and cautions where they are not."""
+"""The image that a metric is evaluated on: denoised where that is measured to be closer to the truth."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CAMERA = Camera.perspective(SIZE, SIZE, fov_x=60)
 
 
 class Fireflies:
-    """A room with a window, whose walls get part of their light by paths that are rare and bright."""
+    """A room with a window; its walls get part of their light from rare, bright paths."""
 
     spp = 16
 
@@ -52,7 +52,7 @@ def glare() -> Any:
     return metrics.UnifiedGlareRating(CAMERA, threshold_factor=5, efficacy=179.0)
 
 
-def test_the_choice_is_measured_and_so_are_the_errors():
+def test_choice_and_errors_are_measured():
     noisy, calm = Fireflies(), Fireflies(chance=1.0)
     images = [noisy(noisy.inputs, seed=seed, spp=4) for seed in seeds(8)]
     transform = choose_transform("auto", images, None, None)
@@ -77,7 +77,7 @@ def test_the_choice_is_measured_and_so_are_the_errors():
     assert not choose_transform("auto", clean, None, None).denoises
 
 
-def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
+def test_intervals_contain_the_converged_rating_or_carry_a_caution():
     renderer, rating = Fireflies(), glare()
     exact = rating(renderer.exact(renderer.inputs)).item()
     held = raw_held = near = cautions = 0
@@ -93,20 +93,20 @@ def test_intervals_of_a_rating_hold_the_converged_value_or_carry_the_caution():
         raw_held += raw_low <= exact <= raw_high
         near += abs(raw.metric_value - exact) < 1
         cautions += raw.info["picture"]["caution"] is not None
-    assert held >= 16  # with 95 % each, fewer once in 3000 times
+    assert held >= 16  # with 95 % each, fewer in 1 of 3000 cases
     assert near <= 12, "the noise shall matter, or the test says nothing"  # 23 of 100
     assert raw_held >= 16
     assert cautions >= 16
 
 
 class Gray(ImageTransform):
-    """A denoiser that leaves nothing but a gray picture."""
+    """A denoiser whose output is uniformly gray."""
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         return torch.full_like(image, 0.5)
 
 
-def test_what_a_denoiser_takes_away_from_the_value_counts_as_its_error():
+def test_the_bias_of_a_denoiser_is_part_of_the_error():
     renderer = Fireflies(0.1)
     metric = TargetedMetric(lambda image: image.square().mean(), transform=Gray(True))
     truth = renderer.exact(renderer.inputs)
@@ -121,7 +121,7 @@ def test_what_a_denoiser_takes_away_from_the_value_counts_as_its_error():
         found.append(_denoiser_bias(metric, torch.stack(images), shares, adjoint)[0])
         seen = jackknife(metric, images, [640 * share for share in shares.tolist()])
         held += abs(seen.value - truth.square().mean().item()) <= student_t(0.95, 4) * seen.standard_error
-    # The metric is a square, so that its second order is all that the value lacks.
+    # The metric is a square: its error is exactly the second-order term.
     expected = (truth - 0.5).square().mean().item()
     each = torch.tensor(found)
     assert abs(each.mean() - expected) < allowed(20) * each.std() / math.sqrt(20)
@@ -129,7 +129,7 @@ def test_what_a_denoiser_takes_away_from_the_value_counts_as_its_error():
     assert held == 20
 
 
-def test_two_pictures_that_happen_to_be_equal_do_not_make_a_metric_linear():
+def test_equal_images_do_not_make_a_metric_linear():
     image = Fireflies()(Fireflies().inputs, seed=shifted(), spp=64)
     squares, mean = (TargetedMetric(one) for one in (lambda image: image.square().mean(), torch.mean))
     for images in ([image], [image, image], [image, image, 2 * image]):
@@ -137,7 +137,7 @@ def test_two_pictures_that_happen_to_be_equal_do_not_make_a_metric_linear():
         assert is_linear(mean, images)
 
 
-def test_gradients_at_a_denoised_picture_are_those_of_the_converged_one():
+def test_gradients_at_a_denoised_image_are_those_of_the_converged_one():
     renderer, rating = Fireflies(), glare()
     leaves = {name: value.clone().requires_grad_() for name, value in renderer.inputs.items()}
     exact = torch.autograd.grad(rating(renderer.exact(leaves)), list(leaves.values()))
@@ -149,7 +149,7 @@ def test_gradients_at_a_denoised_picture_are_those_of_the_converged_one():
     assert misses <= 1
 
 
-def test_a_linear_metric_sees_the_picture_as_it_is():
+def test_images_of_linear_metrics_are_not_denoised():
     renderer = Fireflies()
     plain, other = (
         VanillaSceneGradient(renderer, torch.mean).attribute(seed=shifted(3), denoise=mode)
@@ -161,7 +161,7 @@ def test_a_linear_metric_sees_the_picture_as_it_is():
         assert torch.equal(plain[name], other[name])
 
 
-def test_a_caution_is_printed_and_saved(tmp_path):
+def test_the_caution_is_printed_and_saved(tmp_path):
     found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=shifted(0), denoise=False)
     caution = found.info["picture"]["caution"]
     assert caution.startswith("the picture is too noisy for this metric: ")
@@ -174,7 +174,7 @@ def test_a_caution_is_printed_and_saved(tmp_path):
     assert "too noisy" in " ".join(written.split())
 
 
-def test_samples_of_the_picture_are_a_budget_of_their_own():
+def test_images_can_have_a_separate_sample_budget():
     renderer, rating = Fireflies(), glare()
     few, many = (
         VanillaSceneGradient(renderer, rating).attribute(seed=shifted(0), picture_spp=spp)
@@ -189,7 +189,7 @@ def test_samples_of_the_picture_are_a_budget_of_their_own():
 
 
 @pytest.mark.parametrize("method", [sc.IntegratedGradientsScene, sc.SmoothGradScene, FeatureAblationScene])
-def test_every_method_sees_what_it_is_told_to_see(method):
+def test_every_method_obeys_the_denoise_option(method):
     renderer, rating = Fireflies(), glare()
     half = dict.fromkeys(renderer.inputs, 0.5)
     baselines = {} if method is sc.SmoothGradScene else {"baselines": half}
@@ -200,7 +200,7 @@ def test_every_method_sees_what_it_is_told_to_see(method):
     assert abs(found.metric_value - exact) < 5 * found.metric_standard_error
 
 
-def test_a_metric_without_derivatives_sees_the_denoised_picture():
+def test_a_metric_without_derivatives_gets_the_denoised_image():
     def bright(image: torch.Tensor) -> torch.Tensor:
         return (image.mean(-1) > 5).sum().float()
 
@@ -219,7 +219,7 @@ def test_a_metric_without_derivatives_sees_the_denoised_picture():
     assert abs(found["auto"].metric_value - exact) < 8
 
 
-def test_what_does_not_fit_is_said():
+def test_invalid_options_are_refused():
     renderer = Fireflies()
     with pytest.raises(
         SceneCaptumError, match=r'denoise must be "auto", True or False, not "yes"|not \'yes\''
@@ -242,7 +242,7 @@ def test_what_does_not_fit_is_said():
 
 
 @pytest.mark.parametrize("factor", [2.0**-100, 1e-30, 0.7, 1e30])
-def test_a_brighter_picture_is_denoised_as_much(factor):
+def test_denoising_is_independent_of_exposure(factor):
     renderer = Fireflies()
     image = renderer(renderer.inputs, seed=shifted(), spp=8)
     expected = denoise(image)
@@ -251,7 +251,7 @@ def test_a_brighter_picture_is_denoised_as_much(factor):
     assert not denoise(torch.zeros_like(image)).any()
 
 
-def test_gradients_pass_the_denoiser_unchanged():
+def test_the_denoiser_is_a_straight_through_estimator():
     image = Fireflies()(Fireflies().inputs, seed=shifted(0), spp=4).requires_grad_()
     seen = straight_through(image)
     torch.testing.assert_close(seen.detach(), denoise(image))
@@ -261,7 +261,7 @@ def test_gradients_pass_the_denoiser_unchanged():
 
 @pytest.fixture(scope="module")
 def mirrored(mi: Any) -> SceneRenderer:
-    """Half of the picture is a grey wall, the other a mirror that shows the red wall behind the camera."""
+    """One half of the image is a grey wall, the other a mirror that shows the red wall behind the camera."""
     transform = mi.ScalarTransform4f
     diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3, 0.3, 0.3]}}
     red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.1, 0.1]}}
@@ -293,7 +293,7 @@ def mirrored(mi: Any) -> SceneRenderer:
     return SceneRenderer(scene, "reflectance", spp=16, max_depth=4)
 
 
-def test_guides_look_into_mirrors_and_have_no_noise(mirrored):
+def test_guides_follow_mirrors_and_have_no_noise(mirrored):
     guides = mirrored.guides
     torch.testing.assert_close(guides.albedo[:, :7], torch.full((16, 7, 3), 0.3))
     torch.testing.assert_close(guides.albedo[:, 9:], torch.tensor([0.8, 0.1, 0.1]).expand(16, 7, 3))
@@ -302,7 +302,7 @@ def test_guides_look_into_mirrors_and_have_no_noise(mirrored):
     assert mirrored.guides is guides
 
 
-def test_captum_sees_denoised_pictures_where_it_is_asked_for(mirrored):
+def test_the_captum_bridge_denoises_on_request(mirrored):
     def metric(image: torch.Tensor) -> torch.Tensor:
         return image.square().mean()
 

@@ -1,4 +1,4 @@
-"""What rules tell of their own error: against closed forms, and where the integrand is noisy."""
+"""The error estimates of quadrature rules, against closed forms and with noisy integrands."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SMOOTH = {
     "square root": (np.sqrt, 2 / 3),
 }
 FROM_BLACK = {f"log, {light}": from_black(light) for light in (0.01, 0.1, 1.0, 3.0, 10.0)}
-# Of a kink or a jump the points tell little more than its size.
+# At a kink or a jump, the points give little more than its size.
 ROUGH = {
     "kink": (lambda at: np.maximum(at - 0.137, 0), 0.863**2 / 2),
     "jump": (lambda at: (at > 0.77) * 1.0, 0.23),
@@ -51,7 +51,7 @@ def true_and_estimated(method: str, n_steps: int, integrand: Callable) -> tuple[
 
 @pytest.mark.parametrize("name", [*SMOOTH, *FROM_BLACK])
 @pytest.mark.parametrize("method", METHODS)
-def test_the_estimate_is_no_smaller_than_the_error(method, name):
+def test_the_estimate_is_at_least_the_error(method, name):
     for n_steps in STEPS:
         error, estimate = true_and_estimated(method, n_steps, (SMOOTH | FROM_BLACK)[name])
         assert estimate >= 0.85 * error - 1e-14, f"{n_steps} steps: {estimate} for {error}"
@@ -59,8 +59,8 @@ def test_the_estimate_is_no_smaller_than_the_error(method, name):
 
 @pytest.mark.parametrize("name", ROUGH)
 @pytest.mark.parametrize("method", METHODS)
-def test_a_kink_or_a_jump_is_seen(method, name):
-    """Each error may be missed by its own chance, that of many rules together not."""
+def test_a_kink_or_a_jump_is_detected(method, name):
+    """A single rule may miss the error by chance, many rules together may not."""
     errors, estimates = zip(
         *(true_and_estimated(method, n_steps, ROUGH[name]) for n_steps in range(8, 65)), strict=True
     )
@@ -83,7 +83,7 @@ def test_the_estimate_of_a_gauss_rule_vanishes_with_the_error():
     )
 
 
-def test_a_gauss_rule_of_n_points_has_no_error_for_polynomials_that_n_minus_2_points_tell():
+def test_a_gauss_rule_of_n_points_estimates_no_error_for_polynomials_of_n_minus_2_points():
     rule = quadrature("gausslegendre", 8)
     for degree in range(6):
         found = [torch.tensor([[place**degree]], dtype=torch.float64) for place in rule.nodes]
@@ -93,7 +93,7 @@ def test_a_gauss_rule_of_n_points_has_no_error_for_polynomials_that_n_minus_2_po
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("n_steps", [2, 7, 32])
-def test_weights_sum_to_one_and_places_without_weight_come_last(method, n_steps):
+def test_weights_sum_to_one_and_points_without_weight_are_last(method, n_steps):
     rule = quadrature(method, n_steps)
     assert sum(rule.weights) == pytest.approx(1)
     assert all(rule.weights[:n_steps])
@@ -111,13 +111,13 @@ def test_weights_sum_to_one_and_places_without_weight_come_last(method, n_steps)
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("alone", [0, 24])
-def test_noise_is_not_taken_for_an_error_of_the_rule(method, alone):
-    """32 steps, of which so many are seen once only: one alarm in ten, and bars larger by less than √2."""
+def test_noise_is_not_counted_as_quadrature_error(method, alone):
+    """32 steps, some of them with a single replicate: one alarm in ten, and error bars larger by less than √2."""
     rule, repeats = quadrature(method, 32), 400
     generator = torch.Generator().manual_seed(shifted(7))
     counts = [1 if number >= 32 - alone and number < 32 else 2 for number in range(len(rule.nodes))]
     variance = sum(weight**2 for weight in rule.weights)
-    # Each place has as many samples, whether they are split or not.
+    # Each point has equally many samples, split or not.
     noise = [math.sqrt(n) * torch.randn(n, repeats, generator=generator, dtype=torch.float64) for n in counts]
     estimates = rule.error([1 + one for one in noise])
     alarms = (estimates > 0).double().mean().item()
@@ -126,7 +126,7 @@ def test_noise_is_not_taken_for_an_error_of_the_rule(method, alone):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_error_beyond_the_noise_is_seen_through_it(method):
+def test_an_error_beyond_the_noise_is_detected(method):
     """8 steps from black, noise of a twentieth."""
     rule, repeats = quadrature(method, 8), 200
     function, exact = from_black(1.0)
@@ -138,13 +138,13 @@ def test_an_error_beyond_the_noise_is_seen_through_it(method):
     assert (estimates > errors / 2).all()
 
 
-def test_the_half_of_the_points_that_ctrl_c_leaves_covers_the_way():
+def test_half_of_the_points_cover_the_whole_path():
     places = quadrature("riemann_middle", 32).nodes
     assert sum(places[:16]) / 16 == pytest.approx(0.5, abs=0.05)
     assert sorted(places) != list(places)
 
 
-def test_what_is_left_of_the_points_is_compared_with_its_half():
+def test_an_interrupted_rule_is_compared_with_its_half():
     rule = quadrature("riemann_middle", 32)
     found = [torch.tensor([[place]]) for place in rule.nodes[:16]]
     assert rule.error(found).item() < 0.05

@@ -52,7 +52,7 @@ def test_folders_that_cannot_be_written(name: str, tmp_path: Path, mi: Any) -> N
 
 
 def test_full_disk_under_a_checkpoint(tmp_path: Path) -> None:
-    """What was kept before stays good."""
+    """Earlier entries stay valid."""
     kept = Checkpoint(tmp_path)
     kept.get_or_render("first", lambda: (PICTURE,))
     with file_size_limit(1000), pytest.raises(SceneCaptumError, match="cannot be written"):
@@ -73,7 +73,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     try:
         subprocess.run(mount, check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("no right to mount a small file system here")
+        pytest.skip("no permission to mount a small file system")
     yield disk
     subprocess.run(["umount", str(disk)], check=True)
 
@@ -89,7 +89,7 @@ def test_disk_of_64_kilobytes(small_disk: Path) -> None:
     assert sorted(os.listdir(small_disk)) == ["map.npy", "rest"]
 
 
-def test_devices_and_links_stay_what_they_are(tmp_path: Path) -> None:
+def test_devices_and_links_are_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "target").write_text("before")
     (tmp_path / "link").symlink_to(tmp_path / "target")
     with atomic_write(tmp_path / "link") as partial_file:
@@ -106,7 +106,7 @@ def test_devices_and_links_stay_what_they_are(tmp_path: Path) -> None:
         device.write_text("too much")
 
 
-def test_what_fails_while_a_file_is_written_leaves_none(tmp_path: Path) -> None:
+def test_an_error_while_a_file_is_written_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "a.txt") as partial_file:
         partial_file.write_text("half" * (1 // partial_file.write_text("")))
     assert os.listdir(tmp_path) == []

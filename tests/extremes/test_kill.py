@@ -1,4 +1,4 @@
-"""kill -9 at random moments: a job that is started again loses one pass at most, and ends at the same numbers."""
+"""kill -9 at random moments: a resumed job loses at most one render and ends with the same numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from seeds import shifted
 from scenecaptum import SceneAttribution
 
 KILLS, SEED = 20, 20261121
-PASSES = 2 * 16  # as many pictures as backward passes: a linear metric takes no more
+PASSES = 2 * 16  # as many renders as backward passes: a linear metric needs no more
 
 # The job; it logs its start, and each render and backward pass that it begins.
 JOB = """
@@ -70,7 +70,7 @@ def test_kill_at_random_moments(tmp_path: Path) -> None:
     killed, lost, done = 0, 0, 0
     while killed < KILLS:
         begun = log.read_text().count("begun") if log.exists() else 0
-        # Before it has started nothing can be lost: after that, at any moment of an eighth of the whole work.
+        # Kill it at a random moment of an eighth of the whole work, counted from its start.
         status = run(folder, log, tmp_path / "resumed.npz", fractions.random() * working / 8)
         kept = len(list(folder.glob("[!.]*.pass"))) if folder.exists() else 0
         begun = log.read_text().count("begun") - begun
@@ -78,7 +78,7 @@ def test_kill_at_random_moments(tmp_path: Path) -> None:
         lost += begun - (kept - done)
         done = kept
         if status is not None:
-            # The whole work fits between kills: the rest of them meet a job of its own.
+            # The job finished between two kills: the others meet a new one.
             assert status == 0
             for one in folder.iterdir():
                 one.unlink()

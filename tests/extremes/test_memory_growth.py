@@ -1,4 +1,4 @@
-"""What stays in memory after attributions: 500 of one renderer, and of renderers made anew."""
+"""Growth of memory over 500 attributions by one renderer, and over new renderers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 
 MEBIBYTE = 2**20
 
-# In a process of its own, so that what other tests leave behind cannot hide or feign anything.
+# In a separate process, so that the memory of other tests has no effect.
 GROWTH = """
 import sys
 import torch
@@ -31,12 +31,12 @@ def resident():
 def box():
     return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
 
-anew, count, first = sys.argv[1] == "anew", int(sys.argv[2]), int(sys.argv[3])
+how, count, first, seed = sys.argv[1], *map(int, sys.argv[2:])
 renderer = box()
 for number in range(1, count + 1):
-    if anew:
+    if how == "new renderers":
         renderer = box()
-    VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted(number), replicates=2)
+    VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=seed + number, replicates=2)
     if number == first:
         start = resident()
 print(resident() - start, start)
@@ -45,7 +45,7 @@ print(resident() - start, start)
 
 def growth(how: str, count: int, first: int) -> float:
     """Return by how many MiB resident memory grows from the ``first`` to the last of ``count`` attributions."""
-    command = [sys.executable, "-c", GROWTH, how, str(count), str(first)]
+    command = [sys.executable, "-c", GROWTH, how, str(count), str(first), str(shifted())]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     grown, start = (int(number) / MEBIBYTE for number in ran.stdout.split())
     print(f"{count} attributions, {how}: {start:.0f} MiB after {first}, {grown:+.1f} MiB since")
@@ -65,16 +65,16 @@ def test_five_hundred_attributions_leave_nothing_behind(mi: Any) -> None:
 
 @pytest.mark.long
 @needs_proc
-def test_renderers_made_anew_leave_nothing_behind(mi: Any) -> None:
-    assert growth("anew", 150, 50) < 20
+def test_new_renderers_leave_nothing_behind(mi: Any) -> None:
+    assert growth("new renderers", 150, 50) < 20
 
 
 def small_box() -> SceneRenderer:
     return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
 
 
-def test_a_renderer_goes_with_its_last_reference(mi: Any) -> None:
-    """Waiting for the garbage collector, scenes pile up, and all of them take part in every kernel."""
+def test_a_renderer_is_freed_with_its_last_reference(mi: Any) -> None:
+    """If scenes waited for the garbage collector, they would accumulate, and every kernel includes them all."""
     gc.collect()
     gc.disable()
     try:
@@ -96,8 +96,8 @@ def test_a_graph_outlives_its_renderer(mi: Any) -> None:
     assert leaves["floor.reflectance.value"].grad is not None
 
 
-def test_renderers_may_go_in_any_thread_while_others_render(mi: Any) -> None:
-    """A scene that goes while a kernel is being recorded ends the process: its going has to wait."""
+def test_renderers_may_be_freed_in_any_thread_while_others_render(mi: Any) -> None:
+    """Freeing a scene while a kernel is being recorded would end the process: it has to wait."""
 
     def work(seed: int) -> float:
         return float(small_box()(seed=shifted(seed % 2)).mean())
