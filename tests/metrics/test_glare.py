@@ -117,7 +117,7 @@ def test_position_index_grows_away_from_the_line_of_sight():
 # Detection and grouping
 
 
-def test_sources_tell_position_luminance_solid_angle_and_index():
+def test_sources_have_position_luminance_solid_angle_and_index():
     rating = UnifiedGlareRating(CAMERA, relaxation=0)
     image = torch.full((8, 12), 50.0, dtype=torch.float64)
     image[2, 8], image[5, 1] = 10_000.0, 20_000.0
@@ -138,7 +138,7 @@ def test_grouping_by_pixel_makes_each_pixel_a_source():
     assert len(UnifiedGlareRating(camera, grouping="pixel").sources(picture(image))) == 20
 
 
-def test_parts_above_50_000_are_sources_of_their_own():
+def test_parts_above_50_000_are_separate_sources():
     camera = Camera.perspective(60, 40, 50)
     image = torch.full((40, 60), 50.0)
     image[10:20, 20:30] = 5_000.0
@@ -157,13 +157,13 @@ def test_linking_agrees_with_comparing_every_pair():
         rays = torch.randn(count, 3, generator=generator, dtype=torch.float64)
         rays = torch.nn.functional.normalize(rays, dim=-1)
         reach = rays @ rays.T >= math.cos(angle)
-        for _ in range(count.bit_length()):  # each doubles the steps of a path
+        for _ in range(count.bit_length()):  # each doubles the length of a path
             reach = (reach.double() @ reach.double()) > 0
         labels = torch.from_numpy(connected_components(rays.numpy(), angle))
         assert torch.equal(labels[:, None] == labels[None], reach)
 
 
-def test_every_pixel_may_be_source():
+def test_all_pixels_may_be_one_source():
     camera = Camera.fisheye(64, 64)
     (whole,) = UnifiedGlareRating(camera).sources(picture(torch.full((64, 64), 9_000.0)))
     assert whole.solid_angle == pytest.approx(2 * math.pi, rel=0.02)
@@ -194,7 +194,7 @@ def test_the_threshold_may_follow_the_mean_of_the_picture_or_of_a_task_zone():
 
 
 def test_a_relative_threshold_is_differentiated_with_the_picture():
-    """A finite difference of the very rating judges it: in pixels that are source, and in those that are none."""
+    """Against finite differences of the rating, in pixels of sources and in others."""
     image = picture(ordinary())
     rating = UnifiedGlareRating(CAMERA, threshold_factor=5)
     slope = gradient(rating, image)
@@ -205,7 +205,7 @@ def test_a_relative_threshold_is_differentiated_with_the_picture():
         assert slope[row, column].sum().item() == pytest.approx(exact.item(), rel=1e-2, abs=1e-6)
 
 
-def test_a_threshold_may_be_held_where_it_is():
+def test_a_relative_threshold_may_be_frozen():
     image = picture(ordinary())
     omega = CAMERA.solid_angles
     mean = (omega * ordinary()).sum() / omega.sum()
@@ -295,7 +295,7 @@ def test_without_a_source_the_rating_and_its_gradient_are_zero(rating, relaxatio
 @pytest.mark.parametrize("extreme", ["black", "dim", "one-pixel-at-threshold"])
 @pytest.mark.parametrize("side", [1, -1])
 def test_one_sided_derivatives_are_the_gradient(rating, extreme, side):
-    """A cubic step has no kink at its ends nor at the threshold, and at black only the brighter side exists."""
+    """A cubic step has no kink at its ends or at the threshold; at black there is only the brighter side."""
     luminance = EXTREMES[extreme]
     if extreme == "black" and side < 0:
         pytest.skip("there is no darker than black")
@@ -310,7 +310,7 @@ def test_one_sided_derivatives_are_the_gradient(rating, extreme, side):
 @every_rating
 @pytest.mark.parametrize("side", [1, -1])
 def test_one_sided_derivatives_in_hard_mode_hold_membership(rating, side):
-    """The pixel at the threshold is none of the source; darker, it stays so."""
+    """The pixel at the threshold is not part of the source; if it is darker, it stays outside."""
     metric = rating(CAMERA, relaxation=0)
     luminance = ordinary()
     luminance[4, 5] = 1_990.0
@@ -323,7 +323,7 @@ def test_one_sided_derivatives_in_hard_mode_hold_membership(rating, side):
 @every_rating
 @every_grouping
 def test_the_relaxed_rating_and_gradient_tend_to_the_hard_ones(rating, grouping):
-    image = picture(ordinary())  # one pixel lies 7.5 % above the threshold
+    image = picture(ordinary())  # one pixel is 7.5 % above the threshold
     hard = rating(CAMERA, relaxation=0, grouping=grouping)
     gaps = []
     for relaxation in (0.1, 0.05, 0.03, 0.01):
@@ -407,7 +407,7 @@ METRICS = [
     ("value", "message"),
     [(math.nan, "1 values that are not finite"), (math.inf, "not finite"), (-0.5, "negative")],
 )
-def test_a_value_that_is_no_radiance_is_refused(metric, value, message):
+def test_values_that_are_not_radiances_are_refused(metric, value, message):
     image = torch.ones(8, 12, 3)
     image[3, 7, 1] = value
     with pytest.raises(SceneCaptumError, match=rf"{message}.*row 3, column 7, channel 1"):
@@ -415,7 +415,7 @@ def test_a_value_that_is_no_radiance_is_refused(metric, value, message):
 
 
 @pytest.mark.parametrize("metric", METRICS[:4], ids=lambda metric: type(metric).__name__)
-def test_a_picture_of_another_size_than_the_camera_is_refused(metric):
+def test_an_image_of_another_size_than_the_camera_is_refused(metric):
     with pytest.raises(SceneCaptumError, match=r"\(12, 8\).*camera \(8, 12\)"):
         metric(torch.ones(12, 8, 3))
 
@@ -433,7 +433,7 @@ def test_a_picture_of_another_size_than_the_camera_is_refused(metric):
         ({"task": torch.zeros(8, 12), "threshold_factor": 5}, "selects no pixel"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings, message):
+def test_invalid_settings_are_refused(settings, message):
     with pytest.raises(SceneCaptumError, match=message):
         UnifiedGlareRating(CAMERA, **settings)
 

@@ -46,7 +46,7 @@ def test_other_layouts_are_refused(shape):
         MeanLuminance()(torch.ones(shape))
 
 
-def test_a_mask_that_fits_nothing_is_refused():
+def test_a_mask_of_another_shape_is_refused():
     with pytest.raises(SceneCaptumError, match="selects no pixel"):
         MeanLuminance(mask=torch.zeros(2, 2))
     with pytest.raises(SceneCaptumError, match=r"mask has shape \(2, 2\); the image is \(4, 6\)"):

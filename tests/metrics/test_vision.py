@@ -14,7 +14,7 @@ WEIGHTS = Path(metrics.__file__).with_name("shape_classifier.pt")
 
 
 def ordinary(height: int = 16, width: int = 20, seed: int = 0) -> torch.Tensor:
-    """Return radiance between black and white, away from both."""
+    """Return random radiance between black and white, excluding both."""
     generator = torch.Generator().manual_seed(shifted(seed))
     return torch.rand(height, width, 3, dtype=torch.float64, generator=generator) * 0.8 + 0.1
 
@@ -50,7 +50,7 @@ def test_srgb_has_the_values_of_the_standard():
     torch.testing.assert_close(srgb_picture(radiance)[0, 0, :, 0], expected, atol=2e-5, rtol=0)
 
 
-def test_the_picture_keeps_rows_columns_and_channels_apart():
+def test_the_picture_keeps_the_order_of_rows_columns_and_channels():
     image = torch.zeros(4, 7, 3)
     image[1, 5, 2] = 1.0
     picture = srgb_picture(image)
@@ -73,7 +73,7 @@ def test_the_gradient_of_the_picture_is_finite_from_black_to_far_above_white():
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_radiance_that_is_none_is_refused(value):
+def test_invalid_radiance_is_refused(value):
     image = torch.ones(4, 6, 3)
     image[2, 3, 1] = value
     with pytest.raises(SceneCaptumError, match="on 1 of 24 pixels"):
@@ -106,7 +106,7 @@ def test_derivatives_agree_with_finite_differences(index):
     reference, image = ordinary(seed=shifted(1)), ordinary(seed=shifted(2))
     metric = every_comparison(reference[:12, :12])[index]
     leaf = image[:12, :12].clone().requires_grad_()
-    # Along random directions: element by element it takes minutes.
+    # Along random directions, because element by element it would take minutes.
     assert torch.autograd.gradcheck(metric, (leaf,), fast_mode=True)
     assert torch.autograd.gradcheck(metric, (reference[:12, :12].clone().requires_grad_(),), fast_mode=True)
 
@@ -212,7 +212,7 @@ def test_a_logit_is_an_element_of_the_vector_of_logits():
         torch.testing.assert_close(metrics.ClassLogit(model, target)(image), logits[target])
 
 
-def test_the_model_is_left_as_it_was():
+def test_the_model_is_not_changed():
     model, image = small_classifier().train(), ordinary(40, 60).float().requires_grad_()
     model[1].eval()  # a user may freeze the batch normalisation alone
     state = {name: value.clone() for name, value in model.state_dict().items()}
@@ -341,7 +341,7 @@ def test_perceptual_distance_over_the_layers_of_a_torchvision_model(torchvision)
     assert torch.isfinite(gradient(metric, reference)).all()
 
 
-def test_weights_that_cannot_be_downloaded_say_what_to_do(torchvision, monkeypatch, tmp_path):
+def test_a_failed_download_of_weights_names_the_fix(torchvision, monkeypatch, tmp_path):
     monkeypatch.setattr(torch.hub, "_hub_dir", str(tmp_path))
 
     def offline(*_args, **_kwargs):
@@ -358,7 +358,7 @@ def test_weights_that_cannot_be_downloaded_say_what_to_do(torchvision, monkeypat
     assert "ShapeClassifier.pretrained()" in message
 
 
-def test_pretrained_models_bring_their_transform_and_their_classes(torchvision, monkeypatch):
+def test_pretrained_models_have_their_transform_and_classes(torchvision, monkeypatch):
     tiny = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 1000))
     monkeypatch.setattr(torchvision.models, "get_model", lambda name, weights: tiny)
     for weights in ("DEFAULT", "ResNet50_Weights.IMAGENET1K_V2"):
@@ -382,7 +382,7 @@ def test_unknown_models_and_weights_are_named(torchvision):
         (RuntimeError("operator torchvision::nms does not exist"), "does not match the installed torch"),
     ],
 )
-def test_a_missing_or_unfit_torchvision_is_explained(monkeypatch, error, message):
+def test_a_missing_or_broken_torchvision_is_explained(monkeypatch, error, message):
     import builtins
 
     ordinary_import = builtins.__import__

@@ -1,4 +1,4 @@
-"""Optimisation: what it moves, where it stops, and what it leaves alone."""
+"""Optimisation: which parameters it moves, where it stops, and which it keeps."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ class Lamps:
         return light * (1 + self.noise * noise)
 
 
-def test_the_few_that_matter_most_are_moved_and_others_held():
+def test_only_the_most_salient_parameters_are_moved():
     found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
     assert found.reached
     assert found.after.value + 2 * found.after.error < 0.6 < found.before.value
     assert [moved.name for moved in found.moved] == ["strong", "weak"]
     assert torch.equal(found.values["faint"], Lamps().inputs["faint"])
     assert found.history[0] > found.history[-1]
-    # It stops where the goal is reached, not where the parameters can go no farther.
+    # It stops at the goal, not at the limits of the parameters.
     assert len(found.history) < 20
     assert max(moved.fraction for moved in found.moved) < 0.5
     exact = Lamps(noise=0.0)(found.values, seed=shifted(), spp=1).mean().item()
     assert abs(exact - found.after.value) < allowed(8) * found.after.error
 
 
-def test_nothing_goes_farther_than_it_may():
+def test_no_parameter_moves_farther_than_its_limit():
     found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
     assert not found.reached
     start = Lamps().inputs
-    # The range of "weak" has no end: its value stands in for it.
+    # The range of "weak" is unbounded: its value replaces it.
     for name, length in {"strong": 1.0, "weak": 2.0, "faint": 1.0}.items():
         torch.testing.assert_close(
             start[name] - found.values[name], torch.full_like(start[name], 0.2 * length)
@@ -70,9 +70,9 @@ def test_physical_bounds_are_kept_with_a_margin():
     assert torch.equal(found.values["faint"], torch.zeros(4, 4, 3))
 
 
-def test_the_same_seed_takes_the_same_way_and_another_another():
-    ways = [optimize.minimize(Lamps(), torch.mean, 0.6, seed=seed).history for seed in (1, 1, 2)]
-    assert ways[0] == ways[1] != ways[2]
+def test_the_path_depends_on_the_seed_only():
+    paths = [optimize.minimize(Lamps(), torch.mean, 0.6, seed=shifted(seed)).history for seed in (1, 1, 2)]
+    assert paths[0] == paths[1] != paths[2]
 
 
 @pytest.mark.parametrize(
@@ -90,12 +90,12 @@ def test_bad_options_are_refused(options, words):
         optimize.minimize(Lamps(), torch.mean, 0.5, **options)
 
 
-def test_a_metric_that_nothing_moves_is_refused():
+def test_a_metric_without_gradient_is_refused():
     with pytest.raises(SceneCaptumError, match="No parameter affects"):
         optimize.minimize(Lamps(), lambda image: 0 * image.mean(), -1.0)
 
 
-def test_table_and_figure_say_what_was_done():
+def test_table_and_figure_show_the_steps():
     found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
     lines = str(found).splitlines()
     assert lines[1].startswith("the strong lamp")
@@ -113,10 +113,10 @@ def test_glare_of_the_office_falls(mi):
     glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5.0)
     found = optimize.minimize(renderer, glare, 0.0, top=3, steps=4)
     assert len(found.moved) == 3
-    ways = [renderer.inputs, {**renderer.inputs, **found.values}]
+    paths = [renderer.inputs, {**renderer.inputs, **found.values}]
     before, after = (
         torch.tensor([glare(renderer(way, seed=seed, spp=512)).item() for seed in seeds(100, 116)])
-        for way in ways
+        for way in paths
     )
     fall = before - after  # with common random numbers
     assert fall.mean() > allowed(len(fall)) * fall.std() / math.sqrt(len(fall))

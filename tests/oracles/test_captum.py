@@ -1,7 +1,7 @@
 """Captum's classes through the bridge against ours, on the Cornell box: the same numbers within their errors.
 
-Captum has no error bars. Its classes run many times, every time with samples, noise and permutations of their own,
-and the spread of the runs is their error; ours run once and say theirs.
+Captum has no error bars. Its classes run many times, each time with independent samples, noise and permutations,
+and the spread of the runs is their error; ours run once and state theirs.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already 
 
 WALL, FLOOR, LIGHT = "right_wall.reflectance.value", "floor.reflectance.value", "light.emitter.radiance.value"
 
-# 20 runs tell their spread to 16 %. The three channels of a colour are much alike.
+# The spread of 20 runs is known to 16 %. The three channels of a colour are nearly equal.
 RUNS = 20
 ALLOWED = allowed(RUNS)
 
-# A wall that is to become darker, a floor and a light that are to become brighter: contributions of both signs.
+# One wall becomes darker, a floor and a light become brighter: contributions of both signs.
 BASELINES = {WALL: 0.5, FLOOR: 0.5, LIGHT: 3.0}
 
 # Ours are fractions of a parameter's range, which for a light is its brightest channel. All values are five
-# deviations from their bounds: what is reflected there changes the sign of Captum's gradient, and not of ours.
+# deviations from their bounds: reflection there changes the sign of Captum's gradient, and not of ours.
 OUR_STDEVS = {WALL: 0.015, FLOOR: 0.015, LIGHT: 0.07}
 CAPTUMS_STDEVS = {WALL: 0.015, FLOOR: 0.015, LIGHT: 0.07 * 18.387}
 
 PLAYERS = {name: torch.full((1, 3), number) for number, name in enumerate((WALL, FLOOR, LIGHT))}
 
-# Of the lower half, which does not show the light: its edges would make most of the noise.
+# Of the lower half, which does not show the light, whose edges would dominate the noise.
 SIDE = 16
 mean_luminance = metrics.MeanLuminance(mask=torch.arange(SIDE)[:, None].expand(SIDE, SIDE) >= SIDE // 2)
 
@@ -57,10 +57,10 @@ def smooth_saliency(forward: Callable[..., torch.Tensor]) -> Any:
 
 @dataclass(frozen=True)
 class Pair:
-    """A class of Captum's and ours, with settings that mean the same.
+    """A class of Captum's and the corresponding one of ours, with equivalent settings.
 
-    ``scenes`` is among how many scenes ours splits its samples, where Captum's renders each with all of them, and
-    ``fresh`` whether each row of a run of Captum's has samples of its own: a difference is better without.
+    ``scenes`` is the number of scenes over which ours splits its samples; Captum's renders each with all of them.
+    With ``fresh``, each row of a run of Captum's has independent samples, which makes differences noisier.
     """
 
     captums: Callable[..., Any]
@@ -113,7 +113,7 @@ def box(mi: Any) -> SceneRenderer:
 
 
 def run_captums(pair: Pair, box: SceneRenderer, metric: Any, first_seed: int) -> dict[str, torch.Tensor]:
-    """Return what Captum's class gives in each run, ``(RUNS, 3)`` by name."""
+    """Return the result of Captum's class in each run, ``(RUNS, 3)`` by name."""
     settings = {
         setting: tuple(value[name] for name in box.inputs) if isinstance(value, dict) else value
         for setting, value in pair.captums_settings.items()
@@ -131,13 +131,13 @@ def run_captums(pair: Pair, box: SceneRenderer, metric: Any, first_seed: int) ->
 def deviations(
     ours: SceneAttribution, runs: dict[str, torch.Tensor], factor: float = 1.0
 ) -> dict[str, torch.Tensor]:
-    """Return how far ours, times a factor, lies from the mean of Captum's runs, in standard errors."""
+    """Return the deviation of ours, times a factor, from the mean of Captum's runs, in standard errors."""
     found = {}
     for name, value in ours.items():
-        # Captum gives every number of a player the player's value, which is a single one here.
+        # Captum gives every element of a player the player's value; ours has one value.
         rows = runs[name].mean(1) if value.ndim == 0 else runs[name]
         own = ours.standard_error[name]
-        if ours.quadrature_error is not None:  # that of Captum's is the same
+        if ours.quadrature_error is not None:  # Captum's is the same
             own = (own.square() - ours.quadrature_error[name].square()).clamp_min(0).sqrt()
         error = torch.hypot(factor * own, rows.std(0) / math.sqrt(RUNS))
         found[name] = (factor * value - rows.mean(0)) / error
@@ -147,9 +147,9 @@ def deviations(
 @pytest.mark.parametrize(
     ("method", "metric"), [(method, metric) for method, pair in PAIRS.items() for metric in pair.metrics]
 )
-def test_captums_classes_and_ours_agree_within_their_errors(box, method, metric):
+def test_captums_classes_and_ours_agree(box, method, metric):
     pair, number = PAIRS[method], list(PAIRS).index(method)
-    # Twice Captum's samples in half as many parts: what these few tell of their error weighs little in the sum.
+    # Ours has twice Captum's samples: its error, known from few replicates, has little weight in the sum.
     ours = pair.ours(box, METRICS[metric]).attribute(
         **pair.our_settings,
         seed=shifted(number),
@@ -161,24 +161,24 @@ def test_captums_classes_and_ours_agree_within_their_errors(box, method, metric)
         both = f"{ours[name]} ± {ours.standard_error[name]} against {runs[name].mean(0)}"
         assert z.abs().max() < ALLOWED, f"{name}: {both}, z = {z}"
 
-    # Where most is attributed the errors are so small that a wrong factor could not hide in them.
+    # The largest attributions are so accurate that a wrong factor would show.
     leading = max(ours, key=lambda name: ours[name].abs().max())
     for wrong in (1.2, 1 / 1.2):
         z = deviations(ours, runs, wrong)[leading].abs().max()
         assert z > 1.5 * ALLOWED, f"{leading}: a factor of {wrong:.2f} would be {z:.1f} standard errors"
 
 
-def test_the_variance_of_gradients_tells_that_the_noise_is_the_same(box):
-    """It is as wide as the noise, of which a mean of gradients shows next to nothing."""
+def test_the_variance_of_gradients_shows_that_the_noise_is_the_same(box):
+    """The variance depends on the width of the noise; the mean of the gradients hardly does."""
     theirs, ours = 10, 160
-    # The samples of a run are common to its scenes: Captum's variance would hold that of rendering.
+    # The scenes of a run share samples: else Captum's variance would include that of rendering.
     pair = Pair(
         smooth_saliency,
         sc.SmoothGradScene,
         {"stdevs": CAPTUMS_STDEVS, "nt_samples": theirs, "nt_type": "vargrad", "abs": False},
         fresh=False,
     )
-    # Both divide by the number of scenes, which is not the same.
+    # Both divide by their number of scenes, which differs.
     runs = run_captums(pair, box, mean_luminance, first_seed=1000)
     runs = {name: value * theirs / (theirs - 1) for name, value in runs.items()}
     found = pair.ours(box, mean_luminance).attribute(
@@ -187,6 +187,6 @@ def test_the_variance_of_gradients_tells_that_the_noise_is_the_same(box):
     factor = ours / (ours - 1)
     for name, z in deviations(found, runs, factor).items():
         assert z.abs().max() < ALLOWED, f"{name}: {found[name]} against {runs[name].mean(0)}, z = {z}"
-    for wrong in (4, 1 / 4):  # noise of twice or half the width
+    for wrong in (4, 1 / 4):  # as it would be with noise of twice or half the width
         z = deviations(found, runs, wrong * factor)[WALL].abs().max()
         assert z > ALLOWED, f"a factor of {wrong} would be {z:.1f} standard errors"

@@ -13,7 +13,7 @@ from seeds import seeds
 
 SEEDS = 8
 
-# What takes longest to compile, and shares its code with cases that remain.
+# The cases that take longest to compile; the others cover the same code.
 LONG = (
     "principled/opaque",
     "principled/specular",
@@ -43,7 +43,7 @@ def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
     targets = {name: row for name, row in judge.targets.items() if row.step is not None}
     theirs = {name: difference(judge, name, spp) for name in targets}
     del judge
-    gc.collect()  # a call of Dr.Jit reaches every scene that is alive
+    gc.collect()  # Dr.Jit's calls include every live scene
     ours = Ours(case, targets)
     draws = np.array([ours.gradients(OURS + seed, spp) for seed in seeds(SEEDS)])
     found = estimates(draws, spp)
@@ -58,7 +58,7 @@ def difference(judge: MitsubaReference, name: str, spp: int) -> Estimate:
 
 
 def fault(name: str, ours: Estimate, theirs: Estimate) -> str | None:
-    """Say what is wrong with a row, measured against allowed."""
+    """Return the fault of a row with the measured and the allowed value, or None."""
     if ours.is_zero and theirs.is_zero:
         return None
     if max(ours.relative_error, theirs.relative_error) > GOOD:

@@ -37,7 +37,7 @@ MODULES = sorted(
     if "__main__" not in module.name
 )
 
-# Modules that are imported by their names; what a package re-exports is public beside it.
+# Modules that users import by name; the other public names are those that packages re-export.
 NAMED = ("scenecaptum.denoising",)
 
 
@@ -47,7 +47,7 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 
 def examples(page: Path) -> str:
-    """Return a page's examples, each on its line, with nothing else."""
+    """Return a page's examples on their lines, without the prose."""
 
     def kept(block: re.Match[str]) -> str:
         code = block[2] if block[1] == "python" else "\n" * block[2].count("\n")
@@ -65,19 +65,19 @@ def test_examples_of_pages_run(page, mi, request, monkeypatch):
     if page.name in TORCHVISION:
         models = request.getfixturevalue("torchvision").models
         build = models.get_model
-        # The real weights are a download, which tests do without.
+        # The real weights would be a download.
         monkeypatch.setattr(models, "get_model", lambda name, weights: build(name))
     test = doctest.DocTestParser().get_doctest(
         examples(page), {"__name__": "__main__"}, page.name, str(page), 0
     )
     assert test.examples
     failures = failures_of(test)
-    gc.collect()  # a scene that is still alive slows the next page's down
+    gc.collect()  # a live scene slows those of the next page
     assert not failures, failures
 
 
 def failures_of(test: doctest.DocTest) -> str:
-    """Run examples, under this run's seeds, and return what is wrong with them."""
+    """Run examples under this run's seeds, and return their failures."""
     failures: list[str] = []
     for example in test.examples:
         example.source = shift_text(example.source)
@@ -93,7 +93,7 @@ def test_docstring_examples_run(name, mi):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_block_of_code_can_be_checked(page):
+def test_every_block_of_python_consists_of_examples(page):
     for language, code in blocks(page):
         assert language in ("python", "sh", "text", "{toctree}", "{eval-rst}", "{include}"), code
         if language == "python":
@@ -150,7 +150,7 @@ def test_scripts_that_pages_name_exist(page):
 
 
 def public() -> Iterator[tuple[str, Any]]:
-    """Return every public name with what it means: what packages re-export, and the two modules of functions."""
+    """Return every public name with its object: what packages re-export, and the functions of two modules."""
     packages = {one.name for one in pkgutil.walk_packages(scenecaptum.__path__, "scenecaptum.") if one.ispkg}
     for name in sorted({"scenecaptum", *packages, *NAMED} - {"scenecaptum.cli"}):
         module = importlib.import_module(name)
@@ -202,9 +202,9 @@ def test_every_parameter_is_described():
 
 
 def parameters(part: Any) -> list[str]:
-    """Return what a docstring has to describe: a constructor's parameters, a result's fields, others from two on.
+    """Return what a docstring has to describe: a constructor's parameters, a tuple's fields, others from two on.
 
-    A single parameter is what the summary is about. Exceptions are made by the library alone.
+    A single parameter is covered by the summary. Exceptions are constructed by the library only.
     """
     part = getattr(part, "__func__", part)
     if not callable(part) or (inspect.isclass(part) and issubclass(part, BaseException)):
@@ -236,7 +236,7 @@ def test_every_error_that_is_raised_is_described():
 
 
 def raises(part: Any) -> bool:
-    """Return whether a function, a property or a constructor raises by itself, not only through what it calls."""
+    """Return whether a function, a property or a constructor raises by itself, not only through calls."""
     part = vars(part).get("__init__") if inspect.isclass(part) else part
     part = getattr(part, "fget", None) or getattr(part, "__func__", part)
     if not inspect.isfunction(part) or not (source := source_of(part)):
@@ -245,7 +245,7 @@ def raises(part: Any) -> bool:
 
 
 def source_of(function: Any) -> str:
-    """Return a function's source; that of what a dataclass writes by itself is nowhere."""
+    """Return a function's source; the methods that a dataclass generates have none."""
     try:
         return textwrap.dedent(inspect.getsource(function))
     except OSError:
@@ -253,7 +253,7 @@ def source_of(function: Any) -> str:
 
 
 def methods(thing: Any) -> list[tuple[str, Any]]:
-    """Return the public methods and properties that a class has of its own."""
+    """Return the public methods and properties that a class itself defines."""
     own = vars(thing).items() if inspect.isclass(thing) else ()
     kinds = (property, classmethod, staticmethod)
     return [(n, p) for n, p in own if n[0] != "_" and (inspect.isfunction(p) or isinstance(p, kinds))]
@@ -264,7 +264,9 @@ def test_the_documentation_builds_without_a_warning(tmp_path):
     sphinx = pytest.importorskip("sphinx.cmd.build", reason="Sphinx is not installed: pip install '.[docs]'")
     for package in ("myst_parser", "furo"):
         pytest.importorskip(package)
-    shutil.rmtree(ROOT / "docs" / "generated", ignore_errors=True)  # what it described may be gone
+    shutil.rmtree(
+        ROOT / "docs" / "generated", ignore_errors=True
+    )  # it may describe names that no longer exist
     where = [str(ROOT / "docs"), str(tmp_path / "html")]
     assert sphinx.build_main(["-q", "-W", "--keep-going", "-b", "html", *where]) == 0
     assert (tmp_path / "html" / "index.html").is_file()

@@ -1,4 +1,4 @@
-"""The scripts in examples/ run, at a reduced size, and print what they say."""
+"""The scripts in examples/ run at a reduced size, and print what they claim."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_metric_of_your_own_depends_most_on_its_object(mi: Any) -> None:
     assert any("desk" in row.label for row in found.ranking(top=5)), found
 
 
-def test_a_network_looks_at_the_chair(mi: Any, torchvision: Any, tmp_path: Path) -> None:
+def test_a_logit_depends_most_on_the_chair(mi: Any, torchvision: Any, tmp_path: Path) -> None:
     found = load("chair_logit").main(tmp_path / "new", (32, 32), 8, random=True)
     assert found.metric_value != 0
     assert (tmp_path / "new" / "chair.png").is_file()
@@ -60,7 +60,7 @@ def test_metrics_rank_parameters_each_in_its_own_way(
     correlations = load("specificity").main(tmp_path / "new", SIZE, 32)
     with_itself = [value for (one, other), value in correlations.items() if one == other]
     with_another = [value for (one, other), value in correlations.items() if one != other]
-    # What noise may cost is far less than what the metrics differ in.
+    # The metrics differ by far more than the noise.
     assert min(with_itself) > 0.8, correlations
     assert max(with_another) < 0.5, correlations
     assert correlations["UGR", "mean luminance"] == correlations["mean luminance", "UGR"]

@@ -1,4 +1,4 @@
-"""The notebooks in examples/notebooks/ run, at a reduced size, and what they have stored is fit to be read."""
+"""The notebooks in examples/notebooks/ run at a reduced size, and their stored outputs are complete and clean."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from PIL import Image
 
 FOLDER = Path(__file__).parents[2] / "examples" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-LARGEST = 1_500_000  # bytes of all of them: they are cloned with the library
+LARGEST = 1_500_000  # bytes of all notebooks, which every clone contains
 
-# Paths of a user's or a build's machine, and what tells a process from another.
+# Paths of a user's or build machine, and what identifies a process.
 PRIVATE = re.compile(r"(?<![\w.:/])/\w+/\w|\b[A-Z]:\\|\bat 0x[0-9a-f]+|ipykernel")
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -38,7 +38,7 @@ def outputs(notebook: Any) -> list[Any]:
 
 
 def written(output: Any) -> str:
-    """Return what an output says in words."""
+    """Return the text of an output."""
     data = {kind: text for kind, text in output.get("data", {}).items() if not kind.startswith("image/")}
     return "\n".join("".join(text) for text in (output.get("text", ""), *data.values()))
 
@@ -54,12 +54,12 @@ def test_every_cell_runs(path: Path) -> None:
 
 
 def kinds(cell: Any) -> list[str]:
-    """Return what sort of outputs a cell has: text, a table or a picture."""
+    """Return the kinds of a cell's outputs: text, table or image."""
     return sorted(kind for one in cell.get("outputs", ()) for kind in one.get("data", [one.get("name")]))
 
 
 @every_notebook
-def test_what_is_stored_is_whole_and_clean(path: Path) -> None:
+def test_stored_outputs_are_complete_and_clean(path: Path) -> None:
     notebook = json.loads(path.read_text())
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     counts = [cell["execution_count"] for cell in code]
@@ -77,7 +77,7 @@ def test_what_is_stored_is_whole_and_clean(path: Path) -> None:
 
 
 @every_notebook
-def test_links_of_notebooks_lead_somewhere(path: Path) -> None:
+def test_links_of_notebooks_exist(path: Path) -> None:
     notebook = json.loads(path.read_text())
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "markdown"]
     prose = "\n".join("".join(cell["source"]) for cell in cells)
@@ -93,7 +93,7 @@ def test_notebooks_are_small() -> None:
 
 
 @pytest.mark.parametrize("text", ["in /home/ann/rooms", "C:\\Users", "<Figure at 0x7f2a>", "ipykernel_42"])
-def test_what_tells_of_a_machine_is_noticed(text: str) -> None:
+def test_traces_of_a_machine_are_detected(text: str) -> None:
     assert PRIVATE.search(text)
 
 

@@ -1,4 +1,4 @@
-"""The command that tries the paper's claims again writes its page (examples/paper)."""
+"""The command that reproduces the paper's claims writes its page (examples/paper)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 EXAMPLE = Path(__file__).parents[2] / "examples" / "paper"
 
 
-def test_page_sets_the_paper_beside_what_was_measured(tmp_path: Path) -> None:
+def test_page_shows_the_paper_beside_the_measured_values(tmp_path: Path) -> None:
     page = tmp_path / "paper.md"
     page.write_text("# Old\n\n## Another claim\n\nkept\n\n## Errors of stock derivatives\n\nrenewed\n")
     command = [sys.executable, str(EXAMPLE), "mirror", "--quick", "--room", "office"]

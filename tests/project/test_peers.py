@@ -1,4 +1,4 @@
-"""The arithmetic of the comparison with other tools: equal error, intervals, and where the table goes."""
+"""The arithmetic of the comparison with other tools: equal error, intervals, and the place of the table."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def test_samples_to_the_target_follow_variance_and_bias():
     plain = Errors(noisy(400, 2 * TARGET), 0.0)
     assert plain.systematic == 0
     assert plain.times(plain.square(plain.runs)) == pytest.approx(4, rel=0.1)
-    # A bias of 2 targets falls with the samples, so that twice as many do where there is nothing else.
+    # A bias of 2 targets falls with the samples: twice as many are enough without noise.
     biased = Errors(noisy(400, 0.1 * TARGET, bias=2 * TARGET), 0.0)
     assert biased.systematic == pytest.approx(2 * TARGET, rel=0.02)
     assert biased.times(biased.square(biased.runs)) == pytest.approx(2, rel=0.05)
 
 
-def test_the_error_of_the_reference_is_not_theirs():
+def test_the_error_of_the_reference_is_subtracted():
     shift = torch.full((1, 5), TARGET / 5**0.5, dtype=torch.float64)
     known = TARGET**2
     runs = Errors(noisy(400, 2 * TARGET) + shift, known)
@@ -53,14 +53,14 @@ def test_cost_is_time_at_equal_error():
     assert cost(*make(), "scenecaptum", "m", 5).ratio == 1
 
 
-def test_runs_with_more_numbers_tell_of_fewer():
+def test_runs_with_more_numbers_count_for_fewer():
     case, samples = make()
     samples.add("other", "m", 2, case.reference["m"][:2], 0.1)
     assert samples.errors(case, "other", "m", 2).shape == (201, 2)
     assert samples.errors(case, "other", "m", 5).shape == (200, 5)
 
 
-def test_single_numbers_are_put_into_their_parameters():
+def test_single_numbers_are_written_into_their_parameters():
     class Renderer:
         spp = 4
 
@@ -80,7 +80,7 @@ def test_intervals_are_finite():
     assert interval((0.0, float("inf")), 4.0) == (2.0, 6.0)
 
 
-def test_the_section_takes_its_own_place(tmp_path):
+def test_the_section_is_replaced_in_place(tmp_path):
     path = tmp_path / "docs" / "performance.md"
     write_section(path, "one\n")
     assert path.read_text() == f"# Performance\n\n{BEGIN}\none\n{END}\n"

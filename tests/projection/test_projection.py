@@ -29,7 +29,7 @@ def attribution(parameters: tuple[tuple[str, ...], ...], **saliency: float) -> S
     return SceneAttribution(values, standard_error=None, metric_value=1.0, surfaces=surfaces)
 
 
-def test_pixels_mix_what_they_show_by_coverage():
+def test_pixels_average_objects_by_coverage():
     painted = heatmap(attribution((("a",), ("b",)), a=2.0, b=-1.0))
     torch.testing.assert_close(painted, torch.tensor([[1.0, 0.75]]))
 
@@ -39,12 +39,12 @@ def test_an_object_with_several_parameters_shows_their_norm():
     torch.testing.assert_close(painted, torch.tensor([[1.0, 1.0]]))
 
 
-def test_a_shared_parameter_paints_every_object_that_wears_it():
+def test_a_shared_parameter_paints_every_object_that_uses_it():
     painted = heatmap(attribution((("a",), ("a",)), a=0.5))
     torch.testing.assert_close(painted, torch.ones(1, 2))
 
 
-def test_what_no_pixel_shows_sets_the_scale_and_stays_in_the_ranking():
+def test_invisible_objects_count_for_scale_and_ranking():
     result = attribution((("a",), ("b",), ("hidden",)), a=1.0, b=2.0, hidden=4.0)
     torch.testing.assert_close(heatmap(result), torch.tensor([[0.25, 0.375]]))
     assert result.ranking()[0].name == "hidden"
@@ -55,7 +55,7 @@ def test_a_parameter_of_no_object_sets_the_scale_too():
     torch.testing.assert_close(painted, torch.full((1, 2), 0.5))
 
 
-def test_parameters_that_were_not_asked_for_are_not_painted():
+def test_parameters_that_were_not_attributed_are_not_painted():
     painted = heatmap(attribution((("a",), ("not an input",)), a=1.0))
     torch.testing.assert_close(painted, torch.tensor([[1.0, 0.5]]))
 
@@ -94,7 +94,7 @@ def test_a_name_or_a_glob_chooses_what_is_painted_and_sets_the_scale():
         heatmap(result, parameter="d*")
 
 
-def test_a_signed_map_has_the_sign_of_all_effects_together():
+def test_a_signed_map_has_the_sign_of_the_summed_effects():
     result = attribution((("a", "b"), ("c",)), a=3.0, b=-4.0, c=5.0)
     torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, 0.0]]))
     colours = {"a": torch.tensor([0.0, 3.0, -4.0]), "b": torch.zeros(3), "c": torch.tensor([0.0, 0.0, 2.5])}
@@ -124,7 +124,7 @@ def test_maps_with_a_shared_maximum_can_be_compared():
     assert top == 8.0
     torch.testing.assert_close(heatmap(before, maximum=top), torch.tensor([[0.25, 0.1875]]))
     torch.testing.assert_close(heatmap(after, maximum=top), heatmap(after))
-    torch.testing.assert_close(heatmap(after, maximum=4.0)[0, 0], torch.tensor(1.0))  # and no more
+    torch.testing.assert_close(heatmap(after, maximum=4.0)[0, 0], torch.tensor(1.0))  # and nothing else
     assert shared_maximum([before, after], parameter="b") == 1.0
     assert shared_maximum([]) == 0.0
     nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
@@ -140,7 +140,7 @@ def test_maps_with_a_shared_maximum_can_be_compared():
         ({"maximum": float("nan")}, "maximum must be finite and not negative"),
     ],
 )
-def test_a_scale_that_is_none_is_refused(options: dict[str, Any], told: str):
+def test_an_unknown_scale_is_refused(options: dict[str, Any], told: str):
     with pytest.raises(SceneCaptumError, match=told):
         heatmap(attribution((("a",), ("b",)), a=1.0, b=2.0), **options)
 
@@ -156,7 +156,7 @@ def test_groups_are_chosen_and_signed_like_parameters():
 
 
 def textured() -> SceneAttribution:
-    """The left pixel shows both texels of a texture alike, the object's part of the right one only the second."""
+    """The left pixel shows both texels of a texture equally, the right one only the second."""
     result = attribution((("t", "a"), ("b",)), a=0.0, b=0.0)
     shown = TexelMap(
         entry=np.array([0, 0, 1], np.int32),
@@ -186,7 +186,7 @@ def test_texels_join_the_other_parameters_of_their_object():
     torch.testing.assert_close(heatmap(result, texels=True, signed=True), expected)
 
 
-def test_without_texels_known_there_is_no_map_of_them():
+def test_a_texture_without_texel_map_is_refused():
     result = textured()
     bare = dataclasses.replace(result, surfaces=dataclasses.replace(result.surfaces, texels={}))
     with pytest.raises(SceneCaptumError, match="not known which texels the pixels show"):
@@ -233,7 +233,7 @@ def test_an_exported_picture_has_eight_bits(tmp_path: Path):
         (torch.zeros(2, 3), "nowhere/map.npy", {}, "cannot be written"),
     ],
 )
-def test_what_cannot_be_exported_is_refused(
+def test_invalid_exports_are_refused(
     tmp_path: Path, what: torch.Tensor, name: str, options: dict[str, Any], told: str
 ):
     with pytest.raises(SceneCaptumError, match=told):
@@ -241,7 +241,7 @@ def test_what_cannot_be_exported_is_refused(
 
 
 def test_names_are_hashed_as_cryptomatte_does():
-    # From the specification, and of MurmurHash3's reference implementation.
+    # From the specification, and from MurmurHash3's reference implementation.
     known = {
         "bunny": 0x13851A76,
         "default": 0x42C9679F,
@@ -257,7 +257,7 @@ def test_names_are_hashed_as_cryptomatte_does():
     assert (np.abs(values) >= np.finfo(np.float32).tiny).all()
 
 
-def test_an_exported_cryptomatte_tells_the_objects_back(mi: Any, tmp_path: Path):
+def test_an_exported_cryptomatte_can_be_decoded(mi: Any, tmp_path: Path):
     result = dataclasses.replace(attribution((("a",), ("b",), ()), a=2.0, b=-1.0), image=torch.rand(1, 2, 3))
     surfaces = dataclasses.replace(
         result.surfaces,
@@ -279,7 +279,7 @@ def test_an_exported_cryptomatte_tells_the_objects_back(mi: Any, tmp_path: Path)
     assert metadata[f"cryptomatte/{key}/hash"] == "MurmurHash3_32"
     assert metadata[f"cryptomatte/{key}/conversion"] == "uint32_to_float32"
     manifest = json.loads(metadata[f"cryptomatte/{key}/manifest"])
-    assert manifest.keys() == {"object_0", "object_1"}  # the last is what is behind all objects
+    assert manifest.keys() == {"object_0", "object_1"}  # the last is the background
     name_of = {np.uint32(int(bits, 16)).view(np.float32): name for name, bits in manifest.items()}
     layer = metadata[f"cryptomatte/{key}/name"]
     ranks = [(planes[f"{layer}00.{i}"][0], planes[f"{layer}00.{c}"][0]) for i, c in ("RG", "BA")]
