@@ -132,7 +132,7 @@ def test_maps_with_a_shared_maximum_can_be_compared():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"scale": "cubic"}, 'scale must be "linear" or "log"'),
         ({"scale": "log", "decades": 0}, "decades must be positive"),
@@ -140,8 +140,8 @@ def test_maps_with_a_shared_maximum_can_be_compared():
         ({"maximum": float("nan")}, "maximum must be finite and not negative"),
     ],
 )
-def test_an_unknown_scale_is_refused(options: dict[str, Any], told: str):
-    with pytest.raises(SceneCaptumError, match=told):
+def test_an_unknown_scale_is_refused(options: dict[str, Any], message: str):
+    with pytest.raises(SceneCaptumError, match=message):
         heatmap(attribution((("a",), ("b",)), a=1.0, b=2.0), **options)
 
 
@@ -223,7 +223,7 @@ def test_an_exported_picture_has_eight_bits(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("what", "name", "options", "told"),
+    ("what", "name", "options", "message"),
     [
         (torch.zeros(2, 3), "map.jpg", {}, "must end in .png, .exr or .npy"),
         (torch.zeros(2, 3, 4), "map.png", {}, r"not \(2, 3, 4\)"),
@@ -234,9 +234,9 @@ def test_an_exported_picture_has_eight_bits(tmp_path: Path):
     ],
 )
 def test_invalid_exports_are_refused(
-    tmp_path: Path, what: torch.Tensor, name: str, options: dict[str, Any], told: str
+    tmp_path: Path, what: torch.Tensor, name: str, options: dict[str, Any], message: str
 ):
-    with pytest.raises(SceneCaptumError, match=told):
+    with pytest.raises(SceneCaptumError, match=message):
         export(what, tmp_path / name, **options)
 
 
@@ -283,8 +283,8 @@ def test_an_exported_cryptomatte_can_be_decoded(mi: Any, tmp_path: Path):
     name_of = {np.uint32(int(bits, 16)).view(np.float32): name for name, bits in manifest.items()}
     layer = metadata[f"cryptomatte/{key}/name"]
     ranks = [(planes[f"{layer}00.{i}"][0], planes[f"{layer}00.{c}"][0]) for i, c in ("RG", "BA")]
-    told = [[(name_of.get(ids[pixel]), cover[pixel]) for ids, cover in ranks] for pixel in (0, 1)]
-    assert told == [[("object_1", 0.75), ("object_0", 0.25)], [("object_0", 0.5), (None, 0.0)]]
+    decoded = [[(name_of.get(ids[pixel]), cover[pixel]) for ids, cover in ranks] for pixel in (0, 1)]
+    assert decoded == [[("object_1", 0.75), ("object_0", 0.25)], [("object_0", 0.5), (None, 0.0)]]
 
 
 def test_a_map_without_objects_is_an_exr_of_one_channel(mi: Any, tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Captum's own classes on the bridge: each against what its definition gives by autograd or rendering alone."""
+"""Captum's own classes on the bridge: each against its definition, by autograd or renders without the bridge."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already 
 Values = dict[str, torch.Tensor]
 Row = tuple[torch.Tensor, ...]
 
-# Two backward passes over the same samples differ by their atomic adds alone, 1e-6 relative.
+# Two backward passes over the same samples differ only by atomic additions, 1e-6 relative.
 SAME = 1e-5
 
 
 class ToyRoom:
-    """A colour, a roughness whose bounds are open, and the texels of a light: every shape and kind of bound."""
+    """A colour, a roughness with open bounds, and the texels of a light: every shape and kind of bound."""
 
     spp = 4
 
@@ -78,7 +78,7 @@ def renderer(request: pytest.FixtureRequest) -> Any:
 
 
 def brightness(image: torch.Tensor) -> torch.Tensor:
-    """Bend the image, so that nothing is right by being linear."""
+    """A non-linear metric, so that no method is right because of linearity."""
     return (image + 0.1).log().mean()
 
 
@@ -112,7 +112,7 @@ def batch(*rows: Row) -> Row:
 
 
 def assert_same(found: Any, *expected_rows: Row, allowed: float = SAME) -> None:
-    """Compare attributions with one row of tensors for each element of the batch, relative to the largest."""
+    """Compare attributions with one row of tensors per element of the batch, relative to the largest number."""
     assert isinstance(found, tuple)
     expected = batch(*expected_rows)
     assert [tuple(value.shape) for value in found] == [tuple(value.shape) for value in expected]
@@ -123,7 +123,7 @@ def assert_same(found: Any, *expected_rows: Row, allowed: float = SAME) -> None:
 
 
 def reflected(value: torch.Tensor, low: float, high: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Bounce each number until it is inside; return where it lands and the sign of the way."""
+    """Reflect each number until it is inside; return it with the sign of the derivative."""
     found, signs = [], []
     for number in value.flatten().tolist():
         place, sign = number, 1.0
@@ -136,7 +136,7 @@ def reflected(value: torch.Tensor, low: float, high: float) -> tuple[torch.Tenso
 
 
 class Recorded:
-    """A forward function that keeps the rows it was called with."""
+    """A forward function that records the rows it was called with."""
 
     def __init__(self, forward: Callable[..., torch.Tensor]) -> None:
         self.forward = forward
@@ -180,7 +180,7 @@ def test_rows_may_be_views_of_one_another(renderer: Any) -> None:
     torch.testing.assert_close(found, forward(*inputs).expand(3))
 
 
-def test_what_is_done_to_the_inputs_does_not_reach_the_renderer() -> None:
+def test_changing_the_inputs_does_not_change_the_renderer() -> None:
     toy = ToyRoom()
     forward, inputs = as_captum(toy, brightness, bounds="reflect")
     before = forward(*inputs)
@@ -231,7 +231,7 @@ def test_target_names_an_element_of_a_vector(renderer: Any, target: Any) -> None
 
 
 def integrated(renderer: Any, row: Row, start: Row, n_steps: int) -> Row:
-    """Integrate along the straight path with Gauss and Legendre, one render of its own for each step."""
+    """Integrate along the straight path by Gauss–Legendre quadrature, with a separate render for each step."""
     nodes, weights = np.polynomial.legendre.leggauss(n_steps)
     steps = []
     for node, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
@@ -266,7 +266,7 @@ def test_the_convergence_delta_is_that_of_the_metric(renderer: Any) -> None:
 # --- Noise -----------------------------------------------------------------------------------------
 
 
-def test_noise_tunnel_wanders_beyond_the_bounds_and_is_reflected(renderer: Any) -> None:
+def test_noise_beyond_the_bounds_is_reflected(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, bounds="reflect")
     recorded = Recorded(forward)
     torch.manual_seed(shifted(4))
@@ -282,18 +282,18 @@ def test_noise_tunnel_wanders_beyond_the_bounds_and_is_reflected(renderer: Any) 
         gradients = gradient(renderer, tuple(where for where, _ in landed))
         per_row.append(tuple(sign * g for (_, sign), g in zip(landed, gradients, strict=True)))
     expected = tuple(torch.stack(column).mean(0) for column in zip(*per_row, strict=True))
-    # Where a value lands is rounded differently here, and the gradient bends.
+    # Rounding differs in the reflected values, and the gradient depends on them.
     assert_same(found, expected, allowed=1e-4)
 
 
-def test_noise_tunnel_says_what_is_unphysical_where_it_may_not_wander(renderer: Any) -> None:
+def test_noise_beyond_the_bounds_is_refused_on_request(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, bounds="raise")
     torch.manual_seed(shifted(4))
     with pytest.raises(SceneCaptumError, match="outside the physical range"):
         captum.NoiseTunnel(captum.Saliency(forward)).attribute(inputs, nt_samples=4, stdevs=1.0)
 
 
-def test_noise_tunnel_in_batches_of_its_own(renderer: Any) -> None:
+def test_noise_tunnel_in_batches(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, bounds="reflect")
     tunnel = captum.NoiseTunnel(captum.IntegratedGradients(forward))
     for kind in ("smoothgrad", "smoothgrad_sq", "vargrad"):
@@ -304,8 +304,8 @@ def test_noise_tunnel_in_batches_of_its_own(renderer: Any) -> None:
         assert all(value.isfinite().all() for value in found)
 
 
-def test_gradient_shap_of_what_is_linear_is_exact(renderer: Any) -> None:
-    """An image is linear in its light: wherever between baseline and input, the gradient is the same."""
+def test_gradient_shap_of_a_linear_input_is_exact(renderer: Any) -> None:
+    """An image is linear in its light: the gradient is the same everywhere between baseline and input."""
     forward, inputs = as_captum(renderer, torch.mean)
     start = (*own(renderer)[:2], 0.25 * own(renderer)[2])
     found = captum.GradientShap(forward).attribute(inputs, batch(start, start), n_samples=3, stdevs=0.0)
@@ -328,7 +328,9 @@ def test_gradient_shap_with_noise(renderer: Any) -> None:
 
 
 @pytest.mark.parametrize("perturbations_per_eval", [1, 3])
-def test_feature_ablation_renders_without_each_feature(renderer: Any, perturbations_per_eval: int) -> None:
+def test_feature_ablation_is_the_difference_of_two_renders(
+    renderer: Any, perturbations_per_eval: int
+) -> None:
     forward, inputs = as_captum(renderer, brightness, seed=shifted(6), bounds="reflect")
     full = measured(renderer, own(renderer), seed=shifted(6))
     expected = []
@@ -341,7 +343,7 @@ def test_feature_ablation_renders_without_each_feature(renderer: Any, perturbati
             changes.append(full - measured(renderer, tuple(ablated), seed=shifted(6)))
         expected.append(torch.stack(changes).reshape(value.shape))
     found = captum.FeatureAblation(forward).attribute(inputs, perturbations_per_eval=perturbations_per_eval)
-    # The difference of two numbers of order 1.
+    # The difference of two numbers of magnitude 1.
     for value, right in zip(found, expected, strict=True):
         torch.testing.assert_close(value[0], right, rtol=1e-4, atol=1e-6)
 
@@ -355,17 +357,17 @@ def test_shapley_value_sampling_is_complete(renderer: Any, perturbations_per_eva
         inputs,
         batch(halved(renderer)),
         target=1,
-        feature_mask=whole,  # one feature per input, so that a test stays quick
+        feature_mask=whole,  # one feature per input, which keeps the test quick
         n_samples=3,
         perturbations_per_eval=perturbations_per_eval,
     )
     assert [value.shape for value in found] == [value.shape for value in inputs]
     change = measured(renderer, own(renderer), channels) - measured(renderer, halved(renderer), channels)
-    total = sum(value.flatten()[0].item() for value in found)  # all numbers of a feature share its value
+    total = sum(value.flatten()[0].item() for value in found)  # all elements of a feature share its value
     assert total == pytest.approx(change[1].item(), rel=1e-4)
 
 
-def test_shapley_value_sampling_of_every_number() -> None:
+def test_shapley_value_sampling_of_single_numbers() -> None:
     toy = ToyRoom()
     forward, inputs = as_captum(toy, brightness, bounds="reflect")
     found = captum.ShapleyValueSampling(forward).attribute(inputs, n_samples=2)
@@ -386,7 +388,7 @@ def test_occlusion(renderer: Any) -> None:
 # --- Seeds -----------------------------------------------------------------------------------------
 
 
-def test_a_seed_repeats_and_leaves_torchs_generator_alone(renderer: Any) -> None:
+def test_a_seed_repeats_and_does_not_touch_torchs_generator(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, seed=shifted(9))
     state = torch.get_rng_state()
     first, second = forward(*inputs), forward(*(torch.cat([value, value]) for value in inputs))
@@ -394,7 +396,7 @@ def test_a_seed_repeats_and_leaves_torchs_generator_alone(renderer: Any) -> None
     assert torch.equal(torch.get_rng_state(), state)
 
 
-def test_without_a_seed_every_row_of_every_call_has_its_own(renderer: Any) -> None:
+def test_without_a_seed_every_row_of_every_call_has_a_new_one(renderer: Any) -> None:
     forward, inputs = as_captum(renderer, brightness, seed=None)
     doubled = tuple(torch.cat([value, value]) for value in inputs)
     torch.manual_seed(shifted(1))
@@ -412,7 +414,7 @@ def test_every_row_is_rendered_once_with_the_renderers_own_sample_count() -> Non
     torch.testing.assert_close(toy.calls[1][0]["light"], 0.5 * toy.inputs["light"])
 
 
-def test_a_fresh_seed_is_one_that_mitsuba_takes() -> None:
+def test_a_random_seed_is_valid_for_mitsuba() -> None:
     toy = ToyRoom()
     forward, inputs = as_captum(toy, brightness, seed=None)
     for _ in range(50):
@@ -425,8 +427,8 @@ def test_a_fresh_seed_is_one_that_mitsuba_takes() -> None:
 # --- Bounds ----------------------------------------------------------------------------------------
 
 
-def test_the_scenes_own_value_is_kept_even_where_it_is_not_inside() -> None:
-    toy = ToyRoom(roughness=0.0)  # as of a principled material, which Mitsuba accepts
+def test_the_scenes_own_value_is_kept_even_outside_the_bounds() -> None:
+    toy = ToyRoom(roughness=0.0)  # as in principled materials, which Mitsuba accepts
     forward, inputs = as_captum(toy, brightness, bounds="reflect")
     forward(*(value.double() for value in inputs))
     forward(*(0.5 * value - 0.1 for value in inputs))
@@ -463,7 +465,7 @@ def refused(call: Callable[[], Any]) -> str:
     return str(caught.value)
 
 
-def test_options_are_checked_at_once() -> None:
+def test_options_are_checked_at_construction() -> None:
     toy = ToyRoom()
     assert '"raise" or "reflect", not \'clip\'' in refused(lambda: as_captum(toy, brightness, bounds="clip"))
     assert "seed must be" in refused(lambda: as_captum(toy, brightness, seed=-1))
@@ -472,7 +474,7 @@ def test_options_are_checked_at_once() -> None:
     assert "has no inputs" in refused(lambda: as_captum(lambda inputs, *, seed, spp: None, brightness))
 
 
-def test_tensors_that_are_no_batch_of_the_inputs_are_refused() -> None:
+def test_tensors_that_are_not_a_batch_of_the_inputs_are_refused() -> None:
     forward, inputs = as_captum(ToyRoom(), brightness)
     colour, roughness, light = inputs
     assert "3 inputs, in their order, not 2" in refused(lambda: forward(colour, roughness))
@@ -486,7 +488,7 @@ def test_tensors_that_are_no_batch_of_the_inputs_are_refused() -> None:
     assert "no rows" in refused(lambda: forward(*(value[:0] for value in inputs)))
 
 
-def test_a_row_of_the_wrong_shape_is_the_renderers_to_refuse(box: SceneRenderer) -> None:
+def test_a_row_of_the_wrong_shape_is_refused_by_the_renderer(box: SceneRenderer) -> None:
     forward, inputs = box.as_captum(brightness)
     assert "has shape (2,)" in refused(lambda: forward(inputs[0][:, :2], *inputs[1:]))
 

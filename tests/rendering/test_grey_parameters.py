@@ -1,4 +1,4 @@
-"""Colours and coloured pictures that a material looks up as one number count as one: opacities, roughnesses."""
+"""Colours and coloured textures that a material evaluates as one number, such as opacities and roughnesses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def picture(mi: Any, texels: Any) -> dict[str, Any]:
 
 
 def gradient(renderer: SceneRenderer, name: str, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """The picture, and how its mean changes."""
+    """The image, and the gradient of its mean."""
     leaf = renderer.inputs[name].requires_grad_()
     image = renderer({name: leaf}, seed=shifted(3), spp=32, **options)
     return image.detach(), torch.autograd.grad(image.mean(), leaf)[0]
@@ -56,7 +56,7 @@ def masked(mi: Any) -> SceneRenderer:
 def test_a_colour_counts_as_the_mean_of_its_channels(
     mi: Any, name: str, coloured: Any, plain: Any, ready: bool
 ) -> None:
-    """Picture and derivative are those of the number, with either way of choosing samples."""
+    """Image and derivative are those of the number, with and without importance sampling of pixels."""
     scenes = [room(mi, ball=ball, lamp=20.0) for ball in (coloured, plain)]
     ours, same = (
         SceneRenderer(mi.load_dict(scene, optimize=False) if ready else scene, name) for scene in scenes
@@ -76,8 +76,8 @@ def test_a_colour_counts_as_the_mean_of_its_channels(
     torch.testing.assert_close(tangent[1], gradient(ours, name)[1], rtol=1e-3, atol=1e-8)
 
 
-def test_it_is_ranked_as_one_number(mi: Any, masked: SceneRenderer) -> None:
-    """And its derivative is the finite difference."""
+def test_a_grey_parameter_is_ranked_as_one_number(mi: Any, masked: SceneRenderer) -> None:
+    """Its derivative agrees with a finite difference."""
     found = VanillaSceneGradient(masked, mean).attribute(seed=shifted(0), spp=256)
     plain = SceneRenderer(room(mi, ball=mask(0.5), lamp=20.0), "opacity")
     same = VanillaSceneGradient(plain, mean).attribute(seed=shifted(0), spp=256)
@@ -97,7 +97,7 @@ def test_it_is_ranked_as_one_number(mi: Any, masked: SceneRenderer) -> None:
     assert abs(found[OPACITY] - slopes.mean()) < allowed(8) * error
 
 
-def test_a_coloured_picture_counts_as_its_luminance(mi: Any) -> None:
+def test_a_coloured_texture_counts_as_its_luminance(mi: Any) -> None:
     grey = (TEXELS @ LUMINANCE)[..., None]
     ours, same = (
         SceneRenderer(room(mi, ball=mask(picture(mi, texels)), lamp=20.0), "opacity")
@@ -111,12 +111,12 @@ def test_a_coloured_picture_counts_as_its_luminance(mi: Any) -> None:
     np.testing.assert_array_equal(shown.texel, expected_shown.texel)
 
 
-def test_what_is_written_is_what_is_rendered(mi: Any, masked: SceneRenderer) -> None:
+def test_set_values_are_rendered_as_given(mi: Any, masked: SceneRenderer) -> None:
     opaque = SceneRenderer(room(mi, ball=GREY, lamp=20.0), "reflectance")
     torch.testing.assert_close(masked({OPACITY: torch.tensor(1.0)}, seed=shifted(1)), opaque(seed=shifted(1)))
 
 
-def test_a_scene_of_the_users_keeps_its_colour(mi: Any) -> None:
+def test_the_users_scene_keeps_its_colour(mi: Any) -> None:
     scene = mi.load_dict(room(mi, ball=mask(COLOUR)), optimize=False)
     renderer = SceneRenderer(scene, "opacity")
     gradient(renderer, OPACITY)
@@ -124,8 +124,8 @@ def test_a_scene_of_the_users_keeps_its_colour(mi: Any) -> None:
     assert np.array(mi.traverse(scene)[OPACITY]).ravel().tolist() == pytest.approx([0.2, 0.5, 0.8])
 
 
-def test_a_picture_that_is_a_colour_too_stays_one(mi: Any) -> None:
-    """What one material takes for an opacity, another for a reflectance."""
+def test_a_texture_that_is_also_used_as_a_colour_stays_one(mi: Any) -> None:
+    """One material uses it as an opacity, another as a reflectance."""
     shared = {**picture(mi, TEXELS), "id": "shared"}
     skin = {"type": "diffuse", "reflectance": {"type": "ref", "id": "shared"}}
     renderer = SceneRenderer(

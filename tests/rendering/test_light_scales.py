@@ -1,4 +1,4 @@
-"""Scales of lights, in which the picture is linear: their derivative is the picture of that light alone."""
+"""Scales of lights, in which the image is linear: their derivative is the image of that light alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def gradients(renderer: SceneRenderer, seed: int) -> torch.Tensor:
 
 
 def differences(renderer: SceneRenderer, seed: int) -> torch.Tensor:
-    """Differences of ±20 % under one seed, each side of which has as many samples as a gradient."""
+    """Differences of ±20 % with common random numbers; each side has as many samples as a gradient."""
 
     def moved(name: str, factor: float) -> float:
         values = {**renderer.inputs, name: factor * renderer.inputs[name]}
@@ -49,17 +49,17 @@ def differences(renderer: SceneRenderer, seed: int) -> torch.Tensor:
 
 
 def test_a_scale_is_never_noisier_than_a_difference(sunlit: SceneRenderer) -> None:
-    """Mitsuba draws from sky and sun by their brightness: a short step loses its signal in other samples."""
+    """Mitsuba samples sky and sun by brightness: a short step changes the samples, and its signal is lost."""
     ours = torch.stack([gradients(sunlit, seed) for seed in range(SEEDS)])
     theirs = torch.stack([differences(sunlit, seed) for seed in range(SEEDS)])
     z = (ours.mean(0) - theirs.mean(0)) / ((ours.var(0) + theirs.var(0)) / SEEDS).sqrt()
     assert z.abs().max() < 4, z
-    # 2.7 is what equal variances of 24 draws reach once in a hundred times.
+    # Two equal variances of 24 draws have a ratio above 2.7 in one of a hundred cases.
     assert (ours.var(0) < 2.7 * theirs.var(0)).all(), ours.var(0) / theirs.var(0)
 
 
-def test_light_that_does_not_come_in_has_no_derivative(mi: Any) -> None:
-    """Not even noise: the lamp's light is the same on both sides of the difference."""
+def test_light_that_does_not_reach_the_image_has_no_derivative(mi: Any) -> None:
+    """It has no noise either: the lamp's light is the same on both sides of the difference."""
     scene = cornell_box()
     scene["front_wall"] = {
         "type": "rectangle",

@@ -1,4 +1,4 @@
-"""How many samples make up a spread: as many as are counted, and few where light is rare."""
+"""Effective sample sizes from the pilot render: exact where they can be counted, small for rare light."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BULB = "bulb.emitter.radiance.value"
 
 
 def bulb(mi: Any, **more: Any) -> dict[str, Any]:
-    """A disk that shines in the dark and covers π/64 of the picture."""
+    """A shining disk that covers π/64 of the image."""
     film = {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}}
     return {
         "type": "scene",
@@ -32,7 +32,7 @@ def bulb(mi: Any, **more: Any) -> dict[str, Any]:
 
 
 def fog(mi: Any) -> dict[str, Any]:
-    """Out of sight, so that the volumetric integrator sees the same picture."""
+    """Out of sight, so that the volumetric integrator renders the same image."""
     return {
         "type": "sphere",
         "center": [9, 9, 9],
@@ -76,7 +76,7 @@ def test_the_brightness_of_light_does_not_matter(mi: Any) -> None:
     assert counted(1e30) == pytest.approx(counted(1.0), rel=1e-4)
 
 
-def test_what_no_path_meets_is_marked(mi: Any, tmp_path: Path) -> None:
+def test_parameters_without_any_path_are_marked(mi: Any, tmp_path: Path) -> None:
     scene = cornell_box()
     scene["hidden"] = {"type": "sphere", "center": [0.335, -0.38, -0.7], "radius": 0.1}
     renderer = SceneRenderer(scene, "reflectance", resolution=(16, 16), spp=16, max_depth=3)
@@ -99,14 +99,14 @@ def in_the_hall(mi: Any) -> SceneAttribution:
     return VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute()
 
 
-def test_faint_lamps_and_what_they_light_are_marked(in_the_hall: SceneAttribution) -> None:
-    """Their 95 % intervals hold the truth in 55 to 77 % of runs: see ``benchmarks/interval_coverage.py``."""
+def test_faint_lamps_and_objects_lit_by_them_are_marked(in_the_hall: SceneAttribution) -> None:
+    """Their 95 % intervals contain the truth in 55 to 77 % of runs, see ``benchmarks/interval_coverage.py``."""
     rare = ("store_lamp.emitter", "store.", "crate.", "urn.", "door.diffuse", "vestibule.", "stone.")
     doubtful = in_the_hall.untrusted_errors()
     for start in rare:
         assert any(name.startswith(start) for name in doubtful), start
 
 
-def test_what_many_paths_meet_is_not_marked(in_the_hall: SceneAttribution) -> None:
+def test_parameters_with_many_paths_are_not_marked(in_the_hall: SceneAttribution) -> None:
     bright = ("floor.", "ceiling.", "wall_", "carpet.", "bench.", "column.", "niche_1.", "panel_0.emitter")
     assert not [name for name in in_the_hall.untrusted_errors() if name.startswith(bright)]

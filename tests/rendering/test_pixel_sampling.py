@@ -52,7 +52,7 @@ def test_the_expected_count_is_in_proportion_to_the_probability() -> None:
     mean = torch.stack([counts(pixel).float() for pixel, _ in drawn]).mean(0)
     error = torch.stack([counts(pixel).float() for pixel, _ in drawn]).std(0) / 2000**0.5
     expected = 1 / drawn[0][1]
-    # The shift of the strata stays a thousandth away from 0 and 1.
+    # The shift of the strata stays at least a thousandth from 0 and 1.
     assert ((mean - expected).abs() < allowed(2000, 48) * error + 1e-3).all()
 
 

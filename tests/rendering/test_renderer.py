@@ -1,4 +1,4 @@
-"""The renderer as a torch function: right derivatives, whatever is done with the graph, and no side effects."""
+"""The renderer as a torch function: correct derivatives under any use of the graph, and no side effects."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Metric = Callable[[torch.Tensor], torch.Tensor]
 LEFT, FLOOR, LIGHT = "left_wall.reflectance.value", "floor.reflectance.value", "light.emitter.radiance.value"
 REC709 = torch.tensor([0.2126, 0.7152, 0.0722])
 
-# Atomic adds make two runs of one gradient differ by 1e-6; this leaves room for sums of several.
+# Because of atomic additions, two runs of a gradient differ by 1e-6; sums of several by more.
 REPEATS = 1e-4
 
 
@@ -46,7 +46,7 @@ def left_half(image: torch.Tensor) -> torch.Tensor:
 def gradient(
     renderer: SceneRenderer, values: Values, metric: Metric = mean_luminance, **options: Any
 ) -> Values:
-    """Differentiate one render of its own, the simplest use there is: what the others are compared with."""
+    """Differentiate a single render, the simplest use, as the reference for the others."""
     leaves = {name: value.detach().clone().requires_grad_() for name, value in values.items()}
     metric(renderer(leaves, **options)).backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
@@ -89,7 +89,7 @@ def film(**changes: Any) -> Config:
 
 @pytest.fixture(scope="module", params=["cornell", "stage"])
 def renderer(request: pytest.FixtureRequest) -> SceneRenderer:
-    """Both kinds of parameters: those that a plugin reads as they are, and those it derives arrays from."""
+    """Both kinds of parameters: those that a plugin reads directly, and those it derives arrays from."""
     found: SceneRenderer = request.getfixturevalue(request.param)
     return found
 
@@ -122,7 +122,9 @@ def test_two_renders_and_one_backward_give_the_sum_of_both(renderer: SceneRender
     assert_same({n: leaf.grad for n, leaf in leaves.items()}, {n: one[n] + 2 * two[n] for n in one})
 
 
-def test_a_later_render_leaves_an_earlier_graph_alone(renderer: SceneRenderer, other_values: Values) -> None:
+def test_a_later_render_does_not_change_an_earlier_graph(
+    renderer: SceneRenderer, other_values: Values
+) -> None:
     leaves = renderer.leaves()
     first = renderer(leaves, seed=shifted(1))
     gradient(renderer, other_values, left_half, seed=shifted(2))
@@ -140,7 +142,7 @@ def test_a_second_backward_is_for_the_second_adjoint(renderer: SceneRenderer) ->
         found = torch.autograd.grad(metric(image), list(leaves.values()), retain_graph=True)
         expected = gradient(renderer, renderer.inputs, metric, seed=shifted(1))
         assert_same(dict(zip(leaves, found, strict=True)), expected)
-    # The two adjoints do have different gradients, or this would show nothing.
+    # The two adjoints have different gradients, or the test would prove nothing.
     one, two = (gradient(renderer, renderer.inputs, m, seed=shifted(1)) for m in (mean_luminance, left_half))
     assert min(relative(one[name], two[name]) for name in one) > 1e-3
 
@@ -158,7 +160,7 @@ def test_renders_of_different_values_can_be_interleaved(renderer: SceneRenderer)
         assert_same({name: leaf.grad for name, leaf in leaves[i].items()}, expected)
 
 
-def test_inputs_may_come_and_go_between_calls(renderer: SceneRenderer) -> None:
+def test_inputs_may_differ_between_calls(renderer: SceneRenderer) -> None:
     full = gradient(renderer, renderer.inputs, seed=shifted(1))
     name = list(renderer.inputs)[-1]
     alone = gradient(renderer, {name: renderer.inputs[name]}, seed=shifted(1))
@@ -189,7 +191,7 @@ def test_only_what_requires_grad_is_differentiated(cornell: SceneRenderer) -> No
 
 
 class OneReflectance(torch.nn.Module):
-    """What Captum wants: a batch of inputs to a batch of numbers."""
+    """The forward function of Captum: from a batch of inputs to a batch of numbers."""
 
     def __init__(self, renderer: SceneRenderer) -> None:
         super().__init__()
@@ -199,7 +201,7 @@ class OneReflectance(torch.nn.Module):
         return torch.stack([mean_luminance(self.renderer({FLOOR: row}, seed=shifted(7))) for row in batch])
 
 
-def test_captums_integrated_gradients_agree_however_they_are_batched(cornell: SceneRenderer) -> None:
+def test_captums_integrated_gradients_agree_in_any_batches(cornell: SceneRenderer) -> None:
     captum = pytest.importorskip("captum.attr", reason="captum is not installed")
     model = OneReflectance(cornell)
     method = captum.IntegratedGradients(model)
@@ -270,7 +272,7 @@ def test_the_gradient_seed_chooses_the_samples_of_the_backward_pass(cornell: Sce
     expected = gradient(cornell, cornell.inputs, seed=shifted(1), seed_grad=shifted(9))
     assert_same(gradient(cornell, cornell.inputs, seed=shifted(5), seed_grad=shifted(9)), expected)
     assert relative(gradient(cornell, cornell.inputs, seed=shifted(1))[FLOOR], expected[FLOOR]) > 1e-3
-    # With the picture's own seed the samples are those of the picture.
+    # With the image's own seed, the samples are those of the image.
     own = gradient(cornell, cornell.inputs, seed=shifted(9))
     assert_same(gradient(cornell, cornell.inputs, seed=shifted(9), seed_grad=shifted(9)), own)
 
@@ -350,7 +352,7 @@ def channel(c: int) -> Metric:
     ],
     ids=["functional.jacobian", "jacrev", "jacfwd", "jvp", "vjp", "grad"],
 )
-def test_every_way_to_a_jacobian_gives_the_same(
+def test_every_way_to_a_jacobian_agrees(
     cornell: SceneRenderer, colour_jacobian: torch.Tensor, jacobian: Callable[..., torch.Tensor]
 ) -> None:
     found = jacobian(floor_to_colour(cornell), cornell.inputs[FLOOR])
@@ -398,7 +400,7 @@ def test_forward_mode_is_the_transpose_of_reverse_mode(renderer: SceneRenderer) 
             forward = forward_ad.unpack_dual(image).tangent
         one, other = (forward * adjoint).sum().item(), (back[name] * tangent).sum().item()
         assert one == pytest.approx(other, rel=1e-3), name
-    # And the forward pass leaves nothing behind.
+    # The forward pass leaves no state behind.
     assert_same(gradient(renderer, values, lambda image: (image * adjoint).sum(), seed=shifted(1)), back)
 
 
@@ -429,10 +431,10 @@ def strided(value: torch.Tensor) -> torch.Tensor:
     [torch.nn.Parameter, torch.Tensor.double, torch.Tensor.half, strided],
     ids=["Parameter", "float64", "float16", "strided"],
 )
-def test_every_form_of_input_gets_its_gradient_in_its_own_form(
+def test_gradients_have_the_form_of_their_inputs(
     renderer: SceneRenderer, form: Callable[[torch.Tensor], torch.Tensor]
 ) -> None:
-    # Numbers that half precision holds exactly, so that all forms mean the same.
+    # Numbers that are exact in half precision, so that all forms have the same value.
     values = {name: value.half().float() for name, value in renderer.inputs.items()}
     expected = gradient(renderer, values, seed=shifted(1))
     leaves = OrderedDict((name, form(value).detach().requires_grad_()) for name, value in values.items())
@@ -461,7 +463,7 @@ def test_no_inputs_at_all_render_the_scene_as_it_is(cornell: SceneRenderer) -> N
         )
 
 
-def test_renders_without_grad_and_in_inference_mode_leave_later_gradients_alone(
+def test_renders_without_grad_and_in_inference_mode_do_not_change_later_gradients(
     cornell: SceneRenderer,
 ) -> None:
     expected = gradient(cornell, cornell.inputs, seed=shifted(1))
@@ -472,7 +474,7 @@ def test_renders_without_grad_and_in_inference_mode_leave_later_gradients_alone(
     assert_same(gradient(cornell, cornell.inputs, seed=shifted(1)), expected)
 
 
-def test_gradients_are_memory_of_the_callers_own(cornell: SceneRenderer) -> None:
+def test_gradients_do_not_share_memory_with_the_renderer(cornell: SceneRenderer) -> None:
     leaves = cornell.leaves()
     image = cornell(leaves, seed=shifted(1))
     mean_luminance(image).backward()
@@ -500,7 +502,7 @@ def test_gradients_are_memory_of_the_callers_own(cornell: SceneRenderer) -> None
     ],
     ids=["hessian", "jvp", "vhp", "func.hessian", "jacrev(grad)", "jacfwd(jacfwd)", "jvp(grad)"],
 )
-def test_second_derivatives_raise_instead_of_reading_as_zero(
+def test_second_derivatives_raise_instead_of_being_zero(
     cornell: SceneRenderer, second: Callable[..., Any]
 ) -> None:
     def f(value: torch.Tensor) -> torch.Tensor:
@@ -529,12 +531,12 @@ def test_torchs_old_batching_is_refused_with_the_alternative(cornell: SceneRende
 # --- Purity ----------------------------------------------------------------------------------------
 
 
-def test_a_tensor_that_changes_after_the_call_spoils_nothing(cornell: SceneRenderer) -> None:
+def test_changing_a_tensor_after_the_call_is_safe(cornell: SceneRenderer) -> None:
     expected = gradient(cornell, cornell.inputs, seed=shifted(1))
     leaf, passive = cornell.inputs[FLOOR].requires_grad_(), cornell.inputs[LEFT]
     image = cornell({FLOOR: leaf, LEFT: passive}, seed=shifted(1))
     passive.mul_(0.1)
-    # torch may notice that a saved tensor changed; what nobody may do is use the changed one.
+    # torch may detect that a saved tensor changed; the changed one must not be used.
     noticed = ""
     try:
         mean_luminance(image).backward()
@@ -547,7 +549,7 @@ def test_a_tensor_that_changes_after_the_call_spoils_nothing(cornell: SceneRende
     assert_same(gradient(cornell, cornell.inputs, seed=shifted(1)), expected)
 
 
-def test_a_leaf_that_changes_before_backward_is_noticed(cornell: SceneRenderer) -> None:
+def test_changing_a_leaf_before_backward_is_detected(cornell: SceneRenderer) -> None:
     leaf = cornell.inputs[FLOOR].requires_grad_()
     loss = mean_luminance(cornell({FLOOR: leaf}, seed=shifted(1)))
     with torch.no_grad():
@@ -560,7 +562,9 @@ def test_a_leaf_that_changes_before_backward_is_noticed(cornell: SceneRenderer) 
     )
 
 
-def test_memory_that_changes_behind_torchs_back_does_not_reach_later_renders(cornell: SceneRenderer) -> None:
+def test_memory_changed_without_torchs_knowledge_does_not_affect_later_renders(
+    cornell: SceneRenderer,
+) -> None:
     memory = np.full(3, 0.25, np.float32)
     value = torch.from_numpy(memory)
     before = cornell({FLOOR: value}, seed=shifted(1))
@@ -570,7 +574,7 @@ def test_memory_that_changes_behind_torchs_back_does_not_reach_later_renders(cor
     assert_same({"a": after}, {"a": cornell({FLOOR: torch.full((3,), 0.75)}, seed=shifted(1))}, allowed=1e-5)
 
 
-def test_the_image_is_memory_of_the_callers_own(cornell: SceneRenderer) -> None:
+def test_the_image_does_not_share_memory_with_the_renderer(cornell: SceneRenderer) -> None:
     image = cornell(seed=shifted(1))
     expected = image.clone()
     image.zero_()
@@ -601,7 +605,7 @@ def test_the_seed_decides_the_image(cornell: SceneRenderer) -> None:
 
 
 class Snapshot:
-    """All that a caller can see of a scene of his own."""
+    """Everything that users can see of their own scene."""
 
     def __init__(self, mi: Any, scene: Any) -> None:
         import drjit as dr
@@ -641,7 +645,7 @@ def uses(renderer: SceneRenderer) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "surfaces", lambda: renderer.surfaces
 
 
-def test_a_scene_of_the_users_own_is_left_as_it_was_found(mi: Any, own_scene: Any) -> None:
+def test_the_users_scene_is_not_changed(mi: Any, own_scene: Any) -> None:
     before = Snapshot(mi, own_scene)
     renderer = SceneRenderer(own_scene, "reflectance", resolution=(20, 12))
     before.assert_equal(Snapshot(mi, own_scene))
@@ -650,7 +654,7 @@ def test_a_scene_of_the_users_own_is_left_as_it_was_found(mi: Any, own_scene: An
         before.assert_equal(Snapshot(mi, own_scene))
 
 
-def test_a_failing_render_leaves_the_users_scene_as_it_was_found(
+def test_a_failing_render_does_not_change_the_users_scene(
     mi: Any, own_scene: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = Snapshot(mi, own_scene)
@@ -668,7 +672,7 @@ def test_a_failing_render_leaves_the_users_scene_as_it_was_found(
     assert torch.isfinite(gradient(renderer, {FLOOR: torch.full((3,), 0.2)})[FLOOR]).all()
 
 
-def test_changes_that_the_user_makes_to_his_scene_survive_a_render(mi: Any, own_scene: Any) -> None:
+def test_the_users_changes_to_the_scene_survive_a_render(mi: Any, own_scene: Any) -> None:
     renderer = SceneRenderer(own_scene, "reflectance")
     params = mi.traverse(own_scene)
     params[FLOOR] = mi.Color3f(0.1, 0.2, 0.3)
@@ -718,7 +722,7 @@ kept()
 
 
 def test_a_renderer_may_be_garbage_collected_while_another_renders(mi: Any) -> None:
-    # In a process of its own: what goes wrong here is an abort. The variables that a scene frees while a
+    # In a separate process, because a failure aborts. The variables that a scene frees while a
     # kernel is being recorded cannot be recorded.
     ran = subprocess.run(
         [sys.executable, "-c", COLLECTED_WHILE_RECORDING], capture_output=True, text=True, check=False
@@ -726,7 +730,7 @@ def test_a_renderer_may_be_garbage_collected_while_another_renders(mi: Any) -> N
     assert ran.returncode == 0, ran.stderr[-400:]
 
 
-def test_threads_give_what_one_after_another_gives(cornell: SceneRenderer) -> None:
+def test_threads_give_the_results_of_sequential_calls(cornell: SceneRenderer) -> None:
     batch = [{FLOOR: torch.full((3,), 0.2 + 0.2 * i), LIGHT: torch.full((3,), 5.0 + i)} for i in range(4)]
     expected = [gradient(cornell, values, seed=shifted(i)) for i, values in enumerate(batch)]
 
@@ -793,7 +797,7 @@ def test_an_unphysical_value_is_refused_inside_a_transform_too(
 
 
 def test_the_scenes_own_values_can_always_be_rendered(mi: Any) -> None:
-    # A roughness of 0 is common in files that people exchange, and Mitsuba renders it.
+    # A roughness of 0 is common in published files, and Mitsuba renders it.
     polished = {"type": "principled", "roughness": 0.0}
     renderer = SceneRenderer(small_cornell(floor=polished), ["floor.roughness.*", "floor.base_color.*"])
     assert torch.isfinite(renderer(renderer.inputs)).all()
@@ -848,10 +852,10 @@ def test_copies_are_refused_with_the_reason(cornell: SceneRenderer, copying: Cal
 GOLD, SILVER = {"type": "conductor", "material": "Au"}, {"type": "conductor", "material": "Ag"}
 
 
-def test_inputs_that_no_path_can_differentiate_are_an_error_not_a_zero(
+def test_inputs_without_a_derivative_route_raise_instead_of_giving_zero(
     mi: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Stock path replay stands for whatever finds no derivative: it finds none through a mirror.
+    # Stock path replay as an example: it finds no derivative through a mirror.
     monkeypatch.setattr(RenderPlan, "create_integrator", lambda self: mi.load_dict({"type": "prb"}))
     renderer = SceneRenderer(small_cornell(floor=GOLD), "floor.*")
     assert torch.isfinite(renderer()).all()
@@ -866,7 +870,7 @@ def test_inputs_that_no_path_can_differentiate_are_an_error_not_a_zero(
     assert "No derivative reaches" in message(lambda: torch.func.jvp(f, (value,), (torch.ones(3),)))
 
 
-def test_differences_are_part_of_the_plan(mi: Any) -> None:
+def test_finite_differences_are_listed_in_the_plan(mi: Any) -> None:
     plan = SceneRenderer(small_cornell(floor={"type": "dielectric"}), ["floor.*", "ceiling.*"]).plan
     assert [name for name, _ in plan.differences] == ["floor.eta"]
     assert "finite difference for floor.eta: Mitsuba's SmoothDielectric" in str(plan)
@@ -880,7 +884,7 @@ def test_a_textured_mask_over_glass_carries_a_caution(mi: Any) -> None:
     assert "caution: floor.opacity.data: it blends a perfectly specular lobe" in str(plan)
 
 
-def test_a_black_texture_has_the_slope_of_a_black_colour(mi: Any) -> None:
+def test_a_black_texture_has_the_derivative_of_a_black_colour(mi: Any) -> None:
     black = {"type": "bitmap", "bitmap": mi.Bitmap(np.zeros((2, 2, 3), np.float32)), "raw": True}
     colour = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
     totals = []
@@ -914,7 +918,7 @@ def test_the_depth_comes_from_the_argument_or_the_scene(
     assert ("no Russian roulette" in str(plan)) == (expected != -1)
 
 
-def test_the_plan_says_what_was_chosen_and_why(cornell: SceneRenderer) -> None:
+def test_the_plan_gives_every_choice_with_its_reason(cornell: SceneRenderer) -> None:
     lines = str(cornell.plan).splitlines()
     assert lines[0].startswith("integrator scenecaptum_replay ")
     assert "no medium" in lines[0]
@@ -955,7 +959,7 @@ def test_a_scene_without_an_integrator_gets_a_default_depth(mi: Any) -> None:
 
 
 def test_lights_hidden_from_the_camera_stay_hidden(mi: Any) -> None:
-    # Paths of one segment see the lamp or nothing.
+    # Paths of one segment hit the lamp or nothing.
     own = {"type": "path", "max_depth": 1, "hide_emitters": True}
     renderer = SceneRenderer(small_cornell(integrator=own), "emitters")
     assert renderer.plan.hide_emitters
@@ -977,7 +981,7 @@ def test_bounds_and_labels_belong_to_the_inputs(cornell: SceneRenderer) -> None:
 # --- Resolution, samples, sensors, films -----------------------------------------------------------
 
 
-def test_resolution_samples_and_sensor_are_honoured(mi: Any) -> None:
+def test_resolution_samples_and_sensor_are_used(mi: Any) -> None:
     second = copy.deepcopy({k: v for k, v in small_cornell()["sensor"].items() if k != "to_world"})
     second["film"].update(width=10, height=6)
     second["sampler"]["sample_count"] = 9
@@ -988,12 +992,12 @@ def test_resolution_samples_and_sensor_are_honoured(mi: Any) -> None:
     assert (one.spp, one.resolution) == (4, (24, 16))
     assert (two.spp, two.resolution) == (9, (10, 6))
     assert (wide().shape, wide.spp, wide.surfaces.shape) == ((5, 12, 3), 2, (5, 12))
-    # The second camera stands closer, so the lamp's share of the room it sees is another.
+    # The second camera is closer, so the lamp covers another share of the image.
     assert "light" in visible(one)
     assert visible(one) != visible(two)
 
 
-def test_samples_of_one_call_are_those_of_a_renderer_built_with_them(cornell: SceneRenderer) -> None:
+def test_spp_of_a_call_equals_spp_of_the_renderer(cornell: SceneRenderer) -> None:
     built = SceneRenderer("cornell-box", ["reflectance"], resolution=(32, 32), spp=4, max_depth=4)
     assert_same({"image": cornell(seed=shifted(1), spp=4)}, {"image": built(seed=shifted(1))}, allowed=1e-5)
     assert relative(cornell(seed=shifted(1), spp=4), cornell(seed=shifted(1))) > 0.01
@@ -1005,7 +1009,7 @@ def small_image(mi: Any) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("pixel_format", ["rgba", "luminance", "xyz"])
-def test_a_film_of_other_channels_is_refused_or_gives_red_green_and_blue(
+def test_a_film_of_other_channels_is_refused_or_converted_to_rgb(
     small_image: torch.Tensor, pixel_format: str
 ) -> None:
     # The public contract is an (H, W, 3) image of linear RGB, on which every metric relies.
@@ -1023,14 +1027,14 @@ def test_a_film_of_other_channels_is_refused_or_gives_red_green_and_blue(
         assert error < 1e-5, f"the image differs from the RGB one by {error:.2g}; allowed 1e-5"
 
 
-def test_a_crop_is_the_part_of_the_picture_that_it_says(mi: Any) -> None:
+def test_a_crop_is_the_corresponding_part_of_the_image(mi: Any) -> None:
     whole = SceneRenderer(film())
     part = SceneRenderer(film(crop_offset_x=5, crop_offset_y=3, crop_width=8, crop_height=6))
     assert part.resolution == (8, 6)
-    # One ray of a pixel's sixteen may pass exactly through an edge, where rounding decides.
+    # One of the 16 rays of a pixel may pass exactly through an edge, where rounding decides.
     error = np.abs(dense(part) - dense(whole)[3:9, 5:13]).max()
     assert error <= 1 / 16, f"shares differ by {error}; allowed 1/16"
-    # Samples differ, so the pictures agree as estimates of the same radiance do.
+    # The samples differ, so the images agree within their noise.
     off = torch.stack(
         [part(seed=s, spp=16).mean() - whole(seed=s, spp=16)[3:9, 5:13].mean() for s in seeds(8)]
     )
@@ -1070,7 +1074,7 @@ def test_the_shares_of_a_pixel_sum_to_one(request: pytest.FixtureRequest, name: 
     assert len(renderer.surfaces.objects) == len(renderer.surfaces.parameters)
 
 
-def test_the_surfaces_agree_with_a_ray_through_each_pixels_centre(mi: Any, cornell: SceneRenderer) -> None:
+def test_surfaces_agree_with_a_ray_through_each_pixel_centre(mi: Any, cornell: SceneRenderer) -> None:
     config = cornell_box()
     config["sensor"]["film"].update(width=32, height=32)
     scene = mi.load_dict(config, optimize=False)
@@ -1087,7 +1091,7 @@ def test_the_surfaces_agree_with_a_ray_through_each_pixels_centre(mi: Any, corne
         assert np.array_equal(met[certain], share[certain] == 1), shape.id()
         compared += int((share == 1).sum())
     assert compared > 600
-    # The box is open at the front and wider than the view at no side: something else is seen at the rim only.
+    # The box is open at the front and no wider than the view: only the rim shows something else.
     missed = ~np.array(hit.is_valid())
     assert np.all(shares[missed][:, -1] > 0)
 
@@ -1120,7 +1124,7 @@ def test_shared_nested_and_twosided_materials_are_listed_on_every_shape_that_use
     assert [p for shown in renderer.surfaces.parameters for p in shown if table[p].problem] == []
 
 
-def test_what_a_ray_that_hits_nothing_sees_is_the_environment(stage: SceneRenderer) -> None:
+def test_rays_that_hit_nothing_see_the_environment(stage: SceneRenderer) -> None:
     assert stage.surfaces.objects[-1] == "background"
     assert shown_by(stage, "background") == {"sky.data", "sky.scale"}
     assert visible(stage).keys() == {"ball", "ground", "background"}
@@ -1144,10 +1148,10 @@ def test_an_instance_is_not_the_background(mi: Any) -> None:
 
 
 def edge_scene(mi: Any, cover: float) -> Config:
-    """A rectangle that covers the left half of an 8 × 8 picture, and of column 4 the share ``cover``."""
+    """A rectangle that covers the left half of an 8 × 8 image, and the share ``cover`` of column 4."""
     edge = -1 + 2 * (4 + cover) / 8
     transform = mi.ScalarTransform4f
-    # This camera looks along +z, so that its x axis points left in the picture; the half turn undoes it.
+    # This camera looks along +z, so its x axis points left in the image; the half turn reverses that.
     view = transform().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])
     return {
         "type": "scene",
@@ -1177,7 +1181,7 @@ def test_a_partly_covered_pixel_has_its_share(mi: Any, cover: float) -> None:
 
 
 def test_an_edge_along_the_grid_is_off_by_half_a_column_at_most(mi: Any) -> None:
-    # A 4 × 4 grid sees an upright edge only by its four columns.
+    # A 4 × 4 grid resolves a vertical edge only by its four columns.
     errors = []
     for cover in (0.1, 0.37, 0.63, 0.9):
         renderer = SceneRenderer(edge_scene(mi, cover), "all")

@@ -1,4 +1,4 @@
-"""Points that are evenly spread, and random numbers nonetheless."""
+"""The Sobol' sampler: stratified points that are uniform random numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def sampler(mi: Any) -> Any:
 
 
 def cells(points: np.ndarray, across: int, down: int) -> int:
-    """How many cells of a grid hold a point."""
+    """The number of grid cells that contain a point."""
     return len({(int(x * across), int(y * down)) for x, y in points.T})
 
 
@@ -40,8 +40,8 @@ def test_a_clone_draws_the_same(mi: Any, sampler: Any) -> None:
     np.testing.assert_array_equal(np.array(first.next_2d()), np.array(second.next_2d()))
 
 
-def test_one_lane_sees_independent_uniform_numbers(mi: Any, sampler: Any) -> None:
-    """Over seeds: means, variances and correlations are those of independent numbers, to four standard errors."""
+def test_one_lane_gets_independent_uniform_numbers(mi: Any, sampler: Any) -> None:
+    """Over seeds, means, variances and correlations agree with independent numbers within four standard errors."""
     import drjit as dr
 
     seeds = 4000

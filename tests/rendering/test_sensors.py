@@ -1,4 +1,4 @@
-"""The geometry of a renderer's pictures, and its fisheye."""
+"""Directions of a renderer's pixels, fisheyes, and lists of sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scenecaptum import SceneCaptumError, SceneRenderer
 
 
 def directions_of_rays(mi: Any, renderer: SceneRenderer) -> torch.Tensor:
-    """Return where Mitsuba's rays through the middles of the pixels go, in camera space."""
+    """Return the directions of Mitsuba's rays through the pixel centres, in camera space."""
     width, height = renderer.resolution
     y, x = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     with renderer._engines[0].exclusive_scene():
@@ -39,7 +39,9 @@ def directions_of_rays(mi: Any, renderer: SceneRenderer) -> torch.Tensor:
     ],
     ids=["pinhole", "wide", "lens", "shifted", "tall", "fisheye", "wide fisheye"],
 )
-def test_the_camera_looks_where_rays_go(mi: Any, camera: dict[str, Any], options: dict[str, Any]) -> None:
+def test_the_cameras_directions_are_those_of_mitsubas_rays(
+    mi: Any, camera: dict[str, Any], options: dict[str, Any]
+) -> None:
     scene = room(mi, {"type": "diffuse"})
     scene["camera"] |= camera
     renderer = SceneRenderer(scene, "reflectance", spp=1, **options)
@@ -50,7 +52,7 @@ def test_the_camera_looks_where_rays_go(mi: Any, camera: dict[str, Any], options
         torch.testing.assert_close(found.solid_angles.sum().item(), 2 * math.pi, rtol=1e-4, atol=0)
 
 
-def test_a_crop_sees_its_part_of_the_whole(mi: Any) -> None:
+def test_a_crop_has_the_directions_of_its_part(mi: Any) -> None:
     scene = room(mi, {"type": "diffuse"})
     scene["camera"]["film"] |= {"crop_width": 5, "crop_height": 7, "crop_offset_x": 2, "crop_offset_y": 8}
     part = SceneRenderer(scene, "reflectance", spp=1).camera
@@ -59,8 +61,8 @@ def test_a_crop_sees_its_part_of_the_whole(mi: Any) -> None:
     torch.testing.assert_close(part.solid_angles, whole.solid_angles[8:15, 2:7], rtol=1e-4, atol=0)
 
 
-def test_a_fisheye_picture_is_differentiated_like_any_other(mi: Any) -> None:
-    """Against a difference quotient with shared samples, and as a mean over seeds with samples of its own."""
+def test_a_fisheye_image_has_correct_derivatives(mi: Any) -> None:
+    """Against a difference quotient with common random numbers, and with independent samples over seeds."""
     scene = room(mi, {"type": "diffuse", "reflectance": 0.5})
     renderer = SceneRenderer(scene, "ball.*", sensor="fisheye", resolution=(16, 16), spp=64)
     name = "ball.bsdf.reflectance.value"
@@ -82,7 +84,7 @@ def test_a_fisheye_picture_is_differentiated_like_any_other(mi: Any) -> None:
     assert z.abs() < allowed(19), (others.mean(), own.mean())
 
 
-def test_what_lies_outside_the_circle_is_black_and_shows_nothing(mi: Any) -> None:
+def test_pixels_outside_the_circle_are_black_and_show_nothing(mi: Any) -> None:
     renderer = SceneRenderer(room(mi, {"type": "diffuse"}), "all", sensor="fisheye", spp=4)
     outside = renderer.camera.solid_angles == 0
     assert outside.any()
@@ -101,7 +103,7 @@ def test_other_cameras_are_named_in_the_error(mi: Any) -> None:
 
 
 def test_several_cameras_render_a_stack_that_is_differentiated_together(mi: Any) -> None:
-    """A list of sensors: each picture is that of a renderer of its own, and so is the gradient of their sum."""
+    """A list of sensors: each image is that of a separate renderer, and so is the gradient of their sum."""
     from scenecaptum import VanillaSceneGradient
     from scenecaptum.scene.bundled import cornell_box
 
@@ -138,7 +140,7 @@ def test_several_cameras_render_a_stack_that_is_differentiated_together(mi: Any)
 @pytest.mark.parametrize(
     ("sensor", "message"), [([], "empty list"), ([0, 5], "sensor"), ([0, "round"], "fisheye")]
 )
-def test_a_list_of_sensors_that_cannot_be_is_refused(mi: Any, sensor: list[Any], message: str) -> None:
+def test_an_invalid_list_of_sensors_is_refused(mi: Any, sensor: list[Any], message: str) -> None:
     with pytest.raises(SceneCaptumError, match=message):
         SceneRenderer("cornell-box", sensor=sensor)
 

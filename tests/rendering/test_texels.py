@@ -1,4 +1,4 @@
-"""Textures on the picture, mirrors and panes, and derivative images: against renders and Mitsuba's own rays."""
+"""Texel maps, surfaces behind mirrors and panes, and derivative images, against renders and Mitsuba's rays."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def rays(scene: Any, mi: Any, shape: tuple[int, int]) -> tuple[Any, np.ndarray]:
 
 
 def shown_by_map(surfaces: SurfaceMap, name: str, texels: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """What each pixel shows of a texture, ``(H, W, 3)``, as the map has it."""
+    """What each pixel shows of a texture according to the map, ``(H, W, 3)``."""
     values = surfaces.texels[name].density(texels * share[..., None], len(surfaces.pixel))
     picture = np.zeros((surfaces.shape[0] * surfaces.shape[1], 3))
     np.add.at(picture, surfaces.pixel, values * surfaces.fraction[:, None])
@@ -80,14 +80,14 @@ def test_the_map_mixes_texels_as_mitsuba_does(mi: Any, filter_type: str, wrap: s
     error = np.abs(found - expected).max()
     assert expected.max() > 0.5
     assert error < 1e-5, f"what the texels show differs by {error}; allowed 1e-5"
-    # To learn how the texture filters it was made to hold other texels; the scene is the caller's.
+    # Texels are changed to measure the texture's filter; the scene belongs to the caller.
     assert np.array_equal(np.array(mi.traverse(scene)[name]), texels)
 
 
 def test_the_map_mixes_an_environment_as_mitsuba_does(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from scenecaptum.rendering import _texels
 
-    # At a pole a pixel sees all meridians, of which the map would keep the nearest texels only.
+    # At a pole a pixel shows all meridians, of which the map keeps only the nearest texels.
     monkeypatch.setattr(_texels, "MAX_BILINEAR_TEXELS", 1000)
     sky = np.random.default_rng(shifted(4)).uniform(0.5, 1.5, (6, 10, 3)).astype(np.float32)
     turned = mi.ScalarTransform4f().rotate([2 / 7, 3 / 7, 6 / 7], 70)
@@ -108,7 +108,7 @@ def test_the_map_mixes_an_environment_as_mitsuba_does(mi: Any, monkeypatch: pyte
     seen = np.where(np.array(si.is_valid()), 0, np.array(si.emitter(scene).eval(si))).T
     expected = np.stack([np.bincount(pixel, channel) for channel in seen.T], -1) / 16
 
-    # The solid angle that each texel stands for, by summing over directions what it has in them.
+    # The solid angle of each texel, summed over directions.
     height, width = 6, 12
     theta = (np.arange(20000) + 0.5) / 20000 * np.pi
     near = np.maximum(0, 1 - np.abs(theta * 5 / np.pi - np.arange(height)[:, None]))
@@ -116,11 +116,11 @@ def test_the_map_mixes_an_environment_as_mitsuba_does(mi: Any, monkeypatch: pyte
     found = shown_by_map(surfaces, "sky.data", texels, np.repeat(row[:, None], width, 1).astype(np.float32))
     error = np.abs(found - expected).max()
     assert error < 1e-4, f"what the texels show differs by {error}; allowed 1e-4"
-    # The copies of columns that the parameter has at either side stand for nothing.
+    # The copied columns at either side of the parameter count for nothing.
     assert not np.isin(surfaces.texels["sky.data"].texel % width, [0, width - 1]).any()
 
 
-def test_a_fine_texture_has_few_items_and_all_of_its_weight(mi: Any) -> None:
+def test_a_fine_texture_has_few_entries_with_all_of_its_weight(mi: Any) -> None:
     texels = np.random.default_rng(shifted(5)).random((900, 1000, 3), np.float32)
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
     card = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": bitmap}}
@@ -133,7 +133,7 @@ def test_a_fine_texture_has_few_items_and_all_of_its_weight(mi: Any) -> None:
     np.testing.assert_allclose(weights, on_card, atol=1e-5)
 
 
-def test_a_texture_inside_an_instance_is_found_on_the_part_that_uses_it(mi: Any) -> None:
+def test_a_texture_in_an_instance_is_found_on_its_shape(mi: Any) -> None:
     texels = np.random.default_rng(shifted(6)).random((4, 4, 3), np.float32)
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
     scene = {
@@ -171,7 +171,7 @@ AREAS = np.linalg.norm(
 
 
 def painted_mesh(mi: Any, attribute: str, colours: np.ndarray, **material: Any) -> Any:
-    """A tent of four faces whose ``material`` has the colours of its corners or faces."""
+    """A tent of four faces whose ``material`` uses colours per corner or face."""
     properties = mi.Properties()
     for name, plugin in material.items():
         properties[name] = mi.load_dict(plugin)
@@ -272,7 +272,7 @@ def test_a_mesh_of_one_colour_ranks_like_that_colour(mi: Any) -> None:
 
 
 @pytest.mark.parametrize("attribute", ["vertex_color", "face_color"])
-def test_an_even_gradient_of_a_mesh_is_painted_evenly(mi: Any, attribute: str) -> None:
+def test_a_uniform_gradient_of_a_mesh_is_painted_uniformly(mi: Any, attribute: str) -> None:
     scene = tent_scene(mi, attribute, colours_of(attribute))
     scene["mirror"] = {
         "type": "rectangle",
@@ -296,7 +296,7 @@ def test_an_even_gradient_of_a_mesh_is_painted_evenly(mi: Any, attribute: str) -
 
 @pytest.fixture(scope="module")
 def floor_gradient(room: SceneRenderer) -> torch.Tensor:
-    """Of the mean of the very picture that seed 7 renders."""
+    """The gradient of the mean of the image with seed 7."""
     x = room.leaves()
     room(x, seed=shifted(7)).mean().backward()
     gradient: torch.Tensor = x[FLOOR].grad
@@ -319,7 +319,7 @@ def test_texel_gradients_agree_with_differences_block_by_block(
             measured.append(floor_gradient[row : row + side, column : column + side].double().sum().item())
     error = np.abs(np.array(measured) - expected)
     allowed = 1e-4 * np.max(np.abs(expected))
-    # The rug hides two blocks; the others are worth testing.
+    # The rug hides two blocks; the others are tested.
     assert (np.abs(expected) > 20 * allowed).sum() == 14, expected
     assert error.max() < allowed, f"blocks differ by {error.max():.3g}; allowed {allowed:.3g}"
 
@@ -354,7 +354,7 @@ def painted_floor(room: SceneRenderer, gradient: torch.Tensor) -> torch.Tensor:
     return heatmap(result, texels=True)
 
 
-def test_a_block_of_texels_lights_the_pixels_where_the_picture_changes(room: SceneRenderer) -> None:
+def test_a_block_of_texels_is_painted_where_it_changes_the_image(room: SceneRenderer) -> None:
     block = torch.zeros_like(room.inputs[FLOOR])
     block[36:60, :16] = 1.0
     change = room.derivative_image(FLOOR, block, seed=shifted(5), spp=64).abs().sum(-1)
@@ -365,7 +365,7 @@ def test_a_block_of_texels_lights_the_pixels_where_the_picture_changes(room: Sce
     assert low > high, f"least change inside the block {low:.3g}, most outside {high:.3g}"
 
 
-def test_an_even_gradient_of_texels_is_painted_like_a_plain_colour(room: SceneRenderer) -> None:
+def test_a_uniform_gradient_of_texels_is_painted_like_a_plain_colour(room: SceneRenderer) -> None:
     even = torch.full((64, 64, 3), 0.25)
     result = SceneAttribution(
         {FLOOR: even}, standard_error=None, metric_value=1.0, surfaces=room.surfaces_with_texels()
@@ -373,7 +373,7 @@ def test_an_even_gradient_of_texels_is_painted_like_a_plain_colour(room: SceneRe
     torch.testing.assert_close(heatmap(result, texels=True), heatmap(result), rtol=0, atol=1e-5)
 
 
-def test_an_attribution_to_a_texture_keeps_its_texels_in_a_file(room: SceneRenderer, tmp_path: Any) -> None:
+def test_an_attribution_to_a_texture_is_saved_with_its_texels(room: SceneRenderer, tmp_path: Any) -> None:
     result = VanillaSceneGradient(room, metrics.MeanLuminance()).attribute(replicates=1, spp=4)
     painted = result.heatmap(texels=True)
     assert painted.unique().numel() > 100
@@ -416,7 +416,7 @@ def centre_rays(mi: Any, scene: Any) -> Any:
 
 
 def only_object(surfaces: SurfaceMap) -> np.ndarray:
-    """The name of the object that has a pixel to itself, and None at edges."""
+    """The name of the object that covers the whole pixel, None at edges."""
     names = np.full(surfaces.shape[0] * surfaces.shape[1], None, dtype=object)
     whole = surfaces.fraction > 1 - 1e-6
     names[surfaces.pixel[whole]] = np.array(surfaces.objects, dtype=object)[surfaces.object_index[whole]]
@@ -428,7 +428,7 @@ def wide_office(mi: Any) -> SceneRenderer:
     return SceneRenderer("office", "reflectance", resolution=(96, 54), spp=1)
 
 
-def test_the_object_under_each_pixel_of_the_office_is_what_a_ray_meets(
+def test_the_object_of_each_pixel_of_the_office_is_what_a_ray_hits(
     mi: Any, bare_office: Any, wide_office: SceneRenderer
 ) -> None:
     met = names_met(mi, bare_office, bare_office.ray_intersect(centre_rays(mi, bare_office)))
@@ -437,7 +437,7 @@ def test_the_object_under_each_pixel_of_the_office_is_what_a_ray_meets(
     clear = found != None  # noqa: E711 -- elementwise
     assert clear.mean() > 0.5
     assert (found[clear] == met[clear]).all()
-    # At an edge the object at the centre has a part of the pixel, but for slivers between the rays.
+    # At an edge the object at the centre covers a part of the pixel, except for slivers between the rays.
     pairs = set(zip(surfaces.pixel.tolist(), np.array(surfaces.objects)[surfaces.object_index], strict=True))
     lost = sum((pixel, met[pixel]) not in pairs for pixel in np.flatnonzero(~clear).tolist())
     assert lost <= 0.02 * (~clear).sum(), f"{lost} of {(~clear).sum()} pixels miss the object at their centre"
@@ -450,8 +450,8 @@ def test_fractions_sum_to_one_on_every_pixel(wide_office: SceneRenderer) -> None
         assert (surfaces.fraction < 1).any()
 
 
-def test_surfaces_do_not_depend_on_whether_anything_was_rendered(mi: Any) -> None:
-    # The camera learns the picture's shape when it renders.
+def test_surfaces_do_not_depend_on_earlier_renders(mi: Any) -> None:
+    # A sensor's film gets its size when it renders.
     first, second = (SceneRenderer("office", "reflectance", resolution=(20, 20), spp=1) for _ in range(2))
     second()
     assert np.array_equal(first.surfaces.pixel, second.surfaces.pixel)
@@ -461,7 +461,7 @@ def test_surfaces_do_not_depend_on_whether_anything_was_rendered(mi: Any) -> Non
 # --- Mirrors and glass -------------------------------------------------------------------------------
 
 
-def test_a_mirror_shows_what_a_reflected_ray_meets(
+def test_a_mirror_shows_what_a_reflected_ray_hits(
     mi: Any, bare_office: Any, wide_office: SceneRenderer
 ) -> None:
     si = bare_office.ray_intersect(centre_rays(mi, bare_office))
@@ -478,7 +478,7 @@ def test_a_mirror_shows_what_a_reflected_ray_meets(
 
 
 def behind(mi: Any, bsdf: Config, ball: Config | None = None, **pane: Config) -> SurfaceMap:
-    """What is seen through a pane of a material before a wall, with a screen behind the camera."""
+    """The surfaces seen through a pane before a wall, with a screen behind the camera."""
     transform = mi.ScalarTransform4f
     scene = {
         "type": "scene",
@@ -519,11 +519,11 @@ def shares(surfaces: SurfaceMap) -> dict[str, np.ndarray]:
     ],
     ids=lambda value: value["type"] if isinstance(value, dict) else "",
 )
-def test_a_pane_parts_a_pixel_as_it_parts_light(mi: Any, bsdf: Config, reflected: float) -> None:
+def test_a_pane_splits_a_pixel_as_it_splits_light(mi: Any, bsdf: Config, reflected: float) -> None:
     found = shares(behind(mi, bsdf))
     assert found.keys() <= {"wall", "screen"}
     mirrored = found.get("screen", np.zeros(144))
-    # Each pixel has one ray in each sixteenth: what is left to chance is which of one sixteenth.
+    # Each pixel has one ray in each sixteenth: chance decides about one sixteenth only.
     allowed = 4 * max(mirrored.std(), 1e-6) / 12
     assert abs(mirrored.mean() - reflected) <= allowed, (
         f"{mirrored.mean()} is reflected, expected {reflected}"
@@ -532,25 +532,25 @@ def test_a_pane_parts_a_pixel_as_it_parts_light(mi: Any, bsdf: Config, reflected
 
 
 @pytest.mark.parametrize("kind", ["diffuse", "roughdielectric", "plastic"])
-def test_what_scatters_light_ends_the_view(mi: Any, kind: str) -> None:
+def test_a_scattering_surface_ends_the_path(mi: Any, kind: str) -> None:
     assert shares(behind(mi, {"type": kind})).keys() == {"pane"}
 
 
-def test_a_light_ends_the_view_even_if_it_mirrors(mi: Any) -> None:
+def test_a_light_ends_the_path_even_if_it_is_a_mirror(mi: Any) -> None:
     shining = {"emitter": {"type": "area", "radiance": 1.0}}
     assert shares(behind(mi, {"type": "conductor"}, **shining)).keys() == {"pane"}
 
 
-def test_the_view_goes_in_and_out_of_glass(mi: Any) -> None:
+def test_the_path_enters_and_leaves_glass(mi: Any) -> None:
     ball = {"type": "sphere", "radius": 1.0, "center": [0, 0, 1], "bsdf": {"type": "dielectric"}}
     found = shares(behind(mi, {"type": "mask", "opacity": 0.0, "bsdf": {"type": "diffuse"}}, ball=ball))
     assert found.keys() == {"wall", "screen", "background"}
-    # At the ball's middle either side of it sends back 4 %.
+    # At the centre, either side of the ball reflects 4 %.
     centre = found["wall"].reshape(12, 12)[5:7, 5:7].mean()
     assert 0.85 < centre < 0.97, f"the wall has {centre} of the pixels behind the middle of the ball"
 
 
-def test_a_map_of_what_mirrors_show_can_be_painted(wide_office: SceneRenderer) -> None:
+def test_a_heatmap_can_follow_mirrors(wide_office: SceneRenderer) -> None:
     sky = "window_pane.reflectance.value"
     through = wide_office.see_through()
     result = SceneAttribution(
@@ -577,17 +577,17 @@ def test_a_derivative_image_is_the_difference_of_two_renders(room: SceneRenderer
     assert error < 1e-3, f"they differ by {error:.3g} of their norm; allowed 1e-3"
 
 
-def test_a_derivative_image_moves_all_channels_unless_told_otherwise(cornell: SceneRenderer) -> None:
+def test_a_derivative_image_moves_all_channels_by_default(cornell: SceneRenderer) -> None:
     name = "left_wall.reflectance.value"
     whole = cornell.derivative_image(name, seed=shifted(1))
     parts = [cornell.derivative_image(name, one, seed=shifted(1)) for one in torch.eye(3)]
     torch.testing.assert_close(whole, sum(parts), rtol=1e-4, atol=1e-5)
-    # The channels of a picture are those of a colour.
+    # The channels of an image are those of a colour.
     assert parts[0][..., 0].any()
     assert not parts[0][..., 1:].any()
 
 
-def test_a_derivative_image_refuses_what_cannot_be_moved(cornell: SceneRenderer) -> None:
+def test_a_derivative_image_of_an_invalid_parameter_is_refused(cornell: SceneRenderer) -> None:
     from scenecaptum import SceneCaptumError
 
     with pytest.raises(SceneCaptumError, match="Did you mean"):

@@ -1,4 +1,4 @@
-"""Pictures of participating media against Mitsuba's, and their derivatives against finite differences."""
+"""Images of participating media against Mitsuba's, and their derivatives against finite differences."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def smoke(mi: Any, density: np.ndarray) -> dict[str, Any]:
 
 
 def half_empty() -> np.ndarray:
-    """Smoke that reaches its greatest density everywhere but in a lower half without any."""
+    """Smoke at its maximum density in the upper half, and none in the lower half."""
     density = np.zeros((4, 4, 4, 1))
     density[2:] = 2.0
     return density
 
 
 def room(mi: Any, medium: dict[str, Any], *, sky: float = 1.0, **others: Any) -> dict[str, Any]:
-    """A ball of fog and one of something else over a floor, under a sky and a lamp behind them."""
+    """A ball of fog and another ball over a floor, under a sky, with a lamp behind them."""
     transform = mi.ScalarTransform4f
     return {
         "type": "scene",
@@ -116,7 +116,7 @@ def test_pictures_are_those_of_mitsubas_volumetric_path_tracer(mi: Any, case: st
 
 
 def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, float], *, central: bool) -> None:
-    """Compare the derivatives of several seeds with differences that share a seed between their renders."""
+    """Compare the derivatives of several seeds with differences that use common random numbers."""
     shifts = ((1, 0.5), (-1, -0.5)) if central else ((0, -1.5), (1, 2.0), (2, -0.5))
 
     def derivatives(seed: int) -> list[float]:
@@ -135,7 +135,7 @@ def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, floa
     for name, derivative, slope in zip(steps, ours.T, theirs.T, strict=True):
         error = (derivative - slope).std().item() / math.sqrt(SEEDS)
         difference, size = (derivative - slope).mean().item(), slope.mean().abs().item()
-        # A difference over a finite step bends by 0.3 % where the samples agree to better than that.
+        # The truncation error of a finite step is 0.3 %, more than the noise of the shared samples.
         most = max(allowed(SEEDS) * error, 3e-3 * size)
         assert size > 10 * error, f"{name}: the difference is lost in its noise: the case shows nothing"
         assert abs(difference) < most, (
@@ -181,15 +181,15 @@ def test_derivatives_agree_with_differences(mi: Any, scene: Any, steps: dict[str
     ],
     ids=["black fog", "clear fog", "half empty smoke"],
 )
-def test_derivatives_at_exactly_zero_keep_what_lies_beyond(
+def test_derivatives_at_exactly_zero_include_what_is_behind(
     mi: Any, scene: Any, name: str, step: float
 ) -> None:
     renderer = SceneRenderer(scene(mi), name, spp=512)
     assert_agree_with_differences(renderer, {name: step}, central=False)
 
 
-def test_a_phase_function_may_change_from_call_to_call(mi: Any) -> None:
-    """Dr.Jit's frozen functions do not see inside phase functions: they would go on with the old one."""
+def test_a_phase_function_may_change_between_calls(mi: Any) -> None:
+    """Dr.Jit's frozen functions do not track phase functions, and would keep using the old one."""
     name = "fog.interior_medium.phase_function.g"
     renderer = SceneRenderer(room(mi, homogeneous(3.0)), name, spp=4)
     images = [renderer({name: torch.tensor(g)}, seed=shifted(1)) for g in (0.6, 0.6, 0.6, -0.6)]

@@ -1,4 +1,4 @@
-"""The report: what is written, and what it does in a real browser."""
+"""The report: the file, and its behaviour in a real browser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from scenecaptum.report import write_report
 from scenecaptum.report._pixels import LAYERS, encode_surfaces
 
 NASTY = '</script><img src=x onerror="window.hacked=1">&lt;\'`${1}'
-OBJECTS = ("floor", "lamp", "chair", NASTY, "sky")  # the sky is seen by no pixel
+OBJECTS = ("floor", "lamp", "chair", NASTY, "sky")  # no pixel shows the sky
 VALUES = {
     "floor.reflectance.value": [-0.02, -0.3, -0.04],
     "lamp.radiance.value": [0.3, 0.4, 0.0],
@@ -83,7 +83,7 @@ def make(metric: str = "Glare", factor: float = 1.0, **changes: Any) -> SceneAtt
 
 
 def quarters(height: int, width: int) -> SurfaceMap:
-    """Floor below, lamp and chair above, and the nasty one in the rightmost column; the lamp's edge is shared."""
+    """Floor below, lamp and chair above, a malicious name at the right; the lamp shares an edge."""
     index = np.zeros((height, width), np.int32)
     index[: height // 2, : width // 2] = 1
     index[: height // 2, width // 2 :] = 2
@@ -131,7 +131,7 @@ def test_pictures_of_different_cameras_are_kept_apart(tmp_path):
     assert [data["views"][one["view"]]["width"] for one in data["results"]] == [WIDTH, 7]
 
 
-def test_objects_are_painted_like_the_heatmap(tmp_path):
+def test_objects_are_coloured_as_in_the_heatmap(tmp_path):
     attribution = make()
     write_report(attribution, tmp_path / "report.html")
     (result,) = data_of(tmp_path / "report.html")["results"]
@@ -139,13 +139,13 @@ def test_objects_are_painted_like_the_heatmap(tmp_path):
     shown = heatmap(attribution)
     for index, (line, column) in enumerate([(8, 0), (0, 0), (0, 10), (0, 15)]):
         assert float(painted[index]) == pytest.approx(float(shown[line, column]), rel=1e-5)
-    # Raising all of the chair alike raises the metric, although one of its parameters lowers it.
+    # Raising all parameters of the chair raises the metric, although one of them lowers it.
     signs = [math.copysign(1, one["signed"]) for one in result["objects"]]
     assert signs == [-1, 1, 1, 1]
 
 
 def with_texels() -> SceneAttribution:
-    """The chair has a texture of 2 × 2 texels, whose upper left one lowers the metric and lies at the left."""
+    """The chair has a texture of 2 × 2 texels; its upper left texel lowers the metric and is on the left."""
     attribution = make()
     assert attribution.surfaces is not None
     on_chair = np.flatnonzero(attribution.surfaces.object_index == 2).astype(np.int32)
@@ -164,7 +164,7 @@ def with_texels() -> SceneAttribution:
     )
 
 
-def test_textures_are_painted_texel_by_texel_like_the_heatmap(tmp_path):
+def test_texels_are_coloured_as_in_the_heatmap(tmp_path):
     attribution = with_texels()
     write_report([attribution], tmp_path / "report.html")
     (texels,) = (one["texels"] for one in data_of(tmp_path / "report.html")["results"])
@@ -173,7 +173,7 @@ def test_textures_are_painted_texel_by_texel_like_the_heatmap(tmp_path):
         roots = np.frombuffer(zlib.decompress(base64.b64decode(texels[name])), np.uint8).astype(float) - zero
         painted = np.sign(roots) * (roots / top) ** 4
         expected = attribution.heatmap(texels=True, signed=name == "signed").numpy().ravel()
-        # Half a step of the root, which is what rounding leaves.
+        # Rounding error: half a step of the square root.
         np.testing.assert_allclose(
             np.abs(painted) ** 0.25 * np.sign(painted),
             np.abs(expected) ** 0.25 * np.sign(expected),
@@ -241,7 +241,7 @@ def test_groups_and_results_without_error_bars_are_reported(tmp_path):
         ([make()], ["a", "b"], ["titles", "1", "2"]),
     ],
 )
-def test_what_no_report_can_be_made_of_is_refused(results, titles, words, tmp_path):
+def test_invalid_input_is_refused(results, titles, words, tmp_path):
     with pytest.raises(SceneCaptumError) as caught:
         write_report(results, tmp_path / "report.html", titles)
     for word in words:
@@ -249,7 +249,7 @@ def test_what_no_report_can_be_made_of_is_refused(results, titles, words, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_a_path_that_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
+def test_an_unwritable_path_is_named_and_no_file_is_left(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("")
     for path in (
@@ -263,7 +263,7 @@ def test_a_path_that_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
 
 
-def test_results_of_one_metric_get_titles_that_tell_them_apart(tmp_path):
+def test_results_of_one_metric_get_different_titles(tmp_path):
     before, after = make(), make()
     titles = []
     for info in ({"scene": "after.xml"}, {}):
@@ -334,7 +334,7 @@ def browser() -> Iterator[Any]:
 
 
 class Page:
-    """A report in a browser window, where every complaint and every request is kept."""
+    """A report in a browser window that records every console message and request."""
 
     def __init__(self, browser: Any, path: Path, **options: Any) -> None:
         self.context = browser.new_context(**{"viewport": {"width": 1440, "height": 900}, **options})
@@ -374,7 +374,7 @@ class Page:
         return [one.get_attribute("title") for one in self.page.locator("#rows .label").all()]
 
     def colour(self, canvas: str, column: int, line: int) -> list[int]:
-        # From a copy: Chromium complains of pages that read their own canvases often.
+        # From a copy, because Chromium warns of pages that read their own canvases often.
         read = """(canvas, [x, y]) => {
             const context = new OffscreenCanvas(1, 1).getContext("2d");
             context.drawImage(canvas, x, y, 1, 1, 0, 0, 1, 1);
@@ -384,7 +384,7 @@ class Page:
         return pixel
 
     def lit(self) -> list[str]:
-        """The objects that are not in the shade, among those in the middle of each region."""
+        """The objects that are not dimmed, sampled in the middle of each region."""
         places = {"lamp": (2, 1), "chair": (11, 1), "floor": (4, 7), "nasty": (15, 5)}
         return [name for name, (x, y) in places.items() if self.colour("shade", x, y)[3] < 10]
 
@@ -456,19 +456,19 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     assert [row.inner_text().split()[1:3] for row in marked.all()] == [["chair:", "alpha!?"]]
     page.click(11, 1)
     assert "? one replicate has nearly all" in page.page.locator("#detail").inner_text()
-    # What holds for all is said once.
+    # A caution for all parameters is shown once.
     page.page.get_by_text("Few", exact=True).first.click()
     assert "about 71 % relative uncertainty (all parameters)" in notes.inner_text()
     assert marked.count() == 0
     page.check(path)
 
 
-def test_what_is_left_out_for_its_value_is_named(report):
+def test_parameters_left_out_for_their_values_are_named(report):
     notes = report.page.locator("#notes").inner_text()
     assert "! knob.eta is left out: it is -0.0485 <i>" in notes
 
 
-def test_what_is_out_of_sight_says_so(report):
+def test_invisible_objects_are_marked(report):
     row = report.page.locator("#rows tr", has_text="sky.radiance")
     assert "not in view" in row.inner_text()
     assert "Not in the picture: sky.radiance.value, #4" in report.page.locator("#detail").inner_text()
@@ -510,7 +510,7 @@ def test_switches_and_slider_repaint_the_picture(report):
     report.page.get_by_text("Linear", exact=True).click()
     assert report.colour("overlay", 11, 1) != before
     linear = report.colour("overlay", 15, 5)
-    assert min(linear[:3]) > 230  # next to nothing: pale
+    assert min(linear[:3]) > 230  # almost zero: pale
     report.page.get_by_text("Magnitude", exact=True).click()
     assert max(report.colour("overlay", 15, 5)[:3]) < 10  # black
     slider = report.page.locator("#opacity")
@@ -529,7 +529,7 @@ def test_texels_are_painted_while_they_are_switched_on(browser, tmp_path):
     page.page.locator("#texels").check()
     left, right = page.colour("overlay", 9, 1), page.colour("overlay", 14, 1)
     assert left[0] > left[2]  # vermillion: that texel lowers the metric
-    assert right[2] > right[0]  # blue: the texel outdoes the roughness
+    assert right[2] > right[0]  # blue: the texel outweighs the roughness
     page.page.locator("#texels").uncheck()
     assert page.colour("overlay", 9, 1) == page.colour("overlay", 14, 1)
     page.page.get_by_text("Other").click()
@@ -565,10 +565,10 @@ def test_contributions_add_and_variances_have_no_sign(browser, tmp_path):
     page.check(path)
 
 
-def test_each_result_has_a_picture_of_its_own(browser, tmp_path):
+def test_each_result_has_its_own_image(browser, tmp_path):
     path = tmp_path / "report.html"
     fisheye = quarters(HEIGHT * 2, HEIGHT * 2)
-    looks = fisheye.pixel % (HEIGHT * 2) > 0  # nothing is seen in the first column
+    looks = fisheye.pixel % (HEIGHT * 2) > 0  # the first column shows nothing
     surfaces = dataclasses.replace(
         fisheye,
         **{name: getattr(fisheye, name)[looks] for name in ("pixel", "object_index", "fraction")},
@@ -629,7 +629,7 @@ def test_everything_can_be_reached_with_the_keyboard(report):
     assert report.selected() == ["chair.reflectance.data", "chair.alpha"]
 
 
-def test_every_control_has_a_name_and_what_scenes_say_stays_text(report):
+def test_every_control_has_a_name_and_names_from_scenes_are_escaped(report):
     unnamed = report.page.evaluate(
         """() => [...document.querySelectorAll("button, input, [role=grid], [role=application], [role=img]")]
         .filter((one) => !(one.ariaLabel || one.textContent.trim() || one.closest("label")))
@@ -646,7 +646,7 @@ def test_every_control_has_a_name_and_what_scenes_say_stays_text(report):
     assert report.page.locator("script").count() == 2
 
 
-def test_the_page_refuses_scripts_and_requests_that_are_not_its_own(browser, written):
+def test_the_page_blocks_foreign_scripts_and_requests(browser, written):
     page = Page(browser, written)
     page.page.evaluate(
         """() => { const script = document.createElement("script"); script.textContent = "window.hacked = 1";
@@ -658,7 +658,7 @@ def test_the_page_refuses_scripts_and_requests_that_are_not_its_own(browser, wri
     assert not [url for url in page.requests if url.startswith("http")]
 
 
-def test_numbers_are_downloaded_whole(report):
+def test_downloaded_numbers_have_full_precision(report):
     contents = {}
     for kind in ("csv", "json"):
         with report.page.expect_download() as download:
@@ -680,7 +680,7 @@ def test_numbers_are_downloaded_whole(report):
     assert {row["name"]: row["value_2"] for row in rows}["floor.reflectance.value"] == "0.25"
 
 
-def test_how_it_was_computed_is_at_the_foot(report):
+def test_the_footer_says_how_results_were_computed(report):
     facts = report.page.locator("#facts").inner_text()
     for said in ("rooms/office.xml", "VanillaSceneGradient", "64", str(shifted(7)), "torch 2.13"):
         assert said in facts
@@ -703,7 +703,7 @@ def test_light_and_dark_follow_the_system_and_the_button(browser, written):
     assert shades["dark"] == shades["light switched"] < 150
 
 
-def test_on_a_phone_nothing_is_wider_than_the_screen_and_a_tap_selects(browser, written):
+def test_the_page_fits_a_phone_and_a_tap_selects(browser, written):
     page = Page(
         browser,
         written,
@@ -723,7 +723,7 @@ def test_on_a_phone_nothing_is_wider_than_the_screen_and_a_tap_selects(browser, 
         .map((one) => one.outerHTML)"""
     )
     assert small == []
-    # The picture stays in sight over the table that points into it.
+    # The image stays visible above the table.
     page.page.locator("#rows tr").last.scroll_into_view_if_needed()
     assert page.page.locator("#picture").bounding_box()["y"] == pytest.approx(0, abs=1)
     page.check(written)
@@ -733,7 +733,7 @@ def test_on_a_phone_nothing_is_wider_than_the_screen_and_a_tap_selects(browser, 
 # ------------------------------------------------------------------------------------------ the command line
 
 
-def test_ctrl_c_leaves_a_report_of_what_is_finished(tmp_path, capsys, monkeypatch):
+def test_ctrl_c_leaves_a_report_of_finished_results(tmp_path, capsys, monkeypatch):
     def interrupted_at_the_second(self, **_: object) -> SceneAttribution:
         result = make(type(self.metric).__name__)
         result.info["metric_bias"] = 0.0

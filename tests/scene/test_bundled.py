@@ -1,4 +1,4 @@
-"""The bundled scenes: readable names, physical values, and a picture at the end."""
+"""The bundled scenes: readable names, physical values, and images that are finite and lit."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def parameters(mi: Any, name: str) -> dict[str, Any]:
     return dict(mi.traverse(mi.load_dict(BUNDLED[name](), optimize=False)).items())
 
 
-def test_names_are_those_two() -> None:
+def test_the_bundled_scenes_are_these_two() -> None:
     assert dict(BUNDLED) == {"cornell-box": cornell_box, "office": office}
 
 
@@ -77,7 +77,7 @@ def test_the_picture_is_finite_and_lit(mi: Any, name: str) -> None:
     assert image.max() > 10  # a source is in view
 
 
-def test_each_call_builds_its_own_dict(mi: Any, name: str) -> None:
+def test_each_call_builds_a_new_dict(mi: Any, name: str) -> None:
     first, second = BUNDLED[name](), BUNDLED[name]()
     assert first == second
     first["sensor"]["film"]["width"] = 1

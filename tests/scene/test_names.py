@@ -1,4 +1,4 @@
-"""Names and labels of what a scene holds: the same in every process, whole, and never an address in memory."""
+"""Names and labels of a scene's objects: equal in all processes, complete, and never a memory address."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from scenecaptum.visualization import columns, shorten
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
-# Nothing here has an id but a material, the shape group, and what Mitsuba wrote into the file itself. The
-# integrator is one that Mitsuba describes by an address.
+# Only a material, the shape group and names in Mitsuba's own style have ids. Mitsuba describes the integrator by
+# an address.
 NAMELESS = """<scene version="3.0.0">
     <integrator type="depth"/>
     <sensor type="perspective">
@@ -68,7 +68,7 @@ NAMES = {
     "sphere.bsdf.opacity.value": "sphere: opacity",
     "sphere.bsdf.nested_bsdf.reflectance.value": "sphere: reflectance",
     "sphere_2.bsdf.reflectance.value": "sphere_2: reflectance",
-    # These have keys of Mitsuba's that are no addresses.
+    # Mitsuba's keys of these contain no addresses.
     "tree.shape.bsdf.reflectance.value": "tree: shape reflectance",
     "tree.shape_1.bsdf.reflectance.value": "tree: shape 1 reflectance",
     "constant.radiance.value": "constant: radiance",
@@ -104,7 +104,7 @@ def table(scene: Any) -> SceneParameters:
 
 
 def in_a_process(code: str, *arguments: Any) -> Any:
-    """Run code in a process of its own, and return what it prints as JSON."""
+    """Run code in another process, and return the JSON that it prints."""
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, check=False
     )
@@ -143,7 +143,7 @@ def test_names_are_still_those_of_mitsuba(mi: Any, nameless: Path) -> None:
 
 @pytest.fixture(scope="module")
 def rooms() -> list[Path]:
-    """Published rooms, of whose shapes hundreds have no id: $SCENECAPTUM_SCENES, or beside the repository."""
+    """Published scenes with hundreds of shapes without ids, where they are available."""
     beside = Path(__file__).resolve().parents[3] / "shared" / "scenes"
     folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
     return [path for room in ("kitchen", "classroom") if (path := folder / room / "scene.xml").is_file()]
@@ -151,7 +151,7 @@ def rooms() -> list[Path]:
 
 @pytest.fixture(scope="module")
 def lists(nameless: Path, rooms: list[Path]) -> list[dict[str, Any]]:
-    """What two processes find in the same scenes."""
+    """The names that two processes find in the same scenes."""
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(lambda _: in_a_process(LIST, nameless, *rooms), range(2)))
 
@@ -166,7 +166,7 @@ def test_two_processes_give_the_same_names_for_published_rooms(
     rooms: list[Path], lists: list[dict[str, Any]]
 ) -> None:
     if not rooms:
-        pytest.skip("no rooms to look at: neither kitchen nor classroom is there (set SCENECAPTUM_SCENES)")
+        pytest.skip("neither kitchen nor classroom is available (set SCENECAPTUM_SCENES)")
     for path in rooms:
         one, other = (found[str(path)] for found in lists)
         assert len(one[2]) > 70
@@ -179,10 +179,10 @@ def assert_no_address(found: Any) -> None:
 
 
 @pytest.mark.parametrize("optimize", [False, True])
-def test_a_scene_of_the_users_own_gets_ids_and_keeps_those_it_has(
+def test_objects_of_the_users_scene_are_named_and_keep_their_ids(
     mi: Any, nameless: Path, optimize: bool
 ) -> None:
-    """Where Mitsuba has not merged anything, they are those of the file."""
+    """Where Mitsuba has not merged shapes, they are those of the file."""
     scene = mi.load_file(str(nameless), optimize=optimize)
     params = mi.traverse(scene)
     before = list(params.keys())
@@ -196,18 +196,18 @@ def test_a_scene_of_the_users_own_gets_ids_and_keeps_those_it_has(
     ]
     if not optimize:
         assert names == list(table(nameless))
-    # What the user holds still writes to the same scene, under the names that it has there.
+    # The user's own parameters still write to the same scene, under Mitsuba's names.
     old = next(name for name in before if name.startswith("object_") and name.endswith("reflectance.value"))
     params[old] = mi.Float(0.123) if "Float" in type(params[old]).__name__ else mi.Color3f(0.123)
     params.update()
     new = names[before.index(old)]
     assert renderer.inputs[new].flatten().tolist() == pytest.approx([0.123] * renderer.inputs[new].numel())
-    # A name that was an address is refused with the reason.
+    # A name that contains an address is refused with the reason.
     with pytest.raises(SceneCaptumError, match="contain memory addresses"):
         SceneRenderer(scene, old)
 
 
-def test_meshes_that_mitsuba_has_merged_have_names_of_their_own(mi: Any, nameless: Path) -> None:
+def test_merged_meshes_have_unique_names(mi: Any, nameless: Path) -> None:
     names = {shape.id() for shape in load_scene(mi.load_file(str(nameless))).shapes()}
     assert {"Mesh_070", "Mesh090_and_1_more"} <= names
 
@@ -217,7 +217,7 @@ def test_meshes_that_mitsuba_has_merged_have_names_of_their_own(mi: Any, nameles
 
 @pytest.fixture(scope="module")
 def twice(nameless: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[Path]]:
-    """Two processes attribute the same scene with one checkpoint: what the second prints, and where both write."""
+    """Two processes attribute a scene with one checkpoint: the second's output, and the folder of both."""
     folder = tmp_path_factory.mktemp("twice")
     outs = [folder / "first", folder / "second"]
     options = ["--inputs", "reflectance", "--checkpoint", str(folder / "kept"), "--no-progress"]
@@ -280,7 +280,7 @@ BLENDERS_LABELS = {
 }
 
 
-def test_an_id_with_dots_is_labelled_whole(blender: SceneRenderer) -> None:
+def test_an_id_with_dots_is_whole_in_the_label(blender: SceneRenderer) -> None:
     labels = blender.labels
     assert {name: labels[name] for name in BLENDERS_LABELS} == BLENDERS_LABELS
     assert blender.parameters_table()["mat-Wall White.001.brdf_0.reflectance.value"].owners == (
@@ -291,7 +291,7 @@ def test_an_id_with_dots_is_labelled_whole(blender: SceneRenderer) -> None:
     assert {"elm__2", "Ball.003"} <= set(shown.objects)
 
 
-def test_such_a_scene_is_attributed_by_its_names(blender: SceneRenderer) -> None:
+def test_a_scene_from_blender_is_attributed_by_its_names(blender: SceneRenderer) -> None:
     name = "mat-Wall White.001.brdf_0.reflectance.value"
     found = VanillaSceneGradient(blender, metrics.MeanLuminance()).attribute(replicates=2)
     assert found.labels[name] in str(found)
@@ -319,14 +319,14 @@ def test_shortened_labels_keep_object_and_property(width: int) -> None:
 
 
 @pytest.mark.parametrize("width", [16, 20, 24, 28])
-def test_where_there_is_no_room_both_are_shortened_and_stay_different(width: int) -> None:
+def test_in_little_space_both_parts_are_shortened_and_stay_different(width: int) -> None:
     short = shorten(LONG, width)
     assert max(map(columns, short)) <= width
     assert len(set(short)) == len(LONG)
     assert all(": " in one and one.startswith("mat-") for one in short[:3])
 
 
-def test_labels_that_differ_where_they_are_cut_are_cut_elsewhere() -> None:
+def test_labels_that_differ_in_the_middle_are_cut_elsewhere() -> None:
     alike = [f"a wall of the {floor} floor with windows: reflectance" for floor in ("first", "third")]
     short = shorten(alike, 28)
     assert len(set(short)) == 2

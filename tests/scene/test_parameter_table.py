@@ -1,4 +1,4 @@
-"""How a scene's parameters and a renderer's plan show in terminals and notebooks; nothing is rendered."""
+"""How a scene's parameters and a renderer's plan are displayed in terminals and notebooks; nothing is rendered."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def plan() -> RenderPlan:
 
 
 class Page(html.parser.HTMLParser):
-    """What a browser would make of a piece of HTML: its tags, its text, and the cells of its tables."""
+    """Parsed HTML: its tags, its text, and the cells of its tables."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -105,7 +105,7 @@ def test_parameters_fit_a_terminal(columns: int, monkeypatch: pytest.MonkeyPatch
     assert max(map(len, lines)) <= columns
     table, notes = lines[: lines.index("")], " ".join(lines[lines.index("") :])
     assert len(table) == 1 + len(parameters())
-    if columns >= 40:  # below, long names that differ in their middle cannot but read alike
+    if columns >= 40:  # in fewer columns, long names that differ in the middle become equal
         assert len({line.split()[0] for line in table}) == len(table)
     if columns >= 60:
         cautioned, good, _, moves, also_moves, camera = table[1:]
@@ -129,7 +129,7 @@ def test_wide_terminals_keep_more_columns(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(heads[0]) < len(heads[-1])
 
 
-def test_elsewhere_than_in_a_terminal_every_line_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outside_a_terminal_no_line_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     assert not sys.stdout.isatty()
     header, *lines = str(parameters()).splitlines()
@@ -139,7 +139,7 @@ def test_elsewhere_than_in_a_terminal_every_line_is_whole(monkeypatch: pytest.Mo
         assert line.endswith(one.status)
 
 
-def test_parameters_in_a_notebook_list_what_counts_and_fold_the_rest() -> None:
+def test_a_notebook_lists_differentiable_parameters_and_folds_the_rest() -> None:
     page = Page(parameters()._repr_html_())
     assert page.open == []
     assert "img" not in page.tags
@@ -155,7 +155,7 @@ def test_parameters_in_a_notebook_list_what_counts_and_fold_the_rest() -> None:
     assert "6 parameters, 3 of them differentiable" in page.text
 
 
-def test_a_scene_without_parameters_shows_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_without_parameters_can_be_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "20")
     assert str(SceneParameters([])).startswith("name")
     assert "0 parameters" in Page(SceneParameters([])._repr_html_()).text
@@ -189,7 +189,7 @@ def test_an_attribution_in_a_notebook_is_well_formed() -> None:
     assert NASTY in page.text
 
 
-def test_without_a_terminal_the_ranking_is_a_hundred_wide(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_terminal_the_ranking_is_100_columns_wide(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     long = dataclasses.replace(make(), labels={"lamp": "lamp" * 60})
     widest = max(map(len, table_text(long).splitlines()))
@@ -197,7 +197,7 @@ def test_without_a_terminal_the_ranking_is_a_hundred_wide(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("wide", [30, 60, 80, 100])
-def test_wide_letters_count_twice(wide: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wide_characters_count_twice(wide: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(wide))
     names = {"lamp": "机の上のランプ" * 6, "rough": "bure\u0301au: rugosité", "wall": "壁: reflectance"}
     text = table_text(dataclasses.replace(make(), labels=names))
@@ -210,6 +210,6 @@ def test_wide_letters_count_twice(wide: int, monkeypatch: pytest.MonkeyPatch) ->
         assert len(set(shown)) == 1
 
 
-def test_columns_of_letters() -> None:
+def test_columns_of_text() -> None:
     assert [columns(text) for text in ("", "desk", "机", "e\u0301", "ﾗ", "Ａ")] == [0, 4, 2, 1, 1, 2]
     assert shorten(["机の上のランプの傘"], 8) == ["机の…傘"]

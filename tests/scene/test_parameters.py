@@ -1,4 +1,4 @@
-"""What is in a scene: loading it, describing its parameters, and selecting some of them."""
+"""Loading a scene, describing its parameters, and selecting some of them."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def painted(mi: Any, tmp_path: Path) -> Path:
 # --- Loading ---------------------------------------------------------------------------------------
 
 
-def test_a_missing_scene_names_the_bundled_ones_and_a_near_miss(mi: Any) -> None:
+def test_a_missing_scene_names_the_bundled_ones_and_a_similar_name(mi: Any) -> None:
     said = message(lambda: load_scene("cornel-box"))
     assert all(name in said for name in BUNDLED), said
     assert "Did you mean 'cornell-box'?" in said
@@ -203,7 +203,7 @@ def test_placeholders_and_values_that_do_not_match_are_named(
     assert words in message(lambda: load_scene(open_scene, given))
 
 
-def test_placeholders_of_included_files_count(mi: Any, open_scene: Path) -> None:
+def test_placeholders_of_included_files_are_found(mi: Any, open_scene: Path) -> None:
     whole = open_scene.parent / "whole.xml"
     whole.write_text('<scene version="3.0.0"><include filename="$room.xml"/></scene>')
     said = message(lambda: load_scene(whole, {"room": "scene", "flip": True}))
@@ -229,7 +229,7 @@ def test_a_scene_dict_without_a_sensor_is_refused(mi: Any) -> None:
     )
 
 
-def test_a_dict_that_is_no_scene_is_refused(mi: Any) -> None:
+def test_a_dict_that_is_not_a_scene_is_refused(mi: Any) -> None:
     assert "not a scene" in message(lambda: load_scene({"type": "sphere"}))
 
 
@@ -237,8 +237,8 @@ def test_a_property_that_a_plugin_does_not_know_is_named(mi: Any) -> None:
     assert "radiuss" in message(lambda: load_scene(small(ball={"type": "sphere", "radiuss": 2.0})))
 
 
-def test_a_failed_load_leaves_no_light_that_other_renders_would_reach(mi: Any) -> None:
-    """A lamp without its shape would end the process, for as long as someone holds the error."""
+def test_a_failed_load_leaves_no_emitter_behind(mi: Any) -> None:
+    """While the error is alive, a lamp without its shape would crash any render."""
     import drjit as dr
 
     def lights() -> set[int]:
@@ -266,7 +266,7 @@ def test_a_scene_of_another_type_is_refused_by_its_type(mi: Any, scene: Any) -> 
     assert type(scene).__name__ in message(lambda: load_scene(scene))
 
 
-def test_a_scene_that_is_already_loaded_is_taken_as_it_is(mi: Any) -> None:
+def test_a_loaded_scene_is_used_as_it_is(mi: Any) -> None:
     scene = mi.load_dict(small(ball=ball({"type": "diffuse"})))
     assert load_scene(scene) is scene
 
@@ -306,7 +306,7 @@ def test_eight_bit_pictures_become_differentiable_and_keep_their_values(mi: Any,
         assert error < 1e-5, f"texels are {error:.2g} off the sRGB curve; allowed 1e-5"
 
 
-def test_eight_bit_texels_of_the_users_own_scene_are_refused_with_the_remedy(mi: Any, painted: Path) -> None:
+def test_eight_bit_texels_of_the_users_scene_are_refused_with_the_fix(mi: Any, painted: Path) -> None:
     own = table(mi.load_file(str(painted), optimize=False))
     for call in (lambda: select(own, "ball.bsdf.reflectance.data"), lambda: select(own, "textures")):
         said = message(call)
@@ -321,7 +321,7 @@ ALL_SHARERS = "shared wrapped cut_out mixed"
 
 EXPECTED = {
     "shared.reflectance.value": ("reflectance", (3,), UNIT, ALL_SHARERS),
-    # Worn by no shape itself: it belongs to the two materials that hold it.
+    # No shape uses it directly: it belongs to the two materials that contain it.
     "inner.reflectance.value": ("reflectance", (3,), UNIT, "two_faced inner_only"),
     "cut_out.bsdf.opacity.value": ("opacity", (), UNIT, "cut_out"),
     "mixed.bsdf.weight.value": ("opacity", (), UNIT, "mixed"),
@@ -375,22 +375,24 @@ def test_the_sky_is_a_light_and_not_a_texture(zoo: SceneParameters) -> None:
         ("spot.position", "positions a light"),
     ],
 )
-def test_what_cannot_be_differentiated_says_why(zoo: SceneParameters, name: str, reason: str) -> None:
+def test_parameters_without_derivative_have_a_reason(zoo: SceneParameters, name: str, reason: str) -> None:
     assert reason in (zoo[name].problem or "differentiable")
     assert zoo[name].status.startswith("not differentiable: ")
-    # Asked for by its exact name, it is refused with the same reason.
+    # Selected by its exact name, it is refused with the same reason.
     assert reason in message(lambda: select(zoo, name))
 
 
 @pytest.mark.parametrize("name", ["glass.bsdf.eta", "mist.interior_medium.scale"])
-def test_what_mitsuba_does_not_track_is_left_to_differences(zoo: SceneParameters, name: str) -> None:
+def test_parameters_that_mitsuba_does_not_track_use_finite_differences(
+    zoo: SceneParameters, name: str
+) -> None:
     assert (zoo[name].status, zoo[name].tracked) == ("differentiable", False)
 
 
 @pytest.mark.parametrize(
     "name", ["shared.reflectance.value", "copper.bsdf.alpha.value", "vinyl.bsdf.diffuse_reflectance.value"]
 )
-def test_a_derivative_known_to_be_right_carries_none(zoo: SceneParameters, name: str) -> None:
+def test_a_correct_derivative_carries_no_caution(zoo: SceneParameters, name: str) -> None:
     assert zoo[name].status == "differentiable"
 
 
@@ -398,7 +400,7 @@ def test_names_are_those_of_mitsuba_unmerged(mi: Any, zoo_dict: Config, zoo: Sce
     assert list(zoo) == list(mi.traverse(mi.load_dict(zoo_dict, optimize=False)).keys())
 
 
-def test_labels_tell_parameters_apart_and_drop_what_says_nothing(zoo: SceneParameters) -> None:
+def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
     labels = [p.label for p in zoo.values()]
     assert len(set(labels)) == len(labels)
     assert zoo["poster.bsdf.reflectance.data"].label == "poster: reflectance texture"
@@ -421,14 +423,14 @@ def test_the_scenes_own_values_are_within_their_bounds(
 def test_the_table_prints_one_line_per_parameter(
     zoo: SceneParameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv("COLUMNS", raising=False)  # it would be cut to that width
+    monkeypatch.delenv("COLUMNS", raising=False)  # a terminal of this width would cut it
     header, *lines = str(zoo).splitlines()
     assert header.split() == ["name", "kind", "shape", "bounds", "owner", "status"]
     assert [line.split()[0] for line in lines] == list(zoo)
     assert all(p.status in line for p, line in zip(zoo.values(), lines, strict=True))
 
 
-def test_an_unknown_parameter_raises_with_a_near_miss(zoo: SceneParameters) -> None:
+def test_an_unknown_parameter_raises_with_a_similar_name(zoo: SceneParameters) -> None:
     said = message(lambda: zoo["shared.reflectanse.value"])
     assert "Did you mean 'shared.reflectance.value'" in said
 
@@ -439,7 +441,7 @@ def test_the_table_is_a_mapping_for_unknown_names_too(zoo: SceneParameters) -> N
     assert zoo.get("shared", "other") == "other"
 
 
-def test_a_material_with_one_wearer_goes_by_its_id_where_it_has_one(mi: Any, painted: Path) -> None:
+def test_a_material_of_one_shape_is_named_by_its_id(mi: Any, painted: Path) -> None:
     assert table(painted)["ball.bsdf.reflectance.data"].owners == ("paint",)
 
 
@@ -460,7 +462,7 @@ def test_a_material_with_one_wearer_goes_by_its_id_where_it_has_one(mi: Any, pai
         ("all", "lamp.emitter.radiance.value", "crate.vertex_positions"),
     ],
 )
-def test_a_kind_selects_what_is_of_it_and_differentiable(
+def test_a_kind_selects_its_differentiable_parameters(
     zoo: SceneParameters, kind: str, inside: str, outside: str
 ) -> None:
     chosen = select(zoo, kind)
@@ -508,20 +510,18 @@ def test_selections_come_in_the_scenes_order_once_each(zoo: SceneParameters) -> 
         ([3], ["int"]),
     ],
 )
-def test_a_selection_without_result_explains_itself(
-    zoo: SceneParameters, inputs: Any, words: list[str]
-) -> None:
+def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, words: list[str]) -> None:
     said = message(lambda: select(zoo, inputs))
     assert [word for word in words if word not in said] == [], said
 
 
-def test_a_kind_of_which_the_scene_has_nothing_is_named(mi: Any) -> None:
+def test_a_kind_without_parameters_is_named(mi: Any) -> None:
     said = message(lambda: select(table("cornell-box"), "media"))
     assert "'media'" in said
     assert "Did you mean" not in said
 
 
-def test_a_real_room_loads_with_differentiable_textures(mi: Any, shared_scenes: Path) -> None:
+def test_a_published_scene_loads_with_differentiable_textures(mi: Any, shared_scenes: Path) -> None:
     room = shared_scenes / "living-room" / "scene.xml"
     if not room.is_file():
         pytest.skip(f"{room} does not exist")

@@ -1,4 +1,4 @@
-"""Our plastics against Mitsuba's: the same pictures, and derivatives that finite differences of those confirm."""
+"""Our plastics against Mitsuba's: equal images, and derivatives that agree with finite differences."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MATERIALS: dict[str, Config] = {
 
 @pytest.fixture(scope="module")
 def plastics(mi: Any) -> Any:
-    """Our plugins, which whoever loads a scene with plastics in it registers."""
+    """Our plugins, which are registered by loading a scene that contains plastics."""
     from scenecaptum.scene import _plastics
 
     return _plastics
@@ -63,7 +63,7 @@ def ours(mi: Any, config: Config) -> Any:
 
 
 def stage(mi: Any, material: Config) -> Config:
-    """A ball of a material, whose paths are all traced to their end."""
+    """A ball of a material, with paths of unlimited length."""
     return room(mi, material, rr_depth=100)
 
 
@@ -79,7 +79,7 @@ def nested(how: str, material: Config) -> Config:
 
 @pytest.mark.parametrize("component", [None, 0, 1], ids=["both lobes", "specular", "diffuse"])
 @pytest.mark.parametrize("config", MATERIALS.values(), ids=MATERIALS)
-def test_lobes_are_mitsubas(mi: Any, plastics: Any, config: Config, component: int | None) -> None:
+def test_lobes_are_those_of_mitsuba(mi: Any, plastics: Any, config: Config, component: int | None) -> None:
     import drjit as dr
 
     rng = np.random.default_rng(shifted(1))
@@ -94,7 +94,7 @@ def test_lobes_are_mitsubas(mi: Any, plastics: Any, config: Config, component: i
         one, two = (
             np.broadcast_to(value, (*np.shape(value)[:-1], size))[..., pick] for value in (found, expected)
         )
-        # Mitsuba adds up its tables in single precision, and densities near 0 are differences of such sums.
+        # Mitsuba sums its tables in single precision, and densities near 0 are differences of such sums.
         np.testing.assert_allclose(one, two, rtol=1e-4, atol=1e-4 * np.abs(two).max(initial=0))
 
     theirs, mine = mi.load_dict(config), ours(mi, config)
@@ -123,7 +123,7 @@ def test_lobes_are_mitsubas(mi: Any, plastics: Any, config: Config, component: i
 
 
 @pytest.mark.parametrize("name", ["plastic", "ggx"])
-def test_pictures_are_mitsubas(mi: Any, name: str) -> None:
+def test_images_are_those_of_mitsuba(mi: Any, name: str) -> None:
     textured = {**MATERIALS[name], "diffuse_reflectance": speckled(), "specular_reflectance": speckled()}
     scene = stage(mi, textured)
     for place, how in enumerate(("plain", "twosided", "mask", "blendbsdf", "bumpmap")):
@@ -137,7 +137,7 @@ def test_pictures_are_mitsubas(mi: Any, name: str) -> None:
 
 
 @pytest.mark.parametrize("config", MATERIALS.values(), ids=MATERIALS)
-def test_parameters_go_by_mitsubas_names(mi: Any, plastics: Any, config: Config) -> None:
+def test_parameters_have_mitsubas_names(mi: Any, plastics: Any, config: Config) -> None:
     import drjit as dr
 
     theirs, mine = mi.load_dict(config), ours(mi, config)
@@ -154,7 +154,9 @@ def test_parameters_go_by_mitsubas_names(mi: Any, plastics: Any, config: Config)
 
 
 @pytest.mark.parametrize("distribution", ["Beckmann", "GGX"])
-def test_tables_of_a_nearly_smooth_surface_are_fresnels(mi: Any, plastics: Any, distribution: str) -> None:
+def test_tables_of_a_nearly_smooth_surface_are_those_of_fresnel(
+    mi: Any, plastics: Any, distribution: str
+) -> None:
     def fresnel(eta: float) -> Any:
         return np.array(mi.fresnel(mi.Float(plastics.COSINES), eta)[0])
 
@@ -166,7 +168,7 @@ def test_tables_of_a_nearly_smooth_surface_are_fresnels(mi: Any, plastics: Any, 
 
 
 def reflected(mi: Any, bsdf: Any) -> Any:
-    """Return what is reflected of light from each of several directions, by a rule without chance in it."""
+    """Return the reflected part of light from several directions, by a deterministic quadrature."""
     import drjit as dr
 
     cosine = np.repeat(np.linspace(0.05, 1, INCIDENT), OUTGOING)
@@ -203,13 +205,13 @@ def assert_slope_is_mitsubas_difference(mi: Any, config: Config, name: str, step
     high, low = np.float32(leaf[0] + step), np.float32(leaf[0] - step)
     difference = (at(high) - at(low)) / (float(high) - float(low))
     apart = np.linalg.norm(slope - difference) / np.linalg.norm(difference)
-    # The lobes bend by half a per cent over 5 % of the roughness.
+    # Over 5 % of the roughness, the truncation error is half a per cent.
     assert apart < 0.015, f"{name}: {apart:.2%} of the difference quotient apart"
 
 
 @pytest.mark.parametrize("eta", [1.001, 1.1, 1.33, 1.5, 2.4])
 @pytest.mark.parametrize("alpha", [0.05, 0.1, 0.3, 1.0])
-def test_slopes_of_rough_plastic(mi: Any, plastics: Any, alpha: float, eta: float) -> None:
+def test_derivatives_of_rough_plastic(mi: Any, plastics: Any, alpha: float, eta: float) -> None:
     for distribution in ("beckmann", "ggx"):
         config = {"type": "roughplastic", "alpha": alpha, "distribution": distribution}
         config |= {"int_ior": eta, "ext_ior": 1.0}
@@ -219,12 +221,12 @@ def test_slopes_of_rough_plastic(mi: Any, plastics: Any, alpha: float, eta: floa
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("reflectance", [0.0, 0.5, 1.0])
-def test_slopes_by_reflectance(mi: Any, plastics: Any, reflectance: float, nonlinear: bool) -> None:
+def test_derivatives_by_reflectance(mi: Any, plastics: Any, reflectance: float, nonlinear: bool) -> None:
     shared = {"diffuse_reflectance": reflectance, "nonlinear": nonlinear, "ext_ior": 1.0}
     rough = {"type": "roughplastic", "alpha": 0.2, "int_ior": 1.5, **shared}
     assert_slope_is_mitsubas_difference(mi, rough, "alpha", 0.01)
     assert_slope_is_mitsubas_difference(mi, rough, "eta", 0.02)
-    if reflectance:  # all that a mirror leaves to see from elsewhere
+    if reflectance:  # all that is visible from elsewhere in a mirror
         for eta in (1.001, 1.1, 1.33, 1.5, 2.4):
             smooth = {"type": "plastic", "int_ior": eta, **shared}
             assert_slope_is_mitsubas_difference(mi, smooth, "eta", 0.1 * min(eta - KINK, 0.2))
@@ -246,7 +248,7 @@ def gradient(renderer: SceneRenderer, values: dict[str, torch.Tensor], seed: int
         ),
     ],
 )
-def test_derivatives_of_pictures_agree_with_differences_of_mitsubas(
+def test_derivatives_of_images_agree_with_differences_of_mitsubas(
     mi: Any, how: str, material: Config, parameter: str, step: float
 ) -> None:
     scene, name, spp, runs = stage(mi, nested(how, material)), f"ball.bsdf.{parameter}", 1024, 6
@@ -277,7 +279,7 @@ def test_derivatives_of_pictures_agree_with_differences_of_mitsubas(
     )
 
 
-def test_tables_follow_the_values_that_are_set(mi: Any) -> None:
+def test_tables_follow_the_parameters(mi: Any) -> None:
     name = {"alpha": "ball.bsdf.alpha", "eta": "ball.bsdf.eta"}
     rough = {"type": "roughplastic", "distribution": "ggx"}
     renderer = SceneRenderer(stage(mi, rough), "ball.*", spp=16)
@@ -299,7 +301,7 @@ def test_tables_follow_the_values_that_are_set(mi: Any) -> None:
                 assert tangent.mean().item() == pytest.approx(slopes[moving], rel=1e-4)
 
 
-def test_scenes_with_plastics_are_given_back(mi: Any) -> None:
+def test_scenes_with_plastics_are_freed(mi: Any) -> None:
     for kind in ("plastic", "roughplastic"):
         renderer = SceneRenderer(stage(mi, {"type": kind}), "ball.*", spp=1)
         gradient(renderer, renderer.inputs, seed=shifted())
@@ -323,10 +325,10 @@ def test_scenes_with_plastics_are_given_back(mi: Any) -> None:
         ({"nonlinear": 1.0}, 'The property "nonlinear" has the wrong type (expected boolean)'),
     ],
 )
-def test_what_is_wrong_is_told_in_mitsubas_words(mi: Any, changes: Config, message: str) -> None:
+def test_errors_use_mitsubas_words(mi: Any, changes: Config, message: str) -> None:
     with pytest.raises(SceneCaptumError) as caught:
         load_scene(stage(mi, {"type": "roughplastic", **changes}))
-    told = str(caught.value)
-    assert message in told
-    assert "Traceback" not in told
-    assert "scenecaptum_" not in told
+    text = str(caught.value)
+    assert message in text
+    assert "Traceback" not in text
+    assert "scenecaptum_" not in text

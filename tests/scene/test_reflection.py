@@ -1,4 +1,4 @@
-"""Reflection at bounds: always inside, the identity where it was inside, and never without a derivative."""
+"""Reflection at bounds: always inside, the identity for values inside, and never with a derivative of zero."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INTERVALS = [(0.0, 1.0), (-1.0, 1.0), (0.25, 180.0), (0.0, math.inf), (-math.inf
 
 
 def bounced(value: float, low: float, high: float) -> float:
-    """Reflect at one bound after the other until the value is inside: what reflection means."""
+    """Reflect at one bound after the other until the value is inside: the definition of reflection."""
     while not low <= value <= high:
         value = 2 * low - value if value < low else 2 * high - value
     return value
@@ -43,7 +43,7 @@ def test_float32_never_lands_outside(low: float, high: float, open_low: bool) ->
 
 @pytest.mark.parametrize("open_low", [False, True])
 @pytest.mark.parametrize(("low", "high"), INTERVALS)
-def test_what_is_inside_comes_back_bit_for_bit(low: float, high: float, open_low: bool) -> None:
+def test_values_inside_are_returned_bit_for_bit(low: float, high: float, open_low: bool) -> None:
     finite_low, finite_high = max(low, -3.0), min(high, 3.0)
     values = torch.linspace(finite_low, finite_high, 1001)[1:-1]
     values = torch.cat([values, torch.tensor([finite_high, finite_low + 1e-7])])
@@ -51,7 +51,7 @@ def test_what_is_inside_comes_back_bit_for_bit(low: float, high: float, open_low
     assert torch.equal(reflect(values, low, high, open_low=open_low), values)
 
 
-def test_an_open_bound_is_left_behind_and_a_closed_one_is_kept() -> None:
+def test_an_open_bound_is_excluded_and_a_closed_one_is_included() -> None:
     at = torch.tensor([0.0, -0.0, -1e-9, 2.0, 4.0])
     assert reflect(at, 0.0, 1.0).tolist() == pytest.approx([0] * 5, abs=1e-6)
     assert reflect(at, 0.0, 1.0, open_low=True).tolist() == pytest.approx([OPEN_MARGIN] * 5)
@@ -59,7 +59,7 @@ def test_an_open_bound_is_left_behind_and_a_closed_one_is_kept() -> None:
     assert reflect(at[:3], 0.0, math.inf, open_low=True).tolist() == pytest.approx([OPEN_MARGIN] * 3)
 
 
-def test_symmetric_noise_keeps_its_spread_instead_of_piling_up_on_a_bound() -> None:
+def test_symmetric_noise_keeps_its_spread_at_a_bound() -> None:
     noise = 0.3 * torch.randn(100_000, generator=torch.Generator().manual_seed(shifted(1)))
     folded = reflect(noise, 0.0, 1.0)
     assert folded.std().item() == pytest.approx(noise.abs().std().item(), rel=1e-2)
@@ -82,13 +82,13 @@ def test_the_derivative_is_never_zero_not_even_at_a_kink(low: float, high: float
 
 
 @pytest.mark.parametrize(("low", "high"), INTERVALS[:-1])
-def test_what_is_not_finite_stays_so(low: float, high: float) -> None:
+def test_values_that_are_not_finite_stay_so(low: float, high: float) -> None:
     assert not reflect(torch.tensor([math.nan]), low, high).isfinite().any()
     outside = [v for v in (-math.inf, math.inf) if not low <= v <= high]
     assert not reflect(torch.tensor(outside), low, high).isfinite().any()
 
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 0.0), (0.5, 0.5), (math.nan, 1.0)])
-def test_bounds_without_an_inside_are_refused(low: float, high: float) -> None:
+def test_empty_bounds_are_refused(low: float, high: float) -> None:
     with pytest.raises(SceneCaptumError, match="lower bound must be below"):
         reflect(torch.zeros(2), low, high)

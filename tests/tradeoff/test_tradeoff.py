@@ -1,4 +1,4 @@
-"""What accuracy costs: the errors and biases that are measured are those that were put in."""
+"""The cost of accuracy: measured errors and biases are those of renderers with known ones."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from scenecaptum.tradeoff import _statistics as statistics
 
 
 class Bounces:
-    """A picture of ``depth`` bounces, each half as bright as the one before, with noise of 1/√spp.
+    """An image of ``depth`` bounces, each half as bright as the one before, with noise of 1/√spp.
 
-    Every pixel of a picture has its noise, and in the backward pass every parameter.
+    The noise is independent for every pixel, and in the backward pass for every parameter.
     """
 
     spp = 16
@@ -79,7 +79,7 @@ def test_relative_error_is_that_of_the_noise():
     renderer = Bounces()
     trade = measure(renderer, torch.mean, vary={"spp": [4, 256]}, reference_spp=10**6, runs=20)
     for row in trade.rows:
-        # The noise of each element is the same part of it, so that it is that part of the whole.
+        # The relative noise of each element is the same, and so is that of the whole.
         expected = renderer.noise / math.sqrt(row.setting.gradient_spp)
         assert abs(z_of(*row.relative_error, expected)) < allowed(20, 3), row
 
@@ -89,7 +89,7 @@ def test_gradients_without_bias_show_none():
     assert not any(row.bias.significant for row in rows)
 
 
-def test_the_bias_of_short_paths_is_what_they_leave_out():
+def test_the_bias_of_short_paths_is_the_missing_light():
     trade = measure(Bounces(4, 0.05), torch.mean, vary={"max_depth": [1, 2, 8]}, reference_spp=10_000)
     assert trade.reference.setting.max_depth == 8
     for row in trade.rows:
@@ -100,7 +100,7 @@ def test_the_bias_of_short_paths_is_what_they_leave_out():
         assert row.bias.value - 1e-6 <= row.relative_error.value
 
 
-def test_a_noisy_picture_biases_a_metric_that_is_not_linear_unless_it_is_jackknifed():
+def test_noise_biases_a_non_linear_metric_without_the_jackknife():
     renderer = Bounces(noise=0.1, noise_seen=2.0)
     trade = measure(renderer, cubes, vary={"replicates": [1]}, reference_spp=10**6, runs=20)
     jackknifed, naive = trade.rows
@@ -112,40 +112,40 @@ def test_a_noisy_picture_biases_a_metric_that_is_not_linear_unless_it_is_jackkni
     assert jackknifed.bias.upper_limit < expected / 2
 
 
-def test_samples_of_the_picture_and_of_the_gradient_are_told_apart():
+def test_samples_of_the_image_and_of_the_gradient_are_separate():
     renderer = Bounces()
     vary = {"primal_spp": [4, 64], "gradient_spp": [4, 64]}
     trade = measure(renderer, torch.mean, vary=vary, reference_spp=10_000, runs=20)
     by_spp = {(row.setting.primal_spp, row.setting.gradient_spp): row for row in trade.rows}
     assert set(by_spp) == {(16, 16), (4, 16), (64, 16), (16, 4), (16, 64)}
-    # A sum of squares of normal variables with unequal weights; its own error falls with it by chance.
+    # A weighted sum of squares of normal variables; its error is estimated too small where it is small by chance.
     squares = renderer.gradient.square()
     relative = (squares.norm() / squares.sum()).item() / math.sqrt(2 * 20)
     for (_, gradient_spp), row in by_spp.items():
-        # A linear metric has the same adjoint whatever it sees.
+        # A linear metric has the same adjoint for every image.
         expected = renderer.noise / math.sqrt(gradient_spp)
         assert abs(row.relative_error.value / expected - 1) < 4 * relative, row
         assert 0.3 < row.relative_error.error / (relative * expected) < 2, row
     assert set(renderer.taken) >= {(2, 2), (1, 4), (8, 2), (4, 1), (2, 8)}  # each pass of 4 or 8
 
 
-def test_false_alarms_are_rare_whatever_the_noise_is_like():
+def test_false_alarms_are_rare_under_any_noise():
     generator = torch.Generator().manual_seed(shifted())
     for shape in (torch.eye(12), torch.diag(torch.tensor([5.0] + [0.1] * 11)), torch.ones(12, 12)):
-        told = 0
+        alarms = 0
         for _ in range(400):
             runs, passes = (torch.randn(n, 12, generator=generator) @ shape for n in (4, 16))
             spread = (passes - passes.mean(0)) / math.sqrt(16 * 15)
-            told += statistics.relative_bias(runs - passes.mean(0), spread, 1.0).significant
-        assert told <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
+            alarms += statistics.relative_bias(runs - passes.mean(0), spread, 1.0).significant
+        assert alarms <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
 
 
-def test_the_size_of_a_bias_is_that_which_was_put_in():
+def test_a_known_bias_is_measured():
     generator = torch.Generator().manual_seed(shifted())
     nothing = torch.zeros(1, 8, dtype=torch.float64)
     squares = []
     for _ in range(300):
-        # The square of the bias is 4 times what the noise of the mean adds to it.
+        # The square of the bias is 4 times the variance of the mean.
         noise = torch.randn(8, 8, generator=generator, dtype=torch.float64)
         squares.append((2 * statistics.relative_bias(2 / math.sqrt(8) + noise, nothing, 2.0).value) ** 2)
     mean = torch.tensor(squares)
@@ -175,7 +175,7 @@ def test_rank_correlations_are_those_of_pandas():
     assert math.isnan(statistics.spearman(torch.ones(3).double(), torch.arange(3).double()))
 
 
-def test_ranks_that_the_reference_does_not_tell_apart_do_not_count():
+def test_ranks_that_the_reference_does_not_resolve_do_not_count():
     reference, error = torch.tensor([3.0, 2.0, 1.9]), torch.full((3,), 0.1)
     swapped, reversed_ = torch.tensor([3.0, 1.9, 2.0]), torch.tensor([1.0, 2.0, 3.0])
     assert kendall_tau(swapped, reference) == pytest.approx(1 / 3)
@@ -190,7 +190,7 @@ def test_top_agreement_counts_the_first_in_any_order():
     assert statistics.top_agreement(first, other, 2) == pytest.approx(1 / 2)
 
 
-def test_rankings_become_those_of_the_reference():
+def test_rankings_converge_to_that_of_the_reference():
     trade = measure(Bounces(noise=1.0), torch.mean, vary={"spp": [2, 4096]}, reference_spp=10**6, runs=10)
     _, few, many = trade.rows
     for name in ("spearman", "kendall", "kendall_resolved", "top"):
@@ -200,7 +200,7 @@ def test_rankings_become_those_of_the_reference():
 # ------------------------------------------------------------------------------------------------ renderers
 
 
-def test_a_setting_is_the_same_whichever_way_the_renderer_was_made(cornell):
+def test_a_setting_does_not_depend_on_how_the_renderer_was_made(cornell):
     change = {"resolution": (16, 8), "max_depth": 2}
     replaced = cornell.replace(**change)
     fresh = SceneRenderer("cornell-box", ["reflectance", "emitters"], spp=16, **change)
@@ -211,12 +211,12 @@ def test_a_setting_is_the_same_whichever_way_the_renderer_was_made(cornell):
     )
     for name in one:
         torch.testing.assert_close(one[name], other[name], rtol=1e-4, atol=1e-7)
-    # Its scene is shared, and its own picture is still what it was.
+    # Its scene is shared, and its image is unchanged.
     assert cornell(seed=shifted(3)).shape == (32, 32, 3)
     assert cornell.plan.max_depth == 4
 
 
-def test_the_backward_pass_may_have_samples_of_its_own_number(cornell):
+def test_the_backward_pass_may_have_its_own_sample_count(cornell):
     few, many = cornell.leaves(), cornell.leaves()
     cornell(few, seed=shifted(1), spp=2, seed_grad=shifted(5), spp_grad=32).mean().backward()
     cornell(many, seed=shifted(2), spp=32, seed_grad=shifted(5)).mean().backward()
@@ -224,7 +224,7 @@ def test_the_backward_pass_may_have_samples_of_its_own_number(cornell):
         torch.testing.assert_close(few[name].grad, many[name].grad, rtol=1e-4, atol=1e-7)
 
 
-def test_stock_prb_has_no_derivative_of_a_mirror_and_that_shows_as_bias(mi):
+def test_the_missing_derivative_of_a_mirror_in_stock_prb_shows_as_bias(mi):
     ball = {"type": "conductor", "specular_reflectance": {"type": "rgb", "value": 0.8}}
     scene = room(mi, ball)
     scene["floor"]["bsdf"] = {"type": "diffuse"}
@@ -239,7 +239,7 @@ def test_stock_prb_has_no_derivative_of_a_mirror_and_that_shows_as_bias(mi):
     assert renderer.replace(integrator="prb").plan.integrator == "prb"
 
 
-def test_coarser_pictures_get_a_metric_of_their_own(cornell):
+def test_coarser_images_get_their_own_metric(cornell):
     def glare(renderer: SceneRenderer) -> metrics.UnifiedGlareRating:
         return metrics.UnifiedGlareRating(renderer.camera, threshold_factor=2)
 
@@ -265,7 +265,7 @@ def trade():
     return measure(Bounces(), torch.mean, vary={"spp": [4, 4096], "max_depth": [1, 8]}, reference_spp=10**6)
 
 
-def test_by_default_everything_is_varied_that_the_renderer_allows():
+def test_by_default_every_setting_of_the_renderer_is_varied():
     found = measure(Bounces(), torch.mean, runs=2)
     assert {row.varied for row in found.rows} == {
         "", "spp", "primal_spp", "gradient_spp", "replicates", "max_depth", "integrator"
@@ -284,7 +284,7 @@ def test_csv_has_a_line_for_each_setting(trade, tmp_path):
         assert line["on_front"] == str(row in trade.front)
 
 
-def test_nothing_beats_the_front(trade):
+def test_no_setting_dominates_the_front(trade):
     front = trade.front
     for row in trade.rows:
         beaten = any(
@@ -299,7 +299,7 @@ def test_the_cheapest_setting_within_a_tolerance_is_recommended(trade):
     good = [row for row in trade.rows if sum(row.relative_error) <= 0.2]
     assert cheapest.seconds == min(row.seconds for row in good)
     assert "For an error of 20 %" in trade.recommendation(0.2)
-    # Depth 4 leaves out a sixteenth, which no number of samples brings back.
+    # Depth 4 leaves out a sixteenth, which more samples cannot recover.
     short = dataclasses.replace(trade, rows=tuple(row for row in trade.rows if row.setting.max_depth == 4))
     (bias,) = re.findall(r"has a bias of (\S+) %", short.recommendation(0.01))
     assert float(bias) == pytest.approx(100 / 17, abs=0.5)  # a sixteenth of sixteen parts and one
@@ -336,14 +336,14 @@ def test_table_and_figure_show_every_setting(trade):
         ({"seed": -1}, "seed"),
     ],
 )
-def test_bad_options_are_said_before_anything_is_rendered(options, words):
+def test_bad_options_are_refused_before_anything_is_rendered(options, words):
     renderer = Bounces()
     with pytest.raises(SceneCaptumError, match=words):
         measure(renderer, torch.mean, **options)
     assert not renderer.taken
 
 
-def test_what_a_renderer_cannot_vary_is_said():
+def test_settings_that_a_renderer_cannot_vary_are_named():
     def bare(inputs, *, seed, spp):
         return inputs["x"].expand(2, 2, 3)
 
@@ -357,6 +357,6 @@ def test_what_a_renderer_cannot_vary_is_said():
         measure(bare, lambda image: 0 * image.mean(), runs=2)
 
 
-def test_a_tolerance_is_a_positive_number(trade):
+def test_a_tolerance_that_is_not_positive_is_refused(trade):
     with pytest.raises(SceneCaptumError, match="tolerance"):
         trade.cheapest(0.0)

@@ -1,4 +1,4 @@
-"""The ablation test: it passes what is right and notices what is wrong."""
+"""The ablation test: it accepts correct gradients and detects wrong ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scenecaptum.validation import ablation_test
 
 
 class Curved:
-    """``image = A·[a², √b, e^c, d]`` with noise that falls as 1/√spp: every parameter bends in its own way."""
+    """``image = A·[a², √b, e^c, d]`` noise 1/√spp: every parameter with a different non-linearity."""
 
     spp = 64
     bounds = {"a": (0.0, 1.0), "b": (0.0, math.inf), "c": (-1.0, 1.0), "d": (0.0, 1.0)}  # noqa: RUF012
@@ -49,7 +49,7 @@ def test_right_gradients_agree_in_size_and_order(metric):
     assert max(map(abs, z)) < allowed(8, 4), f"z = {z}"
 
 
-def test_steps_are_parts_of_the_range_and_stay_inside():
+def test_steps_are_fractions_of_the_range_and_stay_inside():
     steps = {row.name: row.step for row in ablation_test(Curved(), torch.mean).rows}
     # Down the gradient; "d" cannot go below 0 and goes up instead.
     assert steps["a"] == pytest.approx(-0.1)
@@ -58,7 +58,7 @@ def test_steps_are_parts_of_the_range_and_stay_inside():
     assert steps["d"] == pytest.approx(0.1)
 
 
-def test_a_metric_that_bends_sharply_gets_a_shorter_step():
+def test_a_strongly_non_linear_metric_gets_a_shorter_step():
     def sharp(image: torch.Tensor) -> torch.Tensor:
         return (20 * (image.mean() - 1)).exp()
 
@@ -68,7 +68,7 @@ def test_a_metric_that_bends_sharply_gets_a_shorter_step():
     assert row.curvature > 0
 
 
-def test_wrong_gradients_are_noticed():
+def test_wrong_gradients_are_detected():
     renderer = Curved()
     right = VanillaSceneGradient(renderer, torch.mean).attribute()
     wrong = dataclasses.replace(
@@ -85,7 +85,7 @@ def test_wrong_gradients_are_noticed():
     assert not any(row.agrees for row in ablation_test(renderer, torch.mean, flipped).rows)
 
 
-def test_what_the_noise_hides_is_said_to_be_hidden():
+def test_changes_below_the_noise_are_marked():
     def faint(image: torch.Tensor) -> torch.Tensor:
         return image[0, 0, 0] - image[0, 0, 0].detach() + image.mean()
 
@@ -112,7 +112,7 @@ def test_other_attributions_are_refused():
         ablation_test(renderer, torch.mean, bare)
 
 
-def test_table_and_figure_tell_what_agrees_and_what_does_not():
+def test_table_and_figure_show_what_agrees():
     renderer = Curved()
     right = VanillaSceneGradient(renderer, torch.mean).attribute()
     wrong = dataclasses.replace(
@@ -149,7 +149,7 @@ def test_the_fixed_step_of_the_paper_is_measured_too():
 
 
 def test_no_step_reaches_a_bound():
-    """Of a roughness, say, whose bound at 0 is outside its range."""
+    """For example of a roughness, whose bound at 0 is outside its range."""
 
     class Open(Curved):
         def __call__(self, inputs, *, seed, spp):
@@ -157,7 +157,7 @@ def test_no_step_reaches_a_bound():
             return super().__call__(inputs, seed=seed, spp=spp)
 
     near = Open()
-    near.inputs["a"] = torch.tensor(0.001)  # nearer than a hundredth of its gradient
+    near.inputs["a"] = torch.tensor(0.001)  # closer than a hundredth of its gradient
     rows = {row.name: row for row in ablation_test(near, lambda image: 100 * image.mean()).rows}
     assert rows["a"].fixed is not None
 
@@ -185,14 +185,14 @@ class Textured(Curved):
         )
 
 
-def test_textures_move_by_the_texels_that_their_bounds_let_move():
+def test_textures_move_only_texels_inside_their_bounds():
     test = ablation_test(Textured(), torch.mean)
     rows = {row.name: row for row in test.rows}
     assert rows["wall"].agrees, str(test)
     assert abs(rows["wall"].step) == pytest.approx(0.1)
-    # The sun says nothing of how far the sky may be moved.
+    # The sun does not limit how far the sky may be moved.
     assert rows["sky"].agrees
     assert abs(rows["sky"].step) < 0.5
     assert rows["wall"].fixed == pytest.approx(rows["wall"].predicted, rel=0.05)
-    # Either half can move one way only.
+    # Each half can move in one direction only.
     assert rows["chess"].agrees

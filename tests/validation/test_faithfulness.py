@@ -1,4 +1,4 @@
-"""Faithfulness: against closed forms and Captum, and with the errors that it states."""
+"""Faithfulness measures against closed forms and Captum, within their stated errors."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ SAMPLES = 40
 
 
 class Lamps(ToyRenderer):
-    """``image = A·x``, every lamp a parameter of its own."""
+    """``image = A·x``, every lamp a separate parameter."""
 
     def __init__(self, noise: float = 0.0, lamps: int = 5) -> None:
         super().__init__(noise)
         generator = torch.Generator().manual_seed(shifted(2))
         self.matrix = torch.rand(4, 4, 3, lamps, generator=generator) + 0.1
-        # Some take light away, so that magnitude and sign are told apart.
+        # Some are negative, so that magnitude and sign differ.
         self.inputs = {f"lamp {k}": torch.tensor(0.9 - 0.35 * k) for k in range(lamps)}
         self.bounds = dict.fromkeys(self.inputs, (-2.0, 2.0))
 
@@ -63,14 +63,14 @@ def product_of_three(image: torch.Tensor) -> torch.Tensor:
 # --- infidelity --------------------------------------------------------------------------------------------------
 
 
-def test_of_a_linear_function_gradients_miss_nothing():
+def test_gradients_of_a_linear_function_have_no_infidelity():
     found = infidelity(Lamps(), torch.mean, n_perturb_samples=SAMPLES)
     assert found.normalized == pytest.approx(0, abs=1e-9)
     assert found.value == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize("metric", [bent, product_of_three])
-def test_infidelity_is_captums(metric):
+def test_infidelity_is_that_of_captum(metric):
     captum = pytest.importorskip("captum.metrics", reason="captum is not installed")
     renderer = ToyRenderer(noise=0.0)
     renderer.bounds = {"x": (0.0, 1.0)}
@@ -95,25 +95,25 @@ def test_infidelity_is_captums(metric):
     assert found.value == pytest.approx(judge.item(), rel=1e-3)
 
 
-def test_the_noise_of_rendering_is_no_infidelity():
+def test_render_noise_is_not_counted_as_infidelity():
     exact = infidelity(Lamps(), bent, n_perturb_samples=20 * SAMPLES)
     gradient = VanillaSceneGradient(Lamps(), bent).attribute()
     found = [
         infidelity(Lamps(noise=1.0), bent, gradient, n_perturb_samples=SAMPLES, seed=seed, spp=64)
         for seed in seeds(20)
     ]
-    # The draws differ as well: the errors hold for both.
+    # The draws differ as well, which the errors include.
     z = [(one.value - exact.value) / math.hypot(one.standard_error, exact.standard_error) for one in found]
     values = np.array([one.value for one in found])
     error = math.hypot(values.std(ddof=1) / math.sqrt(len(values)), exact.standard_error)
     assert abs(values.mean() - exact.value) < allowed(len(values)) * error, z
     assert 0.3 < np.std(z) < 1.9, z
-    # What noise there is would have been seen.
+    # Noise of this size would have been visible.
     naive = [(one.predicted - one.measured.mean(1)).square().mean().item() for one in found]
     assert np.mean(naive) > 1.05 * np.mean([one.value for one in found])
 
 
-def test_wrong_gradients_miss_much():
+def test_wrong_gradients_have_a_large_infidelity():
     renderer = Lamps()
     right = VanillaSceneGradient(renderer, bent).attribute()
     # The gradients of another metric, and SmoothGrad's of the same.
@@ -136,7 +136,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
 
 
 @pytest.mark.parametrize("method", [IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene])
-def test_of_a_linear_function_sums_of_attributions_rank_all_changes(method):
+def test_correlations_of_a_linear_function_are_perfect(method):
     renderer = Lamps()
     attribution = method(renderer, torch.mean).attribute()
     found = sensitivity_n(renderer, torch.mean, attribution, subsets=8)
@@ -176,7 +176,7 @@ def test_errors_of_correlations_are_right():
     assert 0.4 < np.std(z) < 2.0, z
 
 
-def test_what_does_not_change_has_no_correlation():
+def test_a_constant_metric_has_no_correlation():
     found = sensitivity_n(Lamps(), lambda image: (image.sum() * 0 + 1) * 3, _zeros(), sizes=[2])
     assert math.isnan(found.correlations[0])
     assert str(found).splitlines()[-1].split() == ["2", "10", "-"]
@@ -189,7 +189,7 @@ def _zeros():
 # --- deletion and insertion --------------------------------------------------------------------------------------
 
 
-def test_of_a_linear_function_the_curves_are_running_sums():
+def test_curves_of_a_linear_function_are_cumulative_sums():
     renderer = Lamps()
     curves = deletion_insertion(renderer, torch.mean)
     gradient = VanillaSceneGradient(renderer, torch.mean).attribute()
@@ -214,7 +214,7 @@ def test_random_orders_are_measured_with_the_same_areas(steps, moved):
     gradient = VanillaSceneGradient(renderer, torch.mean).attribute()
     parts = [gradient[name].item() * renderer.inputs[name].item() for name in curves.names]
     sums = [np.cumsum([0, *order]) for order in itertools.permutations(parts)]
-    # A random deletion that is read backwards inserts first what it deleted last.
+    # A random deletion in reverse is an insertion.
     left = [3 - count for count in reversed(moved)]
     exact = (
         {round(np.trapezoid(np.abs(one[moved]), moved) / 3, 4) for one in sums},
@@ -223,9 +223,9 @@ def test_random_orders_are_measured_with_the_same_areas(steps, moved):
     assert tuple({round(area, 4) for area in row.tolist()} for row in curves.random_areas) == exact
 
 
-def test_the_right_order_wins_and_the_wrong_one_loses():
+def test_the_right_order_is_better_than_random_and_the_wrong_one_worse():
     renderer = Lamps(noise=0.3)
-    # All lamps give light: then no order is better than that of their sizes.
+    # All lamps are positive: no order is better than that of their sizes.
     renderer.inputs = {name: value.abs() for name, value in renderer.inputs.items()}
     right = IntegratedGradientsScene(renderer, torch.mean).attribute()
     best = deletion_insertion(renderer, torch.mean, right)
@@ -243,7 +243,7 @@ def _reversed(attribution):
     return dataclasses.replace(attribution, attributions=turned)
 
 
-def test_errors_of_areas_are_those_of_repeating_it():
+def test_errors_of_areas_are_the_spread_over_repeats():
     areas = []
     renderer = Lamps(noise=3.0)
     attribution = IntegratedGradientsScene(Lamps(), torch.mean).attribute()
@@ -256,7 +256,7 @@ def test_errors_of_areas_are_those_of_repeating_it():
         ]
     off, bars = np.array(areas).reshape(-1, 2).T
     assert 0.6 < np.sqrt(np.mean(off**2) / np.mean(bars**2)) < 1.5, areas
-    # The two areas of a run have much in common: 60 count. Of 120, Student's t lets 6 miss.
+    # The two areas of a run are correlated: 60 are independent. Of 120, 6 may miss by Student's t.
     assert abs(off.mean()) < allowed(60) * off.std() / np.sqrt(60), areas
     assert np.sum(np.abs(off) > student_t(0.95, 7) * bars) <= 20, areas
 
@@ -268,7 +268,7 @@ def test_many_parameters_move_in_few_steps():
     assert "+ 1 more" in str(curves)
 
 
-def test_parameters_at_their_baselines_take_no_part():
+def test_parameters_at_their_baselines_are_left_out():
     renderer = Lamps()
     renderer.inputs["lamp 1"] = torch.tensor(0.0)
     curves = deletion_insertion(renderer, torch.mean, random_orders=2)
@@ -279,7 +279,7 @@ def test_parameters_at_their_baselines_take_no_part():
 # --- bad input, tables and figures -------------------------------------------------------------------------------
 
 
-def test_what_does_not_fit_is_said():
+def test_invalid_input_is_refused():
     renderer = Lamps()
     gradient = VanillaSceneGradient(renderer, torch.mean).attribute()
     shares = IntegratedGradientsScene(renderer, torch.mean).attribute(n_steps=2)
@@ -309,7 +309,7 @@ def test_tables_and_figures():
         names=("a", "b"),
         labels=("lamp", "wall"),
         moved=torch.tensor([0, 1, 2]),
-        # All share the noise of the whole scene.
+        # All share the noise of the complete scene.
         deletion=curve + torch.tensor([[1.0], [0.0], [0.0]]) * replicates,
         insertion=curve.flip(0) + torch.tensor([[0.0], [0.0], [1.0]]) * replicates,
         random=torch.stack([curve + replicates, curve + 0.5 + replicates]),

@@ -79,7 +79,7 @@ DIRECTIONS = [
 
 @pytest.mark.parametrize("metric", [torch.mean, log_mean])
 @pytest.mark.parametrize("direction", DIRECTIONS, ids=["colour", "at a bound", "texture and colour"])
-def test_products_without_noise_are_those_of_automatic_differentiation(metric, direction):
+def test_products_without_noise_agree_with_automatic_differentiation(metric, direction):
     renderer = Bouncing(noise=0.0)
     product, exact = (
         hessian_vector_product(renderer, metric, direction),
@@ -87,7 +87,7 @@ def test_products_without_noise_are_those_of_automatic_differentiation(metric, d
     )
     size = max(one.abs().max().item() for one in exact.values())
     for name, one in exact.items():
-        # Single precision over a tenth of the range, and the formula's own error on a curve.
+        # Single precision over a tenth of the range, and the truncation error of the stencil.
         torch.testing.assert_close(product[name].double(), one, rtol=2e-3, atol=1e-4 * size, msg=name)
 
 
@@ -130,21 +130,21 @@ def test_luminance_is_linear_in_the_light(mi, cornell):
     metric = metrics.MeanLuminance()
     product = hessian_vector_product(cornell, metric, {LAMP: cornell.inputs[LAMP]})
     gradient = VanillaSceneGradient(cornell, metric).attribute()
-    # Both see the same samples, of which each is linear in the light as well: no error bars are needed.
+    # Both use the same samples, each of which is linear in the light: no error bars are needed.
     for name, one in gradient.items():
         expected = torch.zeros(3) if name == LAMP else one
         torch.testing.assert_close(product[name], expected, rtol=1e-3, atol=1e-4 * one.norm().item())
     assert product.metric_value == pytest.approx(gradient.metric_value, rel=1e-3)
 
 
-def test_the_logarithm_of_luminance_only_shifts_with_the_light(mi, cornell):
+def test_the_gradient_of_log_luminance_does_not_depend_on_the_light(mi, cornell):
     product = hessian_vector_product(cornell, log_mean, {LAMP: cornell.inputs[LAMP]})
     seen = product.info["picture"]["denoised"]
     gradient = VanillaSceneGradient(cornell, log_mean).attribute(denoise=seen)
     for name, one in gradient.items():
         if name != LAMP:
             torch.testing.assert_close(product[name], torch.zeros(3), rtol=0, atol=1e-3 * one.norm().item())
-    # Both see the same samples, but each has its own estimate of what their noise does to a gradient.
+    # Both use the same samples, but estimate the effect of noise on the gradient separately.
     off = product[LAMP] + gradient[LAMP]
     assert (off.abs() <= product.standard_error[LAMP]).all()
     assert (product.standard_error[LAMP] < 0.1 * gradient[LAMP].abs()).all()
@@ -157,7 +157,7 @@ def box(mi):
 
 
 @pytest.mark.parametrize("metric", [metrics.MeanLuminance(), log_mean])
-def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
+def test_the_matrix_is_symmetric_and_agrees_with_finite_differences(box, metric):
     gradient = VanillaSceneGradient(box, metric).attribute(replicates=PASSES)
     found = interactions(box, metric, gradient, replicates=PASSES)
     assert found.is_symmetric, str(found)
@@ -176,7 +176,7 @@ def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
 
         twice = at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)
         judge, error = mean_and_error(twice / (found.steps[p] * found.steps[q]))
-        # Where a second derivative is 0 exactly, what is left is rounding, of pseudo-values.
+        # Where a second derivative is exactly 0, only the rounding of pseudo-values is left.
         rounding = PASSES * 4 * 6e-8 / (found.steps[p] * found.steps[q])
         z = (judge - found.matrix[p, q].item()) / math.hypot(
             error, found.standard_error[p, q].item(), rounding
@@ -186,10 +186,10 @@ def test_the_matrix_is_symmetric_and_that_of_finite_differences(box, metric):
         )
 
 
-def test_wrong_derivatives_are_noticed():
+def test_wrong_derivatives_are_detected():
     class Wrong(Bouncing):
         def __call__(self, inputs, *, seed, spp):
-            # The derivative by the wall ignores how much light there is.
+            # The derivative with respect to the wall ignores the light.
             others = {name: value.detach() for name, value in inputs.items() if name != "wall"}
             dimmed = {**inputs, **others, "light": torch.ones(3)}
             right, wrong = (super(Wrong, self).__call__(one, seed=seed, spp=spp) for one in (inputs, dimmed))
@@ -220,7 +220,7 @@ def test_directions_are_unit_gradients_and_the_scale_is_that_of_the_ranges():
     torch.testing.assert_close(scaled.matrix, found.matrix * torch.outer(lengths, lengths))
 
 
-def test_what_is_at_both_bounds_is_left_out():
+def test_parameters_without_space_to_move_are_left_out():
     renderer = Bouncing()
     renderer.inputs["texture"] = torch.tensor([0.0, 1.0, 0.5, 0.5]).reshape(2, 2, 1).expand(2, 2, 3).clone()
     found = interactions(renderer, torch.mean, top=4)
@@ -229,7 +229,7 @@ def test_what_is_at_both_bounds_is_left_out():
     assert "left out, being at both bounds: texture" in str(found)
 
 
-def test_what_does_not_fit_is_said():
+def test_invalid_input_is_refused():
     renderer = Bouncing()
     with pytest.raises(SceneCaptumError, match=r"'wal'.*Did you mean 'wall'"):
         hessian_vector_product(renderer, torch.mean, {"wal": torch.tensor(1.0)})
@@ -263,7 +263,7 @@ def by_hand():
     )
 
 
-def test_table_and_figure_tell_what_the_noise_hides(by_hand):
+def test_table_and_figure_mark_insignificant_elements(by_hand):
     assert by_hand.significant.tolist() == [[True, False], [False, False]]
     assert "1 of 3 second derivatives of Glare differ from 0" in str(by_hand)
     (line,) = [line for line in str(by_hand).splitlines() if line.startswith("1 lamp")]

@@ -17,7 +17,7 @@ from scenecaptum.validation._randomization import _ranks, _reset
 
 
 class Lamps(ToyRenderer):
-    """Twelve lamps, each of which lights pixels of its own."""
+    """Twelve lamps, each of which lights separate pixels."""
 
     def __init__(self, noise: float = 0.1) -> None:
         super().__init__(noise)
@@ -44,13 +44,13 @@ class Network(torch.nn.Module):
 
 
 class Deaf(Network):
-    """It has weights, and listens to none of them."""
+    """A network whose output ignores its weights."""
 
     def forward(self, image):
         return (image * torch.linspace(0.1, 2, 48).reshape(image.shape)).sum() + 0 * self.scale.sum()
 
 
-def test_a_network_that_has_learnt_something_is_told_from_random_ones():
+def test_a_trained_network_differs_from_random_ones():
     check = randomization_check(Lamps(), Network())
     assert check.ranking_changes, str(check)
     assert check.signs_change, str(check)
@@ -59,9 +59,9 @@ def test_a_network_that_has_learnt_something_is_told_from_random_ones():
     assert "the attribution depends on the learnt weights, in its ranking and its signs" in check.verdict
 
 
-def test_a_metric_that_ignores_its_weights_is_found_out():
+def test_a_metric_that_ignores_its_weights_is_detected():
     checks = [randomization_check(Lamps(noise=1.0), Deaf(), stages=1, seed=seed) for seed in seeds(4)]
-    # Each happens by chance once in 70.
+    # Each has a probability of 1 in 70 by chance.
     assert sum(check.ranking_changes + check.signs_change for check in checks) <= 2
     for check in checks:
         own, random = check.magnitudes
@@ -69,9 +69,9 @@ def test_a_metric_that_ignores_its_weights_is_found_out():
     assert any("shows no dependence" in check.verdict for check in checks)
 
 
-def test_signs_may_tell_where_magnitudes_do_not():
+def test_signs_may_differ_where_magnitudes_do_not():
     class Either(Deaf):
-        """Its last layer decides about the sign alone."""
+        """A network whose last layer only determines the sign."""
 
         def forward(self, image):
             return super().forward(image) * self.last.bias.sign().squeeze()
@@ -81,14 +81,14 @@ def test_signs_may_tell_where_magnitudes_do_not():
     assert check.magnitudes.min() > 0.9
 
 
-def test_noise_is_not_taken_for_change():
+def test_noise_is_not_counted_as_change():
     check = randomization_check(Lamps(noise=100.0), Deaf(), seed=shifted(1))
     assert check.magnitudes[0].mean() < 0.9, "there is too little noise for this test"
     assert not check.ranking_changes
     assert not check.signs_change
 
 
-def test_layers_become_random_from_the_output_on():
+def test_layers_are_randomized_from_the_output_on():
     seen = []
 
     class Watching(Network):
@@ -109,7 +109,7 @@ def test_layers_become_random_from_the_output_on():
     assert stages[0]["last.weight"] != stages[3]["last.weight"], "draws differ"
 
 
-def test_the_metric_is_left_as_it_is_and_so_is_the_generator():
+def test_the_metric_and_the_generator_are_not_changed():
     network = Network()
     before, torch_state = copy.deepcopy(network.state_dict()), torch.get_rng_state()
     first, second = (randomization_check(Lamps(), network, draws=2, seed=shifted(3)) for _ in range(2))
@@ -118,7 +118,7 @@ def test_the_metric_is_left_as_it_is_and_so_is_the_generator():
     assert torch.equal(first.signed, second.signed)
 
 
-def test_weights_without_a_reset_keep_their_size():
+def test_weights_without_a_reset_keep_their_scale():
     layer = torch.nn.Module()
     layer.weights = torch.nn.Parameter(3 + 0.5 * torch.randn(4000))
     _reset(layer, 0)
@@ -136,7 +136,7 @@ def test_other_methods_can_be_checked():
     assert check.magnitudes.shape == check.signed.shape == (2, 2)
 
 
-def test_what_does_not_fit_is_said():
+def test_invalid_input_is_refused():
     class Few(Lamps):
         def __init__(self):
             super().__init__()
@@ -165,7 +165,7 @@ def test_table_and_figure():
 
 def test_on_the_shape_classifier(mi, cornell):
     metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
-    # A network's derivative is noisy at few samples, and then nothing could be told.
+    # At few samples, a network's derivative would be too noisy for a verdict.
     check = randomization_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
     assert len(check.layers) == 9
     assert check.layers[0] == "model.head"

@@ -1,4 +1,4 @@
-"""Global sensitivity: closed forms judge gradients, Morris's and Sobol's methods alike."""
+"""Global sensitivity: gradients, Morris's and Sobol's methods against closed forms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scenecaptum.validation._sensitivity import _samples_until_stable
 
 
 class Function:
-    """A "renderer" whose picture is a function of numbers, without noise."""
+    """A noise-free "renderer" whose image is a function of numbers."""
 
     spp = 16
 
@@ -62,7 +62,7 @@ class Product(Function):
         parts = [1 / (3 * (1 + a) ** 2) for a in self.a]
         square = math.prod(1 + part for part in parts)
         self.variance = square - 1
-        # The slope of a factor is ±4 / (1 + a), and the mean square of the others their product.
+        # The derivative of a factor is ±4 / (1 + a); it is multiplied by the mean square of the others.
         self.nu = tuple(48 * part * square / (1 + part) for part in parts)
         self.total = tuple(part * square / (1 + part) / self.variance for part in parts)
 
@@ -100,8 +100,8 @@ def test_scattered_points_repeat_and_follow_the_seed():
 
 
 @pytest.mark.parametrize("function", [Ishigami, Product])
-def test_morris_and_sobol_are_asked_the_same_question(function):
-    """What SALib is given, and what is read from it, is judged by the closed form as well."""
+def test_morris_and_sobol_use_the_same_function(function):
+    """The input and output of SALib are checked by the closed form as well."""
     function = function()
     found = compare_sensitivity(function, torch.mean, points=256, base_samples=1024, trajectories=8, top=2)
     for k, total in enumerate(function.total, start=1):
@@ -149,7 +149,7 @@ class Noisy:
         return (1 + draw[..., 0]) * signal + 20 * draw[..., 1] * inputs["c"]
 
 
-def test_the_noise_of_rendering_is_no_sensitivity():
+def test_render_noise_is_not_counted_as_sensitivity():
     found = dgsm(Noisy(), torch.mean, points=256)
     rows = {row.name: row for row in found.rows}
     # b keeps the ratio of its channels, (u/2, u); means of a uniform interval have the variance 1/12.
@@ -162,7 +162,7 @@ def test_the_noise_of_rendering_is_no_sensitivity():
     assert abs(loud.variance - 11.25 / 12) < 4 * loud.variance_error < 2.5, str(loud)
 
 
-def test_a_metric_that_bends_is_judged_by_its_closed_form():
+def test_a_non_linear_metric_agrees_with_its_closed_form():
     """E[(2f ∂f)²] of the square of the mean, ``f = 3a + 1.5u`` over the unit square."""
     found = dgsm(Noisy(0.3), lambda image: image.mean() ** 2, parameters=["a", "b"], points=256)
     mean_square = (9 + 2.25) / 12 + 2.25**2
@@ -177,14 +177,14 @@ def test_every_render_is_counted():
     assert found.morris.renders == 4 * 7
     assert found.sobol.renders == 16 * 8
     assert (found.local.renders, found.dgsm.renders) == (2, 16)
-    # It cannot replay with another seed, so that both its pictures of a pass are forward passes.
+    # It has no seed_grad, so both images of a replicate are forward passes.
     assert renderer.calls == 28 + 128 + 8 * 2 + 8 * 2 * 2
-    # What the noise puts into the derivative of a metric that bends takes a backward pass of its own to be told.
+    # For a non-linear metric, the effect of noise on the derivative takes a separate backward pass.
     bent = compare_sensitivity(Noisy(), lambda i: i.mean().exp(), points=8, base_samples=4, trajectories=4)
     assert (bent.local.renders, bent.dgsm.renders) == (2 + 1 / 8, 8 * (2 + 1 / 2))
 
 
-def test_stable_is_what_changes_no_more():
+def test_a_ranking_is_stable_once_it_no_longer_changes():
     running = np.array([[3, 2, 1.0], [1, 2, 3], [3, 1, 2], [1, 3, 2], [2, 3, 1]])
     assert _samples_until_stable(running, 2) == 5
     assert _samples_until_stable(running[:4], 2) == 4
@@ -194,22 +194,22 @@ def test_stable_is_what_changes_no_more():
 
 
 class Sum(Function):
-    """Every number counts alike, but the last not at all."""
+    """Every number has the same weight, but the last has none."""
 
     def value(self, x):
         return x[:-1].sum()
 
 
-def test_a_tie_at_the_border_of_the_set_is_said():
+def test_a_tie_at_the_border_of_the_set_is_reported():
     settings = {"points": 8, "base_samples": 4, "trajectories": 4}
     tied = compare_sensitivity(Sum(4, 0.0, 1.0), torch.mean, top=2, **settings)
     assert not any(one.resolved for one in (tied.local, tied.dgsm, tied.morris))
     assert "tied" in str(tied)
-    told = compare_sensitivity(Sum(4, 0.0, 1.0), torch.mean, top=3, **settings)
-    assert all(one.resolved for one in (told.local, told.dgsm, told.morris))
+    compared = compare_sensitivity(Sum(4, 0.0, 1.0), torch.mean, top=3, **settings)
+    assert all(one.resolved for one in (compared.local, compared.dgsm, compared.morris))
 
 
-def test_targets_come_from_the_same_renders():
+def test_targets_share_their_renders():
     renderer = Product()
 
     def two(image):
@@ -227,7 +227,7 @@ def test_targets_come_from_the_same_renders():
 
 
 class Table:
-    """Only what tells intervals."""
+    """A parameter table with only what intervals depend on."""
 
     inputs = {  # noqa: RUF012
         "colour": torch.tensor([0.8, 0.2, 0.0]),
@@ -268,7 +268,7 @@ def test_one_number_moves_a_parameter_within_its_bounds():
     assert {name: (one.low, one.high) for name, one in given.items()} == {"lamp": (0.0, 8.0)}
 
 
-def test_what_a_bound_leaves_out_is_left_out(mi):
+def test_intervals_leave_out_the_bounds_of_roughness(mi):
     renderer = SceneRenderer("office", inputs="roughness", resolution=(16, 9), spp=1)
     for one in find_scalars(renderer, renderer.inputs, None, None):
         assert 0 < one.low < 0.01
@@ -276,7 +276,7 @@ def test_what_a_bound_leaves_out_is_left_out(mi):
         assert one.label == renderer.labels[one.name]
 
 
-def test_bad_input_is_named():
+def test_bad_input_is_refused():
     renderer = Product()
     for wrong, words in [
         ({"parameters": ["y*"]}, "'y\\*' matches none"),

@@ -1,4 +1,4 @@
-"""Maps over renders, luminance, rank comparisons and metric specificity, by what is in the figures."""
+"""Maps over renders, luminance, rank comparisons and metric specificity, by the contents of the figures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def hexes(colors: Any) -> list[str]:
 
 
 def outside(figure: Any) -> list[str]:
-    """Return the texts that are cut off at the edges of a figure, of those that are drawn at all."""
+    """Return the drawn texts that are cut off at the edges of a figure."""
     from matplotlib.text import Text
 
     with mock.patch.object(Text, "draw", autospec=True, side_effect=Text.draw) as draw:
@@ -76,7 +76,7 @@ def test_the_legend_says_what_a_sign_means(quantity: str, said: str, not_said: s
     assert not_said not in text
 
 
-def test_contributions_without_a_named_quantity_add_and_take() -> None:
+def test_contributions_without_a_named_quantity_add_or_take() -> None:
     text = all_text(plot_bars(dataclasses.replace(make(), convergence_delta=0.01)))
     assert "adds to the metric" in text
     assert "saliency: contribution to Glare" in text
@@ -96,7 +96,7 @@ def test_a_difference_is_not_called_the_metric() -> None:
     assert "the metric" not in text
 
 
-def test_bars_of_nothing_say_so_and_claim_no_sign() -> None:
+def test_bars_of_zeros_are_labelled_and_have_no_sign() -> None:
     still = make()
     zero = dataclasses.replace(
         still,
@@ -127,7 +127,7 @@ def test_no_text_of_the_bars_is_cut_off(top: int | None) -> None:
     assert outside(plot_bars(make(), top=top)) == []
 
 
-def test_the_bars_keep_their_height_under_long_words() -> None:
+def test_the_bars_keep_their_height_under_long_text() -> None:
     figure = plot_bars(lengthy())
     figure.canvas.draw()
     bars = figure.axes[0].patches
@@ -152,12 +152,12 @@ def test_the_overlay_is_a_map_over_a_grey_render() -> None:
     order = np.argsort(heat.ravel())
     assert (np.diff(opacity.ravel()[order]) >= -1e-6).all()
     assert opacity.max() > opacity.min()
-    # The legend is not transparent, whatever the map is.
+    # The legend is opaque, even if the map is transparent.
     assert bar.collections[-1].get_alpha() is None
     assert "relative to the strongest" in all_text(figure)
 
 
-def test_the_overlay_refuses_what_it_cannot_draw() -> None:
+def test_invalid_overlays_are_refused() -> None:
     with pytest.raises(SceneCaptumError, match="alpha"):
         plot_overlay(make(), alpha=1.5)
     with pytest.raises(SceneCaptumError, match="no picture"):
@@ -170,7 +170,7 @@ def test_the_overlay_refuses_what_it_cannot_draw() -> None:
     ("scale", "places"),
     [("sqrt", (0.0, 0.1, 1.0)), ("linear", (0.0, 0.01, 1.0)), ("log", (0.0, 1 / 3, 1.0))],
 )
-def test_scales_place_values_and_write_them_at_the_legend(scale: Any, places: tuple[float, ...]) -> None:
+def test_scales_map_values_and_label_the_legend(scale: Any, places: tuple[float, ...]) -> None:
     figure = plot_heatmap(make(), scale=scale)
     norm = figure.axes[1].images[0].norm
     np.testing.assert_allclose(norm([0.0, 0.01, 1.0]), places, atol=1e-9)
@@ -191,7 +191,7 @@ def test_maps_draw_into_given_axes() -> None:
     assert len(figure.axes) == 4  # each with its colour bar
 
 
-def test_maps_of_nothing_say_so() -> None:
+def test_maps_of_zeros_are_labelled() -> None:
     zero = dataclasses.replace(make(), attributions={name: 0 * value for name, value in make().items()})
     assert "all saliencies are 0" in all_text(plot_heatmap(zero))
     assert "all saliencies are 0" not in all_text(plot_heatmap(make()))
@@ -233,7 +233,7 @@ def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
     assert "orange: raising it lowers the metric" in all_text(figure)
 
 
-def test_colour_maps_are_as_light_as_they_are_strong() -> None:
+def test_lightness_of_colour_maps_follows_the_magnitude() -> None:
     from kornia.color import rgb_to_lab
 
     def lightness(colors: Any, at: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -289,14 +289,14 @@ def test_an_efficacy_and_limits_can_be_given() -> None:
 
 
 @pytest.mark.parametrize("fill", [0.0, 1e-30, 5.0, 1e30])
-def test_any_picture_has_a_scale(fill: float) -> None:
+def test_any_image_has_a_scale(fill: float) -> None:
     figure = metrics.plot_luminance(torch.full((4, 6, 3), fill))
     figure.canvas.draw()
     norm = figure.axes[0].images[0].norm
     assert 0 < norm.vmin < norm.vmax < math.inf
 
 
-def test_black_is_dark_and_what_is_no_number_is_grey() -> None:
+def test_black_is_dark_and_nan_is_grey() -> None:
     image = torch.full((4, 6, 3), 1.0)
     image[0, 0], image[1, 1] = 0.0, math.nan
     (shown,) = metrics.plot_luminance(image).axes[0].images
@@ -346,7 +346,7 @@ def test_one_source_none_and_many() -> None:
     assert len(figure.axes[0].collections[0].get_segments()) == 2 * (4 + 10)
 
 
-def test_what_a_fisheye_does_not_see_is_grey() -> None:
+def test_pixels_outside_a_fisheye_are_grey() -> None:
     camera = Camera.fisheye(16, 16)
     (shown,) = metrics.plot_luminance(torch.ones(16, 16, 3), camera).axes[0].images
     unseen = (camera.solid_angles == 0).numpy()
@@ -354,7 +354,7 @@ def test_what_a_fisheye_does_not_see_is_grey() -> None:
     np.testing.assert_array_equal(np.ma.getmaskarray(shown.get_array()), unseen)
 
 
-def test_a_picture_of_another_camera_is_refused() -> None:
+def test_an_image_of_another_camera_is_refused() -> None:
     _, rating = glaring()
     with pytest.raises(SceneCaptumError, match=r"\(5, 7\).*\(24, 36\)"):
         metrics.plot_luminance(torch.ones(5, 7, 3), rating)
@@ -370,7 +370,7 @@ def ranked(order: str, **info: Any) -> SceneAttribution:
 
 
 def ends(figure: Any) -> dict[str, tuple[float, float]]:
-    """Return each line's places left and right, by its label."""
+    """Return each line's left and right rank, by its label."""
     axes = figure.axes[0]
     written = [text for text in axes.texts if text.xy[0] == 0 and text.get_text() in "abcdefgh"]
     names = {text.xy[1]: text.get_text() for text in written}
@@ -378,7 +378,7 @@ def ends(figure: Any) -> dict[str, tuple[float, float]]:
     return {names[line.get_ydata()[0]]: tuple(line.get_ydata()) for line in lines}
 
 
-def test_slopes_show_who_rises_and_falls() -> None:
+def test_lines_show_which_parameters_rise_and_fall() -> None:
     figure = plot_rank_comparison(ranked("abcde", metric="First"), ranked("cabed", metric="Second"))
     assert ends(figure) == {"a": (1, 2), "b": (2, 3), "c": (3, 1), "d": (4, 5), "e": (5, 4)}
     lines = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
@@ -389,7 +389,7 @@ def test_slopes_show_who_rises_and_falls() -> None:
     assert hexes(line.get_color() for line in same.axes[0].lines) == [UNCLEAR, UNCLEAR]
 
 
-def test_what_is_among_the_first_of_either_is_shown_with_its_rank() -> None:
+def test_the_top_of_either_ranking_is_shown_with_its_ranks() -> None:
     figure = plot_rank_comparison(ranked("abcdefgh"), ranked("hbacdefg"), top=2)
     assert ends(figure) == {"a": (1, 3), "b": (2, 2), "h": (3, 1)}
     written = {(text.xy, text.get_text()) for text in figure.axes[0].texts}
@@ -400,7 +400,7 @@ def test_what_is_among_the_first_of_either_is_shown_with_its_rank() -> None:
     assert "5 parameters not shown" in all_text(figure)
 
 
-def test_what_noise_may_have_moved_is_dotted() -> None:
+def test_rank_changes_within_the_noise_are_dashed() -> None:
     def measured(values: dict[str, float], error: float) -> SceneAttribution:
         tensors = {name: torch.tensor(value) for name, value in values.items()}
         return SceneAttribution(
@@ -462,7 +462,7 @@ def test_kendalls_tau(a: list[float], b: list[float], tau: float) -> None:
     assert kendall_tau(a, b) == pytest.approx(tau, abs=1e-12)
 
 
-def test_kendalls_tau_of_what_is_all_alike_is_undefined() -> None:
+def test_kendalls_tau_of_equal_values_is_undefined() -> None:
     assert math.isnan(kendall_tau([1, 1], [1, 2]))
     alike = dataclasses.replace(ranked("ab"), attributions={n: torch.tensor(0.0) for n in "ab"})
     assert "not defined" in all_text(plot_rank_comparison(alike, ranked("ab")))

@@ -87,7 +87,7 @@ def test_shortened_names_stay_different() -> None:
 # -- tables ----------------------------------------------------------------------------------------------
 
 
-def test_table_says_what_was_measured_and_how() -> None:
+def test_table_shows_what_was_measured_and_how() -> None:
     heading = table_text(make()).splitlines()[0]
     assert heading == "Glare = 2.336942 ± 0.000533 · VanillaSceneGradient · 64 spp in 8 replicates"
 
@@ -103,7 +103,7 @@ def test_table_ranks_with_sign_error_and_channels() -> None:
     assert len(points) == 1
 
 
-def test_texture_shows_totals_and_says_so() -> None:
+def test_texture_shows_totals_with_a_note() -> None:
     text = table_text(make())
     assert re.search(r"Σ .*-0\.080 +-0\.120 +-0\.160$", row_of("floor", text))
     assert "Σ totals over the texels" in text
@@ -111,7 +111,7 @@ def test_texture_shows_totals_and_says_so() -> None:
     assert "texel" not in table_text(plain)
 
 
-def test_missing_error_bars_are_said_and_explained() -> None:
+def test_missing_error_bars_are_explained() -> None:
     text = table_text(make(barred=False))
     assert "no error bars: 1 replicate" in text
     assert "±" not in text
@@ -158,13 +158,13 @@ def test_a_goal_is_reported_in_one_line(changes: dict[str, Any], words: str) -> 
     assert words in planned(**changes)._repr_html_()
 
 
-def test_interruption_is_said() -> None:
+def test_interruption_is_reported() -> None:
     text = table_text(make(interrupted=True, replicates=3))
     assert "interrupted after 3 replicates" in text
     assert "in 3 replicates" not in text
 
 
-def test_what_is_left_out_for_its_value_is_named_in_every_form() -> None:
+def test_parameters_left_out_for_their_values_are_named_in_every_form() -> None:
     said = "knob.eta.value is left out: it is -0.0485"
     left_out = make(left_out={"knob.eta.value": "it is -0.0485"})
     assert f"! {said}" in " ".join(table_text(left_out).split())
@@ -198,7 +198,7 @@ def test_no_line_is_wider_than_the_terminal(columns: int, monkeypatch: pytest.Mo
         assert "-0.200" in text
 
 
-def test_long_rankings_end_with_what_is_left_out() -> None:
+def test_long_rankings_end_with_the_number_of_hidden_rows() -> None:
     text = table_text(make(), top=2)
     assert "… and 6 more of at most 0.215" in text
     assert "desk" not in text
@@ -261,7 +261,7 @@ def test_bars_show_order_sign_and_error() -> None:
         assert said in text
 
 
-def test_bars_left_out_and_missing_whiskers_are_said() -> None:
+def test_omitted_bars_and_missing_whiskers_are_noted() -> None:
     figure = plot_bars(make(barred=False), top=3)
     (axes,) = figure.axes
     assert len(axes.patches) == 3
@@ -291,12 +291,12 @@ def test_bars_draw_into_given_axes_and_names_are_not_formulas() -> None:
     figure.canvas.draw()
 
 
-def test_bars_refuse_a_count_that_shows_nothing() -> None:
+def test_bars_refuse_a_count_of_zero() -> None:
     with pytest.raises(SceneCaptumError, match="top must be at least 1"):
         plot_bars(make(), top=0)
 
 
-def test_heatmap_sets_the_saliency_beside_the_render() -> None:
+def test_heatmap_shows_the_saliency_beside_the_render() -> None:
     attribution = make()
     figure = plot_heatmap(attribution)
     left, right, bar = figure.axes
@@ -309,21 +309,21 @@ def test_heatmap_sets_the_saliency_beside_the_render() -> None:
     assert "VanillaSceneGradient" in all_text(figure)
 
 
-def test_heatmap_names_what_matters_out_of_sight() -> None:
+def test_heatmap_names_salient_invisible_parameters() -> None:
     assert "not in the picture: lamp, #1" in all_text(plot_heatmap(make()))
     seen = dataclasses.replace(make(), surfaces=surfaces("lamp", "two_minds"))
     assert "not in the picture: floor, #3" in all_text(plot_heatmap(seen))
-    # What no pixel shows but is not among the first three is not worth a line.
+    # Invisible parameters below the first three are not listed.
     weak = {name: value for name, value in make().items() if name in ("lamp", "two_minds", "noisy")}
     first = dataclasses.replace(seen, attributions={**weak, "third": torch.tensor(0.2)}, covariance=None)
     shown = dataclasses.replace(first.surfaces, parameters=(("lamp", "third"), ("two_minds",), ()))
     assert "not in the picture" not in all_text(plot_heatmap(dataclasses.replace(first, surfaces=shown)))
-    # A group is in the picture where one of its members is.
+    # A group is visible where one of its members is.
     grouped = make(groups={"lamp": ["bulb", "rough"], "two_minds": ["elsewhere"]})
     assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))
 
 
-def test_heatmap_needs_to_know_what_pixels_show() -> None:
+def test_heatmap_needs_a_surface_map() -> None:
     with pytest.raises(SceneCaptumError, match="which object each pixel shows"):
         plot_heatmap(dataclasses.replace(make(), surfaces=None))
     with pytest.raises(SceneCaptumError, match="no picture"):
@@ -394,7 +394,7 @@ def test_exposure_is_one_factor_and_the_dark_is_srgb() -> None:
 def test_automatic_exposure_ignores_borders_and_scale() -> None:
     room = 0.02 + torch.rand(20, 20, 3, generator=torch.Generator().manual_seed(shifted(1)))
     black, dim = torch.zeros(100, 100, 3), torch.full((22, 22, 3), 1e-7)
-    for border in (black, dim):  # black ones may be most of the picture
+    for border in (black, dim):  # black ones may cover most of the image
         border[1:21, 1:21] = room
         inside = display_image(border)[1:21, 1:21]
         torch.testing.assert_close(inside, display_image(room), atol=1e-5, rtol=1e-5)
@@ -402,12 +402,12 @@ def test_automatic_exposure_ignores_borders_and_scale() -> None:
     assert 0.3 < display_image(room).mean() < 0.65
 
 
-def test_automatic_exposure_does_not_let_windows_burn_out() -> None:
+def test_automatic_exposure_does_not_clip_windows() -> None:
     room = torch.full((10, 10, 3), 0.01)
     room[:2], room[2:4] = 5.0, 2.5
     shown = display_image(room)[:, 0, 0]
     assert shown[9] < display_image(torch.full((10, 10, 3), 0.01))[9, 0, 0]
-    assert shown[0] - shown[2] > 2 / 255  # what the window shows can still be told apart
+    assert shown[0] - shown[2] > 2 / 255  # details in the window are still distinguishable
 
 
 @pytest.mark.parametrize("shape", [(3, 4), (3, 8, 8), (2, 4, 4, 3)])
@@ -432,6 +432,6 @@ def test_saved_render_has_its_own_size_and_values(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.asarray(saved), expected.numpy())
 
 
-def test_save_render_says_where_it_cannot_write(tmp_path: Path) -> None:
+def test_save_render_names_an_unwritable_path(tmp_path: Path) -> None:
     with pytest.raises(SceneCaptumError, match="cannot be written"):
         save_render(torch.zeros(2, 2, 3), tmp_path / "missing" / "render.png")
