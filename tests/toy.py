@@ -1,4 +1,4 @@
-"""A renderer in a few lines of torch, quick enough to repeat hundreds of times."""
+"""Renderers in a few lines of torch, quick enough to repeat hundreds of times, and a non-linear metric."""
 
 from __future__ import annotations
 
@@ -43,3 +43,7 @@ class ReplayingToyRenderer(ToyRenderer):
         primal = self.sampled(seed, spp) @ inputs["x"].detach()
         linear = self.sampled(seed if seed_grad is None else seed_grad, spp) @ inputs["x"]
         return primal + linear - linear.detach()
+
+
+def log_mean(image: torch.Tensor) -> torch.Tensor:
+    return image.mean().log()

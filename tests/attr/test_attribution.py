@@ -1,3 +1,5 @@
+"""Attribution by plain gradients: error bars, the result object, interruption and refusals."""
+
 from __future__ import annotations
 
 import math
@@ -9,16 +11,12 @@ import pytest
 import torch
 from chance import allowed
 from seeds import seeds, shifted
-from toy import ReplayingToyRenderer, ToyRenderer
+from toy import ReplayingToyRenderer, ToyRenderer, log_mean
 
 import scenecaptum
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.estimation import Budget, TargetedMetric, channel_totals, jackknife, student_t
-
-
-def log_mean(image: torch.Tensor) -> torch.Tensor:
-    return image.mean().log()
+from scenecaptum.estimation import channel_totals
 
 
 def glare_like(image: torch.Tensor) -> torch.Tensor:
@@ -39,41 +37,6 @@ def exact_gradient(renderer: ToyRenderer, metric) -> torch.Tensor:
     x = renderer.inputs["x"].clone().requires_grad_()
     (gradient,) = torch.autograd.grad(metric(renderer.exact({"x": x})), x)
     return gradient
-
-
-# ------------------------------------------------------------------------------------------ the sample budget
-
-
-@pytest.mark.parametrize(
-    ("spp", "minimum", "replicates", "each"),
-    [
-        (64, 8, 8, 8),
-        (60, 8, 10, 6),
-        (1, 8, 1, 1),
-        (5, 8, 5, 1),
-        (17, 8, 8, 3),
-        (64, 1, 1, 64),
-        (None, 8, 8, None),
-    ],
-)
-def test_budget_is_split_evenly_and_never_smaller_than_asked(spp, minimum, replicates, each):
-    budget = Budget.split(spp, minimum, seed=shifted())
-    assert (budget.replicates, budget.spp) == ((replicates,), (each,))
-    if spp is not None:
-        assert replicates * each >= spp
-
-
-def test_all_seeds_of_a_budget_differ_and_depend_on_the_seed():
-    a, b = Budget.split(64, 8, seed=shifted()), Budget.split(64, 8, seed=shifted(1))
-    seeds = [*a.seeds[0], *a.gradient_seeds[0], *b.seeds[0], *b.gradient_seeds[0]]
-    assert len(set(seeds)) == len(seeds)
-    assert Budget.split(64, 8, seed=shifted()) == a
-
-
-@pytest.mark.parametrize("replicates", [0, -1, 1.5, True])
-def test_bad_number_of_replicates_is_refused(replicates):
-    with pytest.raises(SceneCaptumError, match="replicates"):
-        Budget.split(64, replicates, seed=shifted())
 
 
 # ------------------------------------------------------------------------------------------ the error bars
@@ -108,18 +71,7 @@ def test_error_bars_include_the_noise_of_the_image():
     assert abs(share - 0.95) < width, f"95 % intervals cover {share:.1%}, allowed 95 ± {width:.1%}"
 
 
-def test_jackknife_bias_of_the_metric_matches_the_delta_method():
-    renderer = ToyRenderer(noise=0.3)
-    images = [renderer(renderer.inputs, seed=seed, spp=2) for seed in seeds(8 * REPEATS)]
-    sets = [images[i : i + 8] for i in range(0, len(images), 8)]
-    biases = torch.tensor([jackknife(TargetedMetric(log_mean), one).bias for one in sets])
-    means = torch.stack([image.mean() for image in images])
-    expected = -means.var() / means.mean() ** 2 / 2 / 8
-    z = (biases.mean() - expected) / (biases.std() / math.sqrt(REPEATS))
-    assert abs(z) < allowed(REPEATS), f"mean estimate {biases.mean():.2e}, not {expected:.2e}, z = {z:.1f}"
-
-
-def test_bias_of_a_linear_metric_is_zero_and_costs_no_backward_pass():
+def test_bias_of_a_linear_metric_is_zero():
     attribution = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute()
     assert not attribution.bias["x"].any()
 
@@ -139,13 +91,6 @@ def test_a_renderer_that_ignores_the_seed_gets_errors_of_zero():
     attribution = VanillaSceneGradient(renderer, log_mean).attribute()
     torch.testing.assert_close(attribution["x"], exact_gradient(renderer, log_mean))
     assert attribution.standard_error["x"].max() < 1e-6
-
-
-@pytest.mark.parametrize(("level", "degrees", "expected"), [
-    (0.95, 7, 2.364624), (0.95, 1, 12.706205), (0.95, 2, 4.302653), (0.99, 8, 3.355387), (0.5, 30, 0.682756),
-])  # fmt: skip
-def test_student_quantiles_agree_with_the_tables(level, degrees, expected):
-    assert student_t(level, degrees) == pytest.approx(expected, abs=1e-6)
 
 
 # ------------------------------------------------------------------------------------------ the metric

@@ -8,7 +8,7 @@ import pytest
 import torch
 from chance import allowed, check_error_bars
 from seeds import seeds, shifted
-from toy import ToyRenderer
+from toy import ToyRenderer, log_mean
 
 from scenecaptum import (
     AttributionInterrupted,
@@ -63,10 +63,6 @@ BASELINES = {"lamp": 0.2, "wall": torch.tensor([0.1, 0.6, 0.3]), "paper": 0.4}
 
 def parts(renderer: PartsRenderer) -> dict[str, torch.Tensor]:
     return {name: renderer.inputs[name] for name in PLAYERS}
-
-
-def log_mean(image: torch.Tensor) -> torch.Tensor:
-    return image.mean().log()
 
 
 def glare_like(image: torch.Tensor) -> torch.Tensor:

@@ -11,7 +11,7 @@ import pytest
 import torch
 from chance import allowed, binomial_margin
 from seeds import seeds, shifted
-from toy import ToyRenderer
+from toy import ToyRenderer, log_mean
 from tqdm import tqdm
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, activate, cli, metrics
@@ -67,10 +67,6 @@ class SpikyRenderer:
     def __call__(self, inputs, *, seed, spp, seed_grad=None):
         linear = self.sampled(inputs, seed if seed_grad is None else seed_grad, spp)
         return self.sampled(inputs, seed, spp).detach() + linear - linear.detach()
-
-
-def log_mean(image):
-    return image.mean().log()
 
 
 def contrast(image):

@@ -6,7 +6,9 @@ import math
 
 import pytest
 import torch
+from chance import allowed
 from seeds import seeds, shifted
+from toy import ToyRenderer, log_mean
 
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.estimation._jackknife import _directions, _shrinkage, jackknife
@@ -89,3 +91,14 @@ def test_the_correction_adds_no_noise_for_a_metric_with_kinks():
         plain += (adjoint - truth).square().sum().item()
         corrected += (mean - truth).square().sum().item()
     assert corrected < 1.2 * plain, f"{corrected / plain:.2f} times the error of the plain adjoint, squared"
+
+
+def test_bias_of_the_metric_matches_the_delta_method():
+    renderer, repeats = ToyRenderer(noise=0.3), 150
+    images = [renderer(renderer.inputs, seed=seed, spp=2) for seed in seeds(8 * repeats)]
+    sets = [images[i : i + 8] for i in range(0, len(images), 8)]
+    biases = torch.tensor([jackknife(TargetedMetric(log_mean), one).bias for one in sets])
+    means = torch.stack([image.mean() for image in images])
+    expected = -means.var() / means.mean() ** 2 / 2 / 8
+    z = (biases.mean() - expected) / (biases.std() / math.sqrt(repeats))
+    assert abs(z) < allowed(repeats), f"mean estimate {biases.mean():.2e}, not {expected:.2e}, z = {z:.1f}"

@@ -12,6 +12,10 @@ from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient
 GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}}
 
 
+def small_box() -> SceneRenderer:
+    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
+
+
 def rgb(value: float) -> dict[str, Any]:
     return {"type": "rgb", "value": [value] * 3}
 

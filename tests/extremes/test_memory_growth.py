@@ -13,7 +13,9 @@ from typing import Any
 import pytest
 from seeds import shifted
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum import VanillaSceneGradient, metrics
+
+from .scenes import small_box
 
 MEBIBYTE = 2**20
 
@@ -67,10 +69,6 @@ def test_five_hundred_attributions_leave_nothing_behind(mi: Any) -> None:
 @needs_proc
 def test_new_renderers_leave_nothing_behind(mi: Any) -> None:
     assert growth("new renderers", 150, 50) < 20
-
-
-def small_box() -> SceneRenderer:
-    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
 
 
 def test_a_renderer_is_freed_with_its_last_reference(mi: Any) -> None:

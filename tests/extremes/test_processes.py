@@ -18,15 +18,13 @@ from seeds import shifted
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.scene import SceneGraph
 
+from .scenes import small_box
+
 FLOOR = "floor.reflectance.value"
 PATIENCE = 100.0  # seconds, after which a process counts as hanging
 
 # Atomic additions happen in varying order: a gradient repeats to about 1e-6 of its size.
 SAME = {"rtol": 2e-5, "atol": 1e-9}
-
-
-def small_box() -> SceneRenderer:
-    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
 
 
 def attribution_of(seed: int) -> dict[str, torch.Tensor]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from refusals import message
 from seeds import shifted
 from toy import ToyRenderer
 
@@ -459,38 +460,32 @@ def test_a_renderer_without_a_table_has_closed_bounds() -> None:
 # --- What is refused -------------------------------------------------------------------------------
 
 
-def refused(call: Callable[[], Any]) -> str:
-    with pytest.raises(SceneCaptumError) as caught:
-        call()
-    return str(caught.value)
-
-
 def test_options_are_checked_at_construction() -> None:
     toy = ToyRoom()
-    assert '"raise" or "reflect", not \'clip\'' in refused(lambda: as_captum(toy, brightness, bounds="clip"))
-    assert "seed must be" in refused(lambda: as_captum(toy, brightness, seed=-1))
-    assert "seed must be" in refused(lambda: as_captum(toy, brightness, seed=2**32))
-    assert "has bounds" in refused(lambda: as_captum(ToyRenderer(), brightness, bounds="reflect"))
-    assert "has no inputs" in refused(lambda: as_captum(lambda inputs, *, seed, spp: None, brightness))
+    assert '"raise" or "reflect", not \'clip\'' in message(lambda: as_captum(toy, brightness, bounds="clip"))
+    assert "seed must be" in message(lambda: as_captum(toy, brightness, seed=-1))
+    assert "seed must be" in message(lambda: as_captum(toy, brightness, seed=2**32))
+    assert "has bounds" in message(lambda: as_captum(ToyRenderer(), brightness, bounds="reflect"))
+    assert "has no inputs" in message(lambda: as_captum(lambda inputs, *, seed, spp: None, brightness))
 
 
 def test_tensors_that_are_not_a_batch_of_the_inputs_are_refused() -> None:
     forward, inputs = as_captum(ToyRoom(), brightness)
     colour, roughness, light = inputs
-    assert "3 inputs, in their order, not 2" in refused(lambda: forward(colour, roughness))
-    assert "additional_forward_args" in refused(
+    assert "3 inputs, in their order, not 2" in message(lambda: forward(colour, roughness))
+    assert "additional_forward_args" in message(
         lambda: captum.Saliency(forward).attribute(inputs, additional_forward_args=(torch.zeros(1),))
     )
-    message = refused(lambda: forward(colour, roughness.expand(2), light))
-    assert "'colour' has 1 and 'roughness' 2" in message
-    assert "not a 0-d tensor" in refused(lambda: forward(colour, roughness[0], light))
-    assert "not float" in refused(lambda: forward(colour, 0.5, light))
-    assert "no rows" in refused(lambda: forward(*(value[:0] for value in inputs)))
+    unequal = message(lambda: forward(colour, roughness.expand(2), light))
+    assert "'colour' has 1 and 'roughness' 2" in unequal
+    assert "not a 0-d tensor" in message(lambda: forward(colour, roughness[0], light))
+    assert "not float" in message(lambda: forward(colour, 0.5, light))
+    assert "no rows" in message(lambda: forward(*(value[:0] for value in inputs)))
 
 
 def test_a_row_of_the_wrong_shape_is_refused_by_the_renderer(box: SceneRenderer) -> None:
     forward, inputs = box.as_captum(brightness)
-    assert "has shape (2,)" in refused(lambda: forward(inputs[0][:, :2], *inputs[1:]))
+    assert "has shape (2,)" in message(lambda: forward(inputs[0][:, :2], *inputs[1:]))
 
 
 @pytest.mark.parametrize(
@@ -505,4 +500,4 @@ def test_a_row_of_the_wrong_shape_is_refused_by_the_renderer(box: SceneRenderer)
 )
 def test_metrics_that_return_neither_scalar_nor_vector_are_refused(metric: Any, said: str) -> None:
     forward, inputs = as_captum(ToyRoom(), metric)
-    assert said in refused(lambda: forward(*inputs))
+    assert said in message(lambda: forward(*inputs))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 from chance import allowed
+from refusals import message
 from seeds import seeds, shifted
 from torch.autograd import forward_ad, functional, gradcheck
 
@@ -63,12 +64,6 @@ def relative(measured: torch.Tensor, expected: torch.Tensor) -> float:
     assert measured.shape == expected.shape
     scale = expected.double().norm().item()
     return (measured.double() - expected.double()).norm().item() / (scale or 1.0)
-
-
-def message(call: Callable[[], Any]) -> str:
-    with pytest.raises(SceneCaptumError) as caught:
-        call()
-    return str(caught.value)
 
 
 def small_cornell(**changes: Any) -> Config:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from chance import allowed
 from seeds import shifted
+from toy import log_mean
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.errors import SceneCaptumError
@@ -30,10 +31,6 @@ class Curved:
         a, b, c, d = (inputs[name] for name in "abcd")
         noise = torch.randn(self.matrix.shape, generator=torch.Generator().manual_seed(seed)) / math.sqrt(spp)
         return self.matrix * (1 + self.noise * noise) @ torch.stack([a**2, b.sqrt(), c.exp(), d])
-
-
-def log_mean(image: torch.Tensor) -> torch.Tensor:
-    return image.mean().log()
 
 
 @pytest.mark.parametrize("metric", [torch.mean, log_mean])

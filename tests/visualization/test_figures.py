@@ -16,7 +16,6 @@ import torch
 from results import CASES, all_text, make, surfaces
 
 from scenecaptum import Camera, SceneAttribution, SceneCaptumError, metrics
-from scenecaptum.ranks import kendall_tau
 from scenecaptum.visualization import (
     LOWERS,
     RAISES,
@@ -449,21 +448,7 @@ def test_comparisons_need_parameters_in_common() -> None:
     assert "2 parameters that only one" in all_text(plot_rank_comparison(ranked("abc"), ranked("bcd")))
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "tau"),
-    [
-        ([1, 2, 3, 4], [1, 2, 3, 4], 1.0),
-        ([1, 2, 3, 4], [4, 3, 2, 1], -1.0),
-        ([12, 2, 1, 12, 2], [1, 4, 7, 1, 0], -0.47140452079103173),  # scipy's own example
-        ([1, 1, 2], [1, 2, 3], 2 / math.sqrt(6)),
-    ],
-)
-def test_kendalls_tau(a: list[float], b: list[float], tau: float) -> None:
-    assert kendall_tau(a, b) == pytest.approx(tau, abs=1e-12)
-
-
-def test_kendalls_tau_of_equal_values_is_undefined() -> None:
-    assert math.isnan(kendall_tau([1, 1], [1, 2]))
+def test_an_undefined_rank_correlation_is_noted() -> None:
     alike = dataclasses.replace(ranked("ab"), attributions={n: torch.tensor(0.0) for n in "ab"})
     assert "not defined" in all_text(plot_rank_comparison(alike, ranked("ab")))
 
