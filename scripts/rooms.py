@@ -4,20 +4,24 @@
     python scripts/rooms.py draw FILE.svg  draw the rooms and who imports whom
 
 A room is a folder or a module of ``src/scenecaptum``. It may import the rooms below it, and of these only what is
-public: ``from ..scene import X``, never ``from ..scene._x import X``.
+public: ``from ..scene import X``, never ``from ..scene._x import X``. A test may use what is private to ``scene``
+only if it is in ``tests/scene/``.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import re
 import sys
+import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 SOURCE = Path(__file__).parents[1] / "src" / "scenecaptum"
+TESTS = Path(__file__).parents[1] / "tests"
 PACKAGE = SOURCE.name
 
 # Top to bottom; the rooms of one floor do not know each other.
@@ -72,18 +76,21 @@ def imports(files: Mapping[str, Path]) -> Iterator[Import]:
     for name, path in files.items():
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                targets = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-                origin = ".".join([*base, *([node.module] if node.module else [])])
-                targets = [f"{origin}.{alias.name}" for alias in node.names]
-            else:
-                continue
-            for target in targets:
+            for target in targets(node, package).values():
                 module = target if target in files else target.rpartition(".")[0]
                 if module in files and module != name:
                     yield Import(name, module, node.lineno)
+
+
+def targets(node: ast.AST, package: str = "") -> dict[str, str]:
+    """Return the full name of whatever an import statement of a package binds; nothing for other nodes."""
+    if isinstance(node, ast.Import):
+        return {alias.asname or alias.name: alias.name for alias in node.names}
+    if isinstance(node, ast.ImportFrom):
+        base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+        origin = ".".join([*base, *([node.module] if node.module else [])])
+        return {alias.asname or alias.name: f"{origin}.{alias.name}" for alias in node.names}
+    return {}
 
 
 def circles(arrows: Mapping[str, set[str]]) -> list[list[str]]:
@@ -115,10 +122,52 @@ def circles(arrows: Mapping[str, set[str]]) -> list[list[str]]:
     return found
 
 
+def has_private_part(name: str) -> bool:
+    """Whether a dotted name leads through anything private: ``scenecaptum.__version__`` does not."""
+    return any(part.startswith("_") and not part.startswith("__") for part in name.split("."))
+
+
 def is_private(one: Import) -> bool:
     """Whether a module is imported that another room keeps to itself."""
     importer, imported = one.rooms
-    return importer != imported and any(part.startswith("_") for part in one.imported.split(".")[1:])
+    return importer != imported and has_private_part(one.imported)
+
+
+def private_in_tests() -> Iterator[str]:
+    """Yield a line for every use in a test of what is private to a room that is not the test's own."""
+    for path in sorted(TESTS.rglob("*.py")):
+        first = path.relative_to(TESTS).parts[0]
+        own = first.removeprefix("test_").removesuffix(".py")  # tests/scene/… or tests/test_camera.py
+        for name, line in sorted(used(ast.parse(path.read_text())), key=lambda use: use[1]):
+            if has_private_part(name) and room_of(name) != own:
+                where = path.relative_to(TESTS.parent).as_posix()
+                yield f"test: {where}:{line} uses {name}, which is for tests/{room_of(name)}/ only"
+
+
+def used(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield every name of the package that code imports, and private ones that it reads from these, with the line.
+
+    Code and dotted names in strings count: tests run the one in processes of their own and replace the other.
+    """
+    found = {name: full for node in ast.walk(tree) for name, full in targets(node).items()}
+    for node in ast.walk(tree):
+        names = list(targets(node).values())
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.attr.startswith("_"):
+            names = [f"{found.get(node.value.id)}.{node.attr}"]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and PACKAGE in node.value:
+            if re.fullmatch(rf"{PACKAGE}[\w.]+", node.value):
+                names = [node.value]
+            else:
+                names = [name for name, _ in used(parsed(node.value))]
+        yield from ((name, node.lineno) for name in names if name.split(".")[0] == PACKAGE)
+
+
+def parsed(text: str) -> ast.AST:
+    """Return a string as code: empty if it is none."""
+    try:
+        return ast.parse(textwrap.dedent(text))
+    except SyntaxError:
+        return ast.Module([], [])
 
 
 def faults(found: list[Import]) -> list[str]:
@@ -182,10 +231,10 @@ def main() -> int:
             parser.error("draw needs a FILE")
         draw(found, args.file)
         return 0
-    lines = faults(found)
+    lines = [*faults(found), *private_in_tests()]
     for line in lines:
         print(line)
-    for kind in ("circle", "upward", "private", "no floor"):
+    for kind in ("circle", "upward", "private", "no floor", "test"):
         print(f"{sum(line.startswith(kind) for line in lines)} {kind}")
     return int(bool(lines))
 

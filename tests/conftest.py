@@ -1,4 +1,4 @@
-"""Renderers and scenes that several test files share: compiling their kernels is what a first render costs."""
+"""Renderers and scenes that several test files share, so that their kernels are compiled once per process."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ import pytest
 import torch
 from seeds import OFFSET, shift_defaults, shifted
 
-# Tests run in three processes, and Dr.Jit has threads in each: torch's own would only wait for a core.
+# At the end: tests/extremes comes before benchmarks/extremes.py.
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's would only wait for a core.
 torch.set_num_threads(1)
 
-# The package is imported inside the fixtures, so that a fault in one room fails that room's tests only.
+# The package is imported inside the fixtures, so that an error in one subpackage fails only the tests of that one.
 
 
 def pytest_report_header() -> str:
@@ -30,14 +33,14 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_seeds() -> None:
-    """Shift the seeds that the library takes where none is given."""
+    """Shift the library's default seeds."""
     if OFFSET:
         shift_defaults()
 
 
 @pytest.fixture(autouse=True)
 def global_generators() -> None:
-    """Let every test find the same random numbers, whichever ran before it."""
+    """Seed the global generators, so that no test depends on those that ran before it."""
     torch.manual_seed(shifted())
     np.random.seed(shifted())
 
@@ -51,7 +54,7 @@ def mi() -> Any:
 
 @pytest.fixture(scope="session")
 def cornell(mi: Any) -> Any:
-    """All diffuse: what path replay differentiates exactly, and where an image is linear in the light."""
+    """All surfaces are diffuse: path replay is exact there, and an image is linear in the light."""
     from scenecaptum.rendering import SceneRenderer
 
     return SceneRenderer(
@@ -105,11 +108,11 @@ def stage(stage_dict: dict[str, Any]) -> Any:
 
 @pytest.fixture(scope="session")
 def shared_scenes() -> Path:
-    """Rooms too big for the repository: $SCENECAPTUM_SCENES, or the folder beside the repository."""
+    """Scenes too big for the repository: $SCENECAPTUM_SCENES, or shared/scenes beside the repository."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
     folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
     if not folder.is_dir():
-        pytest.skip(f"no rooms to run on: {folder} does not exist (set SCENECAPTUM_SCENES)")
+        pytest.skip(f"no large scenes: {folder} does not exist (set SCENECAPTUM_SCENES)")
     return folder
 
 
@@ -118,7 +121,7 @@ _KEPT: list[Any] = []  # operators exist as long as the library that defined the
 
 @pytest.fixture(scope="session")
 def torchvision() -> Any:
-    """torchvision, also where its wheel was built for CUDA and torch was not: then two operators are missing."""
+    """torchvision, with two operators added that its CUDA wheel lacks beside a CPU-only torch."""
     try:
         return importlib.import_module("torchvision")
     except ModuleNotFoundError as error:
@@ -127,7 +130,7 @@ def torchvision() -> Any:
         if "torchvision::nms" not in str(error):
             raise
     for name in [name for name in sys.modules if name.partition(".")[0] == "torchvision"]:
-        del sys.modules[name]  # half imported
+        del sys.modules[name]  # partially imported
     library = torch.library.Library("torchvision", "FRAGMENT")
     for name in ("nms", "qnms"):
         library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")

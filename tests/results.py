@@ -1,4 +1,4 @@
-"""A result made by hand, with a row for every case that tables and figures tell apart."""
+"""A result made by hand, with a row for every case that tables and figures treat differently."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seeds import shifted
 
 from scenecaptum import SceneAttribution
 from scenecaptum.projection import SurfaceMap
-from scenecaptum.visualization._figures import LOWERS, RAISES, UNCLEAR
+from scenecaptum.visualization import LOWERS, RAISES, UNCLEAR
 
 NASTY = "<script>alert('&')</script>"
 
@@ -20,7 +20,7 @@ CASES: list[tuple[str, Any, float, str]] = [
     ("two_minds", [0.1, -0.2, 0.01], 0.003, UNCLEAR),
     ("floor", [[[-0.02, -0.03, -0.04]] * 2] * 2, 0.002, LOWERS),
     ("rough", -0.0978, 0.0008, LOWERS),
-    # Its third channel is negative only by noise.
+    # Its third channel is negative because of noise only.
     ("wall", [0.05, 0.02, -0.001], 0.001, RAISES),
     ("noisy", 0.01, 0.03, UNCLEAR),
     ("tiny", 1.25e-7, 2.0e-8, RAISES),

@@ -1,7 +1,6 @@
-"""Where the tests' random numbers begin: ``SCENECAPTUM_TEST_SEED=1`` lets all of them draw others.
+"""The seeds of all tests, which ``SCENECAPTUM_TEST_SEED=1`` shifts to others.
 
-What holds for one set of seeds only is no fact about the library: a claim about random numbers holds, within
-its own error, for every offset.
+A claim about random numbers has to hold, within its own standard error, under every offset.
 """
 
 from __future__ import annotations
@@ -40,9 +39,12 @@ def shift_text(code: str) -> str:
 
 
 def shift_defaults() -> None:
-    """Shift the seeds that the library's functions take where none is given."""
-    for room in ("scenecaptum", *(f"scenecaptum.{name}" for name in ("optimize", "tradeoff", "validation"))):
-        importlib.import_module(room)
+    """Shift the default seeds of the library's functions."""
+    for package in (
+        "scenecaptum",
+        *(f"scenecaptum.{name}" for name in ("optimize", "tradeoff", "validation")),
+    ):
+        importlib.import_module(package)
     for name, module in list(sys.modules.items()):
         for function in _functions(module) if name.startswith("scenecaptum.") else ():
             defaults = function.__kwdefaults__ or {}

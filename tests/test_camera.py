@@ -31,7 +31,7 @@ def test_solid_angles_of_a_fisheye_add_up_to_its_cap(width, height, fov):
     assert total == pytest.approx(2 * math.pi * (1 - math.cos(math.radians(fov) / 2)), rel=1e-4)
 
 
-def test_a_pixel_cut_by_the_circle_counts_with_the_part_inside():
+def test_a_pixel_on_the_circle_counts_with_its_part_inside():
     fine = Camera.fisheye(8 * 64, 8 * 64).solid_angles.reshape(8, 64, 8, 64).sum(dim=(1, 3))
     torch.testing.assert_close(Camera.fisheye(8, 8).solid_angles, fine, rtol=1e-4, atol=1e-6)
 
@@ -91,7 +91,7 @@ def test_only_a_fisheye_of_180_degrees_sees_the_hemisphere():
     assert not Camera.perspective(8, 8, 170).sees_hemisphere
 
 
-def test_a_camera_is_frozen():
+def test_a_camera_is_immutable():
     camera = Camera.perspective(4, 3, 50)
     assert (camera.width, camera.height, camera.projection, camera.fov) == (4, 3, "perspective", 50.0)
     with pytest.raises(dataclasses.FrozenInstanceError):

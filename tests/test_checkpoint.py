@@ -34,11 +34,11 @@ WHERE = {"x": (0.0, 1.0)}
 
 
 class Killed(BaseException):
-    """Nothing in the library catches it."""
+    """An exception that nothing in the library catches."""
 
 
 class MortalToy(ToyRenderer):
-    """Dies in the course of a call, if it is told which."""
+    """Raises ``Killed`` during a call, if a number of calls is given."""
 
     fingerprint = "toy"
     bounds = WHERE
@@ -97,7 +97,7 @@ JOBS = {
 
 
 def numbers(what: Any) -> Any:
-    """All numbers of a result, without what the clock says."""
+    """All numbers of a result but the measured times."""
     if isinstance(what, torch.Tensor):
         return what.tolist()
     if isinstance(what, SceneAttribution):
@@ -115,8 +115,8 @@ def numbers(what: Any) -> Any:
 
 
 @pytest.mark.parametrize("job", JOBS)
-def test_killed_and_resumed(job: str, tmp_path: Path) -> None:
-    """Killed at three moments, each time by another call; the fourth run finishes, and a fifth renders nothing."""
+def test_a_killed_job_is_resumed(job: str, tmp_path: Path) -> None:
+    """Three runs are killed, each at a different call; the fourth finishes, and a fifth renders nothing."""
     run = JOBS[job]
     whole = MortalToy()
     expected = run(whole, None)
@@ -125,7 +125,7 @@ def test_killed_and_resumed(job: str, tmp_path: Path) -> None:
         mortal = MortalToy(dies_in=max(1, int(moment * (whole.calls - kept))))
         with pytest.raises(Killed):
             run(mortal, tmp_path)
-        # A picture's graph is made once more where its gradient was not taken; nothing else is lost.
+        # An image is rendered again if its backward pass was not finished; nothing else is lost.
         assert len(os.listdir(tmp_path)) >= kept + 1 or mortal.calls == 1
     found = run(MortalToy(), tmp_path)
     assert repr(numbers(found)) == repr(numbers(expected))
@@ -134,7 +134,7 @@ def test_killed_and_resumed(job: str, tmp_path: Path) -> None:
     assert idle.calls == 0
 
 
-def test_of_a_job_only_what_is_asked_alike_is_reused(tmp_path: Path) -> None:
+def test_only_calls_with_the_same_arguments_are_reused(tmp_path: Path) -> None:
     def counts(toy: Any = None, of: Any = metric, **options: Any) -> tuple[int, int]:
         toy = MortalReplayingToy() if toy is None else toy
         options = {"replicates": 4, "spp": 16, "seed": shifted(1), **options}
@@ -155,7 +155,7 @@ def test_of_a_job_only_what_is_asked_alike_is_reused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["truncated", "emptied", "flipped", "renamed"])
-def test_damaged_entries_are_noticed_and_rendered_again(damage: str, tmp_path: Path) -> None:
+def test_damaged_entries_are_detected_and_rendered_again(damage: str, tmp_path: Path) -> None:
     run = JOBS["vanilla"]
     expected = numbers(run(MortalToy(), tmp_path))
     one, other, *_ = sorted(tmp_path.iterdir())
@@ -177,7 +177,7 @@ def test_damaged_entries_are_noticed_and_rendered_again(damage: str, tmp_path: P
 
 
 class _Wrapper:
-    """Hands attributes on, as wrappers of renderers do."""
+    """Delegates attributes, as wrappers of renderers do."""
 
     def __init__(self, renderer: Any) -> None:
         self.renderer = renderer
@@ -190,7 +190,7 @@ class _Wrapper:
 
 
 @pytest.mark.parametrize("renderer", [ToyRenderer(), _Wrapper(MortalToy())])
-def test_a_renderer_without_a_fingerprint_of_its_own_is_refused(renderer: Any, tmp_path: Path) -> None:
+def test_a_renderer_without_a_fingerprint_is_refused(renderer: Any, tmp_path: Path) -> None:
     with pytest.raises(SceneCaptumError, match="give it an attribute fingerprint"):
         with_checkpoint(renderer, tmp_path)
 
@@ -202,7 +202,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_what_was_being_written_is_tidied_up_once_nobody_can_be_writing_it(tmp_path: Path) -> None:
+def test_partially_written_files_are_deleted_once_they_are_old(tmp_path: Path) -> None:
     old, new = (tmp_path / f".{name}-1-ab.pass" for name in (1, 2))
     for one in (old, new):
         one.write_bytes(b"half")
@@ -212,7 +212,7 @@ def test_what_was_being_written_is_tidied_up_once_nobody_can_be_writing_it(tmp_p
 
 
 class SlowToy(MortalReplayingToy):
-    """Takes as long as real renderers do, but little of it."""
+    """Takes a measurable time for each call."""
 
     def __call__(self, inputs: Any, *, seed: int, spp: int, seed_grad: int | None = None) -> torch.Tensor:
         time.sleep(0.002 + 0.0001 * spp)
@@ -220,7 +220,7 @@ class SlowToy(MortalReplayingToy):
 
 
 def test_a_time_limit_counts_the_time_of_earlier_runs(tmp_path: Path) -> None:
-    """A second run finds its time spent: it asks for the same rounds, and renders none of them."""
+    """A second run counts the first one's time: it asks for the same rounds, and renders none of them."""
 
     def run() -> tuple[Any, Checkpoint]:
         renderer = with_checkpoint(SlowToy(), tmp_path)
@@ -234,12 +234,12 @@ def test_a_time_limit_counts_the_time_of_earlier_runs(tmp_path: Path) -> None:
     )
     assert again == rounds
     assert torch.equal(second["x"], first["x"])
-    # The clock goes on from there: each picture took 2 ms at least.
+    # The time of the first run is included: each image took at least 2 ms.
     assert kept.seconds_saved > 0.002 * first.info["checkpoint"]["passes"] / 3
     assert second.info["seconds"] > kept.seconds_saved
 
 
-def test_digests_tell_apart_what_looks_alike() -> None:
+def test_digests_of_similar_values_differ() -> None:
     alike: list[Any] = [
         1,
         1.0,
@@ -264,7 +264,7 @@ def test_digests_tell_apart_what_looks_alike() -> None:
 
 @pytest.fixture
 def fresh(mi: Any) -> Callable[..., Any]:
-    """A renderer as a process of its own would load it, whose renders are counted and may be fatal."""
+    """A renderer as another process would load it; its renders are counted, and one of them may raise."""
     from scenecaptum import SceneRenderer
 
     def make(dies_in: int | None = None, **options: Any) -> Any:
@@ -290,8 +290,8 @@ def _counted(renderer: Any, render: Any, dies_in: int | None) -> Any:
     return counted
 
 
-def test_a_scene_renderer_loses_the_render_in_progress(fresh: Any, tmp_path: Path) -> None:
-    """At other values than the scene's own, where what the pixels are chosen by must not depend on the past."""
+def test_a_scene_renderer_loses_only_the_render_in_progress(fresh: Any, tmp_path: Path) -> None:
+    """At values other than the scene's: the importance sampling of pixels must not depend on earlier renders."""
     from scenecaptum import metrics
 
     def run(renderer: Any, folder: Any = None) -> SceneAttribution:
@@ -311,7 +311,7 @@ def test_a_scene_renderer_loses_the_render_in_progress(fresh: Any, tmp_path: Pat
     assert last.renders == whole.renders - done
     assert found.info["checkpoint"] == {"folder": str(tmp_path), "reused": done, "passes": whole.renders}
     for name, value in expected.items():
-        # Gradients repeat to about 1e-6, because threads add them up in any order.
+        # Gradients repeat to about 1e-6, because threads add them in varying order.
         torch.testing.assert_close(found[name], value, rtol=1e-5, atol=1e-5 * float(value.abs().max()))
 
 
@@ -334,11 +334,11 @@ def test_plain_torch_and_other_settings(fresh: Any, tmp_path: Path) -> None:
     assert shallow.checkpoint is renderer.checkpoint
     assert not torch.equal(gradient(shallow), first)
     gradient(renderer.with_checkpoint(None))
-    assert renderer.checkpoint.reused == 2 + 2  # the derivative image took its picture along
+    assert renderer.checkpoint.reused == 2 + 2  # the derivative image has rendered its image as well
 
 
 def test_fingerprints(mi: Any, stage_dict: dict[str, Any]) -> None:
-    """They tell scenes apart that differ in anything, and are the same for the same scene."""
+    """They differ between scenes that differ in anything, and are equal for equal scenes."""
     from scenecaptum import SceneRenderer
 
     def of(scene: Any, **options: Any) -> str:

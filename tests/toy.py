@@ -1,4 +1,4 @@
-"""A renderer in a few lines of torch, quick enough to repeat hundreds of times."""
+"""Renderers in a few lines of torch, quick enough to repeat hundreds of times, and a non-linear metric."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ToyRenderer:
     def sampled(self, seed: int, spp: int) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed)
         pixels = torch.randn(self.matrix.shape, generator=generator)
-        # Paths through the same lamp make the errors of all pixels hang together.
+        # Paths through the same lamp correlate the errors of all pixels.
         common = torch.randn(1, generator=generator)
         return self.matrix * (1 + self.noise / math.sqrt(spp) * (pixels + common))
 
@@ -35,7 +35,7 @@ class ToyRenderer:
 
 
 class ReplayingToyRenderer(ToyRenderer):
-    """The same with a backward pass of its own samples, as path replay has."""
+    """The same, with separate samples for the backward pass, as in path replay."""
 
     def __call__(
         self, inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int, seed_grad: int | None = None
@@ -43,3 +43,7 @@ class ReplayingToyRenderer(ToyRenderer):
         primal = self.sampled(seed, spp) @ inputs["x"].detach()
         linear = self.sampled(seed if seed_grad is None else seed_grad, spp) @ inputs["x"]
         return primal + linear - linear.detach()
+
+
+def log_mean(image: torch.Tensor) -> torch.Tensor:
+    return image.mean().log()

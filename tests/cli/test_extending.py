@@ -16,9 +16,8 @@ import pytest
 from scenecaptum import SceneRenderer, cli, metrics
 from scenecaptum.cli import _formats
 from scenecaptum.cli._files import OutputFormat
-from scenecaptum.metrics._named import NamedMetric
-from scenecaptum.rendering import _sensors
-from scenecaptum.rendering._sensors import SensorType
+from scenecaptum.metrics import NamedMetric
+from scenecaptum.rendering import SENSORS, SensorType
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 REPOSITORY = Path(__file__).parents[2]
@@ -77,7 +76,7 @@ def test_an_output_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_sensor(mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = code("A sensor")
     for name, sensor in entry("A sensor", module, SensorType=SensorType).items():
-        monkeypatch.setitem(_sensors.SENSORS, name, sensor)
+        monkeypatch.setitem(SENSORS, name, sensor)
         monkeypatch.setitem(sys.modules, f"scenecaptum.rendering.sensors.{name}", module)
         camera = SceneRenderer("cornell-box", sensor=name, resolution=(24, 12), spp=1).camera
         assert camera.projection == name

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from scenecaptum import Camera, cli, metrics
-from scenecaptum.metrics._named import NamedMetric
+from scenecaptum.metrics import NamedMetric
 
 TABLE = Path(__file__).parents[2] / "docs" / "metrics.md"
 TINY = ["cornell-box", "--resolution", "16x16", "--spp", "16", "--max-depth", "3", "--inputs", "emitters"]

@@ -1,7 +1,7 @@
-"""Spoils everything that the library reads, and counts what becomes of it.
+"""Corrupts everything that the library reads, and counts the outcomes.
 
-Each input is made from good input by a generator of its own, seeded with the seed, the kind and its number, and is
-tried in a worker process, which is started again when it dies or hangs. A good outcome is success or one
+Each input is made from valid input by a random generator seeded with the seed, the kind and its number, and is
+tried in a worker process, which is restarted when it dies or hangs. A good outcome is success or one
 ``SceneCaptumError``; on the command line exit status 2 and one clear line. Where ``strace`` is installed, every
 file that is opened is checked too.
 
@@ -36,7 +36,7 @@ from extremes import spoil
 HANG = 30.0  # seconds
 STARTING = 120.0
 INPUTS_PER_WORKER = 150
-MEMORY = 16 * 2**30  # a worker that asks for more gets an error instead of the machine's last byte
+MEMORY = 16 * 2**30  # a worker that asks for more gets an error
 GOOD = ("succeeded", "refused")
 BAD = ("error", "crash", "hang", "strayed")
 MARK = "/scenecaptum-fuzz"
@@ -44,7 +44,7 @@ MARK = "/scenecaptum-fuzz"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one input: ``word`` is one of GOOD or BAD, ``detail`` what was said."""
+    """The outcome of one input: ``word`` is one of GOOD or BAD, ``detail`` the message."""
 
     kind: str
     index: int
@@ -56,13 +56,13 @@ class Outcome:
 
 
 def work() -> None:
-    """Try inputs until stdin ends."""
+    """Try the inputs that stdin names, until it ends."""
     import resource
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what Mitsuba prints must not be taken for an answer
+    os.dup2(2, 1)  # what Mitsuba prints must not be mistaken for an answer
     import torch
 
     from scenecaptum import activate
@@ -122,7 +122,7 @@ def _mark(*words: object) -> None:
 
 
 class Warden:
-    """Gives inputs to a worker process, and replaces it when it dies, hangs or has had many."""
+    """Passes inputs to a worker process, and replaces it when it dies, hangs or has tried many."""
 
     def __init__(self, traces: Path, *, is_tracing: bool = True) -> None:
         self._traces = traces
@@ -159,7 +159,7 @@ class Warden:
             self._worker = None
 
     def strayed(self) -> Iterator[Outcome]:
-        """Return the inputs for which a file was opened that none of them names."""
+        """Return the inputs that opened a file which they do not name."""
         for trace in sorted(self._traces.glob("*.trace")):
             yield from _strayed(trace.read_text(errors="replace").splitlines())
 
@@ -203,7 +203,7 @@ class Warden:
         return f"exit status {status}: {self._stderr.read_text(errors='replace')[-300:].strip()}"
 
 
-# What Python, the compiler of kernels and the fonts of figures open for themselves.
+# What Python, the kernel compiler and matplotlib's fonts open.
 OWN_READS = (
     sys.prefix,
     sys.base_prefix,
@@ -247,7 +247,7 @@ def fuzz(
     is_tracing: bool = True,
     progress: bool = False,
 ) -> list[Outcome]:
-    """Try about ``count`` inputs, spread over the kinds, and return what became of each."""
+    """Try about ``count`` inputs, spread over the kinds, and return the outcome of each."""
     shares = {kind: spoil.KINDS[kind] for kind in kinds}
     plan = [
         (kind, index)
@@ -260,7 +260,7 @@ def fuzz(
 def attempt(
     plan: Iterable[tuple[str, int]], seed: int = 0, *, is_tracing: bool = True, progress: bool = False
 ) -> list[Outcome]:
-    """Try the inputs of these kinds and numbers; where ``is_tracing``, see which files they open (with strace)."""
+    """Try the inputs of these kinds and numbers; ``is_tracing`` checks which files they open (with strace)."""
     with tempfile.TemporaryDirectory(prefix="scenecaptum-traces-") as traces:
         warden = Warden(Path(traces), is_tracing=is_tracing)
         outcomes = {}
@@ -292,7 +292,7 @@ def table(outcomes: Iterable[Outcome]) -> str:
 
 
 def main() -> int:
-    """Fuzz, print the table, and return 1 where anything but the allowed happened."""
+    """Fuzz, print the table, and return 1 if any outcome is bad."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""Tiny scenes whose light is known, or nearly so, and how to attribute the brightness of one."""
+"""Tiny scenes with known light, and the attribution of their mean brightness."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from seeds import shifted
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient
 
 GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}}
+
+
+def small_box() -> SceneRenderer:
+    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
 
 
 def rgb(value: float) -> dict[str, Any]:
@@ -28,7 +32,7 @@ def camera(mi: Any, origin: Any, target: Any, scale: float = 1.0) -> dict[str, A
 
 
 def furnace(mi: Any, walls: dict[str, Any], *, depth: int = 4, radiance: float = 1.0) -> dict[str, Any]:
-    """The inside of a cube whose walls glow alike: what they pass on, ``r``, makes the light ``E Σ_{k<d} r^k``."""
+    """The inside of a cube of equal, emitting walls of reflectance ``r``: the light is ``E Σ_{k<d} r^k``."""
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": depth},
@@ -87,7 +91,7 @@ def texture(mi: Any, texels: np.ndarray) -> dict[str, Any]:
 
 
 def mean(image: Any) -> Any:
-    """The metric of most tests: linear, and alike in all pixels."""
+    """The metric of most tests: linear, with equal weights for all pixels."""
     return image.mean()
 
 
@@ -105,7 +109,7 @@ def total(attribution: SceneAttribution, name: str) -> tuple[float, float]:
 def slope(
     renderer: Any, name: str, step: float, *, spp: int = 256, sides: tuple[int, ...] = (-1, 1)
 ) -> float:
-    """Return a finite difference of the mean image with a shared seed; its sides may be (0, 1) at a bound."""
+    """Return a difference of mean images with common random numbers; ``sides`` may be (0, 1) at a bound."""
     value = renderer.inputs[name]
     low, high = (
         renderer({name: value + side * step}, seed=shifted(3), spp=spp).double().mean() for side in sides
@@ -114,13 +118,13 @@ def slope(
 
 
 def z(measured: tuple[float, float], expected: float, rounding: float = 2e-5) -> float:
-    """Return by how many standard errors a measurement is off, single precision allowed for."""
+    """Return by how many standard errors a measurement is off, allowing for single precision."""
     value, error = measured
     return (value - expected) / (error + rounding * abs(expected) + 1e-30)
 
 
 def in_the_sky(mi: Any, bsdf: dict[str, Any], *, depth: int = 4, **more: Any) -> dict[str, Any]:
-    """A ball under a white sky and nothing else: where it takes no light away, the picture is 1 everywhere."""
+    """A ball under a white sky and nothing else: if it absorbs no light, the image is 1 everywhere."""
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": depth},
@@ -132,7 +136,7 @@ def in_the_sky(mi: Any, bsdf: dict[str, Any], *, depth: int = 4, **more: Any) ->
 
 
 def coverage(renderer: SceneRenderer, of: str = "ball") -> float:
-    """Return the part of the picture that an object covers."""
+    """Return the part of the image that an object covers."""
     shown = renderer.surfaces
     covered = shown.fraction[shown.object_index == shown.objects.index(of)].sum()
     return float(covered) / (shown.shape[0] * shown.shape[1])

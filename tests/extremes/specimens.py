@@ -1,4 +1,4 @@
-"""Good input of every kind that the library reads, for the fuzzer to spoil: scenes, pictures and meshes."""
+"""Valid input of every kind that the library reads, for the fuzzer to corrupt: scenes, images and meshes."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def picture(height: int = 4, width: int = 8) -> np.ndarray:
 
 
 def hdr(image: np.ndarray) -> bytes:
-    """Return a picture as Radiance RGBE, run-length encoded as wide ones are."""
+    """Return an image as Radiance RGBE, run-length encoded as wide images are."""
     height, width, _ = image.shape
     exponent = np.floor(np.log2(image.max(-1))) + 1
     mantissa = np.clip(image * 256 / np.exp2(exponent)[..., None], 0, 255)
@@ -137,7 +137,7 @@ def volume() -> bytes:
 
 
 def write_files(mi: Any, folder: Path) -> dict[str, bytes]:
-    """Return the good files by name; Mitsuba writes the formats that it has a writer for."""
+    """Return the valid files by name; Mitsuba writes the formats that it can write."""
     image = picture()
     eight_bit = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     for name in ("sky.exr", "sky.pfm"):

@@ -1,4 +1,4 @@
-"""How good input is spoiled: bytes, words, structures and command lines, each case from a generator of its own."""
+"""How valid input is corrupted: bytes, words, structures and command lines, each with its own random generator."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NUMBERS = (
     "-2147483649",
 )
 NUMBERS += ("99999999999999999999", "1.5", "0x10", "١٢", "1,5", "--1", "1e", "true")
-# Named by a scene, and so allowed to be read, wherever they lie.
+# Named by a scene, and therefore allowed to be read, wherever they are.
 OUTSIDE = (
     "/dev/zero",
     "/dev/null",
@@ -72,7 +72,7 @@ INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x10000, 0xFFF
 
 
 def own_folders() -> tuple[str, ...]:
-    """Where Dr.Jit, matplotlib and Python keep what they have made, and where this package lies."""
+    """The caches of Dr.Jit, matplotlib and Python, and the folder of this package."""
     home = Path.home()
     package = Path(__file__).resolve().parents[2]
     return (
@@ -88,7 +88,7 @@ def is_named(path: str) -> bool:
 
 
 class Spoiler:
-    """Makes spoiled inputs from good ones.
+    """Makes corrupted inputs from valid ones.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Spoiler:
         self._result = _good_result(folder / "result.npz")
 
     def case(self, kind: str, rng: random.Random, folder: Path) -> Run:
-        """Put one spoiled input into ``folder`` and return what tries it."""
+        """Write one corrupted input into ``folder`` and return a function that tries it."""
         self.may_write = {"out"}
         run: Run = getattr(self, f"_{kind}")(rng, folder)
         return run
@@ -129,7 +129,7 @@ class Spoiler:
         return lambda: _render(config)
 
     def _good(self, rng: random.Random, folder: Path) -> Run:
-        """Nothing is spoiled: all of it must succeed, or the counts of what is refused would say nothing."""
+        """Nothing is corrupted: all of it must succeed, or counts of refusals would mean nothing."""
         name = rng.choice(sorted(self._files))
         path = self._lay_out(folder, _scene_with(name, as_sky=name.startswith("sky")))
         (folder / "result.npz").write_bytes(self._result)
@@ -182,12 +182,12 @@ class Spoiler:
         arguments = _command_line(rng)
         self.may_write = {
             word.split("/")[0] for word in arguments
-        }  # a folder that --out names is the user's will
+        }  # a folder that --out names is what the user wants
         return lambda: _command(arguments)
 
 
 def _scene_with(name: str, *, as_sky: bool = False) -> str:
-    """Return the scene in which the named file has its use."""
+    """Return a scene that uses the named file."""
     tent = '<shape type="ply" id="tent"><string name="filename" value="tent.ply"/>'
     match name.partition(".")[2]:
         case "obj":
@@ -204,10 +204,10 @@ def _scene_with(name: str, *, as_sky: bool = False) -> str:
 
 
 def _render(scene: Any) -> str | None:
-    """Load a scene, render it and take a gradient, all as small as can be."""
+    """Load a scene, render it and take a gradient, as small as possible."""
     from scenecaptum import SceneRenderer
 
-    gc.collect()  # the objects of every scene in the process take part in each kernel
+    gc.collect()  # each kernel includes the objects of every scene in the process
     inputs = ["reflectance", "emitters"]
     renderer = SceneRenderer(scene, inputs, resolution=(4, 4), spp=1, max_depth=2)
     image = renderer(renderer.leaves())
@@ -263,7 +263,7 @@ def _spoil_text(rng: random.Random, text: str) -> str:
 
 
 def _spoil_hdr(rng: random.Random) -> bytes:
-    """Spoil the header of a Radiance picture."""
+    """Corrupt the header of a Radiance image."""
     head, _, rest = specimens.hdr(specimens.picture()).partition(b"-Y 4 +X 8\n")
     size = (rng.choice((*NUMBERS, "4", "8", "65536", "1000000", "")) for _ in range(2))
     axes = rng.choice(
@@ -319,7 +319,7 @@ def _shape_of_xml(rng: random.Random) -> str:
 
 
 def _tricks_of_xml(rng: random.Random) -> str:
-    """Return XML as attackers write it."""
+    """Return malicious XML."""
     head, body = '<scene version="3.0.0">', specimens.SCENE.partition(">")[2]
     number = rng.choice([10, 1000, 20_000, 200_000])
     laughs = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
@@ -459,7 +459,7 @@ def _spoil_dict(rng: random.Random, config: dict[str, Any], mi: Any) -> None:
 
 
 def _dicts(config: dict[Any, Any]) -> list[dict[Any, Any]]:
-    """Return a dict and all those in it, each once, circles included."""
+    """Return a dict and all those in it, each once, also if they are circular."""
     found, pending = [], [config]
     while pending:
         one = pending.pop()
@@ -480,7 +480,7 @@ def _good_result(path: Path) -> bytes:
 
 
 def _tamper(rng: random.Random, good: bytes) -> bytes:
-    """Change a member of the archive, and put it together again with correct checksums of zip's own."""
+    """Change a member of the archive, and write it again with correct zip checksums."""
     with zipfile.ZipFile(io.BytesIO(good)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name = rng.choice([*members, "header.npy", "header.npy"])
@@ -547,7 +547,7 @@ def _spoil_header(rng: random.Random, text: str) -> str:
 
 
 def _load(path: Path, good: bytes) -> str | None:
-    """Load a result and use it; where it loads, it must be the very one that was saved."""
+    """Load a result and use it; if it loads, it must equal the one that was saved."""
     from scenecaptum import SceneAttribution
 
     loaded = SceneAttribution.load(path)
@@ -602,7 +602,7 @@ LINES = (
     ["validate", "cornell-box", *SMALL, "--top", "1", "--json"],
     ["doctor"],
 )
-# A great many samples are a long job, not bad input: whoever asks for them waits.
+# Very many samples are a long job, not bad input.
 PATIENT = (
     "--spp",
     "--replicates",
@@ -715,7 +715,7 @@ def _command_line(rng: random.Random) -> list[str]:
                     option = rng.choice(options)
                     words[option + 1] = rng.choice(VALUES if words[option] in PATIENT else VALUES + HUGE)
         words = words or ["doctor"]
-    # Whatever has been lost of it, it must stay a small job.
+    # Whatever was removed from it, it must stay a small job.
     if words[0] in ("attribute", "tradeoff", "validate"):
         words[1:1] = SMALL[:6]
     if "tradeoff" in words[:1] and "--vary" not in words:
@@ -724,7 +724,7 @@ def _command_line(rng: random.Random) -> list[str]:
 
 
 def _command(arguments: list[str]) -> str | None:
-    """Run a command; raise what a user would see: its one line, or an AssertionError where there are more."""
+    """Run a command; raise the one line that a user would see, or an AssertionError if there are more."""
     from scenecaptum import SceneCaptumError, cli
 
     out, err = io.StringIO(), io.StringIO()

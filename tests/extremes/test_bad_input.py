@@ -1,4 +1,4 @@
-"""Bad input that once crashed, hung, or was taken: each case was found by the fuzzer and is refused ever since."""
+"""Bad input that once crashed, hung, or was accepted: each case was found by the fuzzer and is refused now."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from seeds import shifted
 
 from extremes import fuzz, specimens
 from scenecaptum import SceneAttribution, SceneCaptumError, SceneRenderer, cli
-from scenecaptum.scene import load_scene
-from scenecaptum.scene._loading import hashable_source
+from scenecaptum.scene import hashable_source, load_scene
 
 SENSOR = '<sensor type="perspective"/>'
 
@@ -70,25 +69,25 @@ def test_comments_and_the_depth_of_usual_scenes_are_no_reason_to_refuse(mi: Any,
     load_xml(tmp_path, "<!--" + "<shape>" * 500 + "-->" + f'<shape type="sphere">{nested}</shape>')
 
 
-def test_what_an_included_file_holds_is_looked_at_too(mi: Any, tmp_path: Path) -> None:
+def test_included_files_are_checked_too(mi: Any, tmp_path: Path) -> None:
     (tmp_path / "deep.xml").write_text('<scene version="3.0.0">' + "<a>" * 1000 + "</a>" * 1000 + "</scene>")
     said = refusal(lambda: load_xml(tmp_path, '<include filename="deep.xml"/>'))
     assert "deep.xml" in said
 
 
-def test_a_dict_that_holds_itself_is_refused(mi: Any) -> None:
+def test_a_dict_that_contains_itself_is_refused(mi: Any) -> None:
     endless: dict[str, Any] = {"type": "twosided"}
     endless["bsdf"] = endless
     assert "contains itself" in refusal(lambda: load_scene({"type": "scene", "a": endless}))
 
 
-def test_a_dict_with_none_in_it_is_refused_with_the_place(mi: Any) -> None:
+def test_a_dict_that_contains_none_is_refused_with_the_place(mi: Any) -> None:
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": None}}
     assert "ball.bsdf.reflectance" in refusal(lambda: load_scene({"type": "scene", "ball": ball}))
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "a\0b"])
-def test_a_name_that_no_file_can_have_is_refused(mi: Any, name: str) -> None:
+def test_an_impossible_file_name_is_refused(mi: Any, name: str) -> None:
     assert "no scene file" in refusal(lambda: load_scene(name))
 
 
@@ -109,7 +108,7 @@ def test_an_output_folder_of_an_impossible_name_is_one_clear_line(
 # --- Pictures, meshes and volumes -----------------------------------------------------------------
 
 
-def test_a_radiance_picture_that_leaves_off_run_lengths_is_refused(mi: Any, tmp_path: Path) -> None:
+def test_a_truncated_radiance_image_is_refused(mi: Any, tmp_path: Path) -> None:
     whole = specimens.hdr(specimens.picture())
     start = whole.index(b"+X 8\n") + 5
     line = (len(whole) - start) // 4
@@ -147,7 +146,7 @@ def test_a_damaged_volume_is_refused(mi: Any, tmp_path: Path, fault: str) -> Non
 
 
 @pytest.mark.parametrize("size", [b"-Y 4 +X 0", b"-Y 0 +X 8", b"-Y 1e9 +X 8", b"-Y 40000 +X 80000", b"-Y 4"])
-def test_a_radiance_picture_of_an_impossible_size_is_refused(mi: Any, tmp_path: Path, size: bytes) -> None:
+def test_a_radiance_image_of_an_impossible_size_is_refused(mi: Any, tmp_path: Path, size: bytes) -> None:
     (tmp_path / "sky.hdr").write_bytes(specimens.hdr(specimens.picture()).replace(b"-Y 4 +X 8", size))
     assert "sky.hdr is damaged" in refusal(lambda: load_xml(tmp_path, picture("sky.hdr")))
 
@@ -166,7 +165,7 @@ def test_a_serialized_mesh_that_points_beyond_its_end_is_refused(
 
 
 @pytest.mark.parametrize("binary", [True, False])
-def test_a_ply_mesh_with_a_vertex_that_is_not_there_is_refused(mi: Any, tmp_path: Path, binary: bool) -> None:
+def test_a_ply_mesh_with_an_invalid_vertex_index_is_refused(mi: Any, tmp_path: Path, binary: bool) -> None:
     whole = specimens.ply(binary)
     last = struct.pack("<i", 2**31 - 1) if binary else b"2147483647\n"
     (tmp_path / "tent.ply").write_bytes(whole[: -4 if binary else -2] + last)
@@ -177,7 +176,7 @@ def test_a_ply_mesh_with_a_vertex_that_is_not_there_is_refused(mi: Any, tmp_path
 
 
 @pytest.mark.parametrize("line", [b"element vertex 4\n", b"float x", b"uchar int", b"face 2"])
-def test_a_ply_mesh_whose_header_lacks_something_is_refused(mi: Any, tmp_path: Path, line: bytes) -> None:
+def test_a_ply_mesh_with_an_incomplete_header_is_refused(mi: Any, tmp_path: Path, line: bytes) -> None:
     (tmp_path / "tent.ply").write_bytes(specimens.ply().replace(line, b""))
     shape = '<shape type="ply"><string name="filename" value="tent.ply"/></shape>'
     assert "tent.ply" in refusal(lambda: load_xml(tmp_path, shape))
@@ -256,20 +255,20 @@ def check(outcomes: list[fuzz.Outcome]) -> None:
     assert not bad, bad[0]
 
 
-def test_a_sample_of_spoiled_input_is_refused_or_succeeds() -> None:
+def test_a_sample_of_corrupted_input_is_refused_or_succeeds() -> None:
     check(fuzz.fuzz(50, seed=shifted(1), kinds=["saved", "xml"], is_tracing=False))
 
 
 @pytest.mark.long
-def test_two_thousand_spoiled_inputs_are_refused_or_succeed() -> None:
+def test_two_thousand_corrupted_inputs_are_refused_or_succeed() -> None:
     outcomes = fuzz.fuzz(2120, seed=shifted())
     assert len(outcomes) >= 2000
     check(outcomes)
 
 
-def test_what_cannot_be_printed_is_known_by_its_type() -> None:
+def test_unprintable_objects_are_named_by_their_type() -> None:
     class Broken:
-        """An array of Dr.Jit's does so where its shape does not fit."""
+        """Arrays of Dr.Jit raise like this if their shape does not fit."""
 
         def __repr__(self) -> str:
             raise RuntimeError("internal error")

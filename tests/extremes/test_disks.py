@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import resource
 import subprocess
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -14,13 +12,12 @@ from typing import Any
 import pytest
 import results
 import torch
+from disks import check_full_disk, check_unwritable_folder, file_size_limit
 from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum import SceneCaptumError, projection, tradeoff
 from scenecaptum.checkpoint import Checkpoint
-from scenecaptum.cli._files import write_files
-from scenecaptum.cli._formats import FORMATS
 from scenecaptum.files import atomic_write
 from scenecaptum.report import write_report
 from scenecaptum.visualization import save_render
@@ -32,11 +29,6 @@ def _tradeoff(path: Path) -> None:
     tradeoff.measure(ToyRenderer(), torch.mean, vary={"spp": [4]}, runs=2).to_csv(path)
 
 
-def _command(path: Path) -> None:
-    """Write one of the files of ``scenecaptum attribute``."""
-    write_files(results.make(), path.parent, [one for one in FORMATS.values() if one.file == path.name])
-
-
 WRITERS: dict[str, Callable[[Path], None]] = {
     "result.npz": lambda path: results.make().save(path),
     "report.html": lambda path: write_report([results.make()], path),
@@ -46,53 +38,24 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "map.exr": partial(projection.export, PICTURE),
     "heatmap.exr": partial(projection.export, results.make()),
     "tradeoff.csv": _tradeoff,
-    **dict.fromkeys((one.file for one in FORMATS.values()), _command),
 }
-
-
-@contextlib.contextmanager
-def _file_size_limit(size: int) -> Iterator[None]:
-    """Let no file grow beyond a size: a write fails there, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_full_disk(name: str, tmp_path: Path, mi: Any) -> None:
-    path = tmp_path / name
-    WRITERS[name](path)
-    size = path.stat().st_size
-    path.write_text("what was there before")
-    for room in (0, size // 2):
-        with _file_size_limit(room), pytest.raises(SceneCaptumError, match="cannot be written") as caught:
-            WRITERS[name](path)
-        assert str(path) in str(caught.value)
-        assert "\n" not in str(caught.value)
-        assert path.read_text() == "what was there before"
-        assert os.listdir(tmp_path) == [name]
-    WRITERS[name](path)
-    assert path.stat().st_size == pytest.approx(size, rel=0.01)  # the seconds in it differ
+    check_full_disk(WRITERS[name], tmp_path / name)
 
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_folders_that_cannot_be_written(name: str, tmp_path: Path, mi: Any) -> None:
-    (tmp_path / "file").write_text("mine")
-    for folder in (tmp_path / "file", Path("/proc")):  # not even root
-        with pytest.raises(SceneCaptumError, match="cannot be written"):
-            WRITERS[name](folder / name)
-    assert (tmp_path / "file").read_text() == "mine"
-    assert os.listdir(tmp_path) == ["file"]
+    check_unwritable_folder(WRITERS[name], name, tmp_path)
 
 
 def test_full_disk_under_a_checkpoint(tmp_path: Path) -> None:
-    """What was kept before stays good."""
+    """Earlier entries stay valid."""
     kept = Checkpoint(tmp_path)
     kept.get_or_render("first", lambda: (PICTURE,))
-    with _file_size_limit(1000), pytest.raises(SceneCaptumError, match="cannot be written"):
+    with file_size_limit(1000), pytest.raises(SceneCaptumError, match="cannot be written"):
         kept.get_or_render("second", lambda: (PICTURE,))
     assert len(os.listdir(tmp_path)) == 1
     again = Checkpoint(tmp_path)
@@ -110,7 +73,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     try:
         subprocess.run(mount, check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("no right to mount a small file system here")
+        pytest.skip("no permission to mount a small file system")
     yield disk
     subprocess.run(["umount", str(disk)], check=True)
 
@@ -126,7 +89,7 @@ def test_disk_of_64_kilobytes(small_disk: Path) -> None:
     assert sorted(os.listdir(small_disk)) == ["map.npy", "rest"]
 
 
-def test_devices_and_links_stay_what_they_are(tmp_path: Path) -> None:
+def test_devices_and_links_are_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "target").write_text("before")
     (tmp_path / "link").symlink_to(tmp_path / "target")
     with atomic_write(tmp_path / "link") as partial_file:
@@ -143,7 +106,7 @@ def test_devices_and_links_stay_what_they_are(tmp_path: Path) -> None:
         device.write_text("too much")
 
 
-def test_what_fails_while_a_file_is_written_leaves_none(tmp_path: Path) -> None:
+def test_an_error_while_a_file_is_written_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "a.txt") as partial_file:
         partial_file.write_text("half" * (1 // partial_file.write_text("")))
     assert os.listdir(tmp_path) == []

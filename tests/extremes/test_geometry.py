@@ -1,4 +1,4 @@
-"""Geometry at the extremes: degenerate, coplanar, huge, tiny, far away, around the camera, and not there."""
+"""Geometry at the extremes: degenerate, coplanar, huge, tiny, far away, around the camera, and none."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def mesh(mi, path, vertices, faces):
 
 
 def test_camera_inside_glass(mi):
-    """Inside, light of radiance 1 is squeezed to η²: M = η², and its slope 2η."""
+    """Inside, radiance 1 becomes η²: M = η², and its derivative 2η."""
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     scene = in_the_sky(mi, glass, depth=16)
     scene["camera"] = camera(mi, [0.1, 0, 0], [0, 1, 0])
@@ -50,7 +50,7 @@ def test_camera_inside_a_dark_ball(mi):
 
 
 def test_empty_view(mi):
-    """Nothing in sight: all is due to the sky, nothing to what is behind the camera."""
+    """Nothing in view: everything is due to the sky, nothing to what is behind the camera."""
     scene = in_the_sky(mi, GREY)
     scene["camera"] = camera(mi, [0, -4, 0], [0, -8, 0])
     found = attribute(scene)
@@ -61,7 +61,7 @@ def test_empty_view(mi):
 
 
 def test_coplanar_faces(mi):
-    """Which of two floors a ray meets is left to the renderer, but it is one of them: their slopes share."""
+    """Which of two floors a ray hits is undefined, but it is one of them: they share the derivative."""
     plane = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(9)}
     scene = in_the_sky(mi, GREY)
     del scene["ball"]
@@ -90,7 +90,7 @@ def test_faces_without_area(mi, tmp_path):
 
 @pytest.mark.long
 def test_light_without_area(mi):
-    """A lamp shrunk to a point gives no light, and nothing that is not a number."""
+    """A lamp of size zero gives no light, and no NaN."""
     scene = room(mi)
     scene["lamp"]["radius"] = 0.0
     found = attribute(scene)
@@ -99,7 +99,7 @@ def test_light_without_area(mi):
 
 
 def test_an_object_one_pixel_wide(mi):
-    """A ball that covers half a pixel: M = 1 − c + c·r, c some thousandths."""
+    """A ball that covers half a pixel: M = 1 − c + c·r, with c of a few thousandths."""
     scene = in_the_sky(mi, GREY)
     scene["ball"]["radius"] = 0.18
     renderer = SceneRenderer(scene, inputs="reflectance")
@@ -131,14 +131,14 @@ def reference(mi):
     ("where", "fix"), [({"scale": 1e-6}, "Scale it"), ({"shift": 1e6}, "Move it to the origin")]
 )
 def test_scenes_that_rays_cannot_follow_are_refused(mi, where, fix):
-    """Mitsuba would render either without a word, 4 to 5 times too dark."""
+    """Mitsuba renders either without a warning, 4 to 5 times too dark."""
     with pytest.raises(SceneCaptumError, match=rf"units across.* off a surface.*{fix}"):
         SceneRenderer(room(mi, **where))
 
 
 @pytest.mark.long
 def test_a_million_triangles(mi, tmp_path):
-    """A ball of a million triangles is a ball: its slope is what it covers."""
+    """A ball of a million triangles is a ball: its derivative is its coverage."""
     rows, columns = 500, 1000
     polar, around = np.meshgrid(
         np.linspace(1e-3, np.pi - 1e-3, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij"

@@ -1,4 +1,4 @@
-"""kill -9 at random moments: a job that is started again loses one pass at most, and ends at the same numbers."""
+"""kill -9 at random moments: a resumed job loses at most one render and ends with the same numbers."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from seeds import shifted
 from scenecaptum import SceneAttribution
 
 KILLS, SEED = 20, 20261121
-PASSES = 2 * 16  # as many pictures as backward passes: a linear metric takes no more
+PASSES = 2 * 16  # as many renders as backward passes: a linear metric needs no more
 
-# The job, and a line in a log whenever a pass begins or ends.
+# The job; it logs its start, and each render and backward pass that it begins.
 JOB = """
 import os, sys
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.checkpoint import Checkpoint
 
 folder, log, out = sys.argv[1:4]
 log = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
-def logged(render):
-    def call(*arguments, **options):
-        os.write(log, b"begun\\n")
-        return render(*arguments, **options)
-    return call
+class LoggedCheckpoint(Checkpoint):
+    def get_or_render(self, inputs, render, device=None):
+        def logged():
+            os.write(log, b"begun\\n")
+            return render()
+        return super().get_or_render(inputs, logged, device)
 
 renderer = SceneRenderer("cornell-box", "reflectance", resolution=(32, 32), spp=16 * 512, max_depth=4)
-from scenecaptum.rendering._engine import Engine  # takes a variant
 method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
-method.attribute(replicates=2, spp=2)  # imports and compiles what it takes, in vain
-Engine.primal, Engine.vjp = logged(Engine.primal), logged(Engine.vjp)
+method.attribute(replicates=2, spp=2)  # warm-up: imports and compiles
 os.write(log, b"started\\n")
-method.attribute(seed=1, replicates=16, checkpoint=folder or None).save(out)
+method.attribute(seed=1, replicates=16, checkpoint=LoggedCheckpoint(folder)).save(out)
 """
 
 
-def run(folder: Path | str, log: Path, out: Path, seconds: float | None = None) -> int | None:
+def run(folder: Path, log: Path, out: Path, seconds: float | None = None) -> int | None:
     """Run the job, and kill it so many seconds after it started; return its status, None if it was killed."""
     command = [sys.executable, "-c", JOB, str(folder), str(log), str(out)]
     before = log.read_text().count("started") if log.exists() else 0
@@ -61,7 +61,7 @@ def run(folder: Path | str, log: Path, out: Path, seconds: float | None = None) 
 @pytest.mark.long
 def test_kill_at_random_moments(tmp_path: Path) -> None:
     folder, log = tmp_path / "kept", tmp_path / "log"
-    assert run("", log, tmp_path / "whole.npz") == 0
+    assert run(tmp_path / "uninterrupted", log, tmp_path / "whole.npz") == 0
     working = SceneAttribution.load(tmp_path / "whole.npz").info["seconds"]
     assert log.read_text().count("begun") == PASSES
     log.unlink()
@@ -70,7 +70,7 @@ def test_kill_at_random_moments(tmp_path: Path) -> None:
     killed, lost, done = 0, 0, 0
     while killed < KILLS:
         begun = log.read_text().count("begun") if log.exists() else 0
-        # Before it has started nothing can be lost: after that, at any moment of an eighth of the whole work.
+        # Kill it at a random moment of an eighth of the whole work, counted from its start.
         status = run(folder, log, tmp_path / "resumed.npz", fractions.random() * working / 8)
         kept = len(list(folder.glob("[!.]*.pass"))) if folder.exists() else 0
         begun = log.read_text().count("begun") - begun
@@ -78,7 +78,7 @@ def test_kill_at_random_moments(tmp_path: Path) -> None:
         lost += begun - (kept - done)
         done = kept
         if status is not None:
-            # The whole work fits between kills: the rest of them meet a job of its own.
+            # The job finished between two kills: the others meet a new one.
             assert status == 0
             for one in folder.iterdir():
                 one.unlink()

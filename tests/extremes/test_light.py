@@ -31,7 +31,7 @@ BALL, FLOOR = "ball.bsdf.reflectance.value", "floor.bsdf.reflectance.value"
 
 @pytest.fixture(scope="module")
 def lit(mi):
-    """The room under a lamp of radiance 1, and what it gives."""
+    """The room under a lamp of radiance 1, and its attribution."""
     renderer = SceneRenderer(room(mi, lamp=1.0), inputs="all")
     return renderer, attribute_at(renderer, 1.0)
 
@@ -42,7 +42,7 @@ def attribute_at(renderer, radiance):
 
 
 def test_all_lights_off(lit):
-    """A black picture: nothing that reflects matters, and the lamp matters as much as when it is on."""
+    """A black image: reflectances have no effect, and the lamp has the same derivative as when it is on."""
     renderer, on = lit
     off = attribute_at(renderer, 0.0)
     assert off.metric_value == 0
@@ -69,7 +69,7 @@ def test_gradients_and_errors_scale_with_the_light(lit, exponent):
 
 
 @pytest.mark.parametrize("exponent", [-20, 20])
-def test_radiance_of_the_issue(lit, exponent):
+def test_scaling_holds_at_1e20_and_1e_minus_20(lit, exponent):
     check_scaling(lit, exponent)
 
 
@@ -88,7 +88,7 @@ def check_scaling(lit, exponent):
 
 
 def test_light_beyond_single_precision_is_refused_by_name_and_place(mi):
-    """3e38 is a number in float32, and its sum over bounces is not: it is refused, not averaged in."""
+    """3e38 is finite in float32, its sum over bounces is not: it is refused."""
     renderer = SceneRenderer(furnace(mi, GREY), inputs="emitters")
     brightest = {"walls.emitter.radiance.value": torch.full((3,), 3e38)}
     with pytest.raises(
@@ -119,7 +119,7 @@ def test_other_methods_scale_too(lit, what, exponent):
 
 
 def test_one_pixel_a_hundred_million_times_brighter(mi):
-    """A lamp a pixel wide before a sky: neither derivative is lost beside the other."""
+    """A lamp one pixel wide before a sky: both derivatives are right."""
     transform = mi.ScalarTransform4f()
     scene = {
         "type": "scene",
@@ -139,7 +139,7 @@ def test_one_pixel_a_hundred_million_times_brighter(mi):
     assert 1e-3 < lamp < 1 / 64
     assert (
         abs(lamp + sky - 1) < allowed(8) * (error + other) + 1e-4
-    )  # every ray sees one of them, of value 1 per unit
+    )  # every ray hits one of them, with 1 per unit
     assert abs(lamp * 1e8 - found.metric_value) < allowed(8) * (error * 1e8 + found.metric_standard_error)
     elsewhere = attribute(scene, ["emitters"], lambda image: image[:, :2].mean(), spp=16)
     assert elsewhere.metric_value == pytest.approx(1.0, rel=1e-5)
@@ -147,7 +147,7 @@ def test_one_pixel_a_hundred_million_times_brighter(mi):
 
 
 def test_sun_disc_through_a_window(mi):
-    """Half a degree of sun, at radiance 1e5, falls onto half of a floor past the edge of a window."""
+    """A sun of half a degree and radiance 1e5 lights half of the floor through a window."""
     transform = mi.ScalarTransform4f()
     radius = np.sin(np.radians(0.25))
     scene = {
@@ -177,7 +177,7 @@ def test_sun_disc_through_a_window(mi):
 
 
 def test_single_hot_texel(mi):
-    """A picture is linear in the sky: value times gradient sums to the brightness, hot texel included."""
+    """An image is linear in the sky: value times gradient sums to the brightness, including the hot texel."""
     texels = np.full((8, 16, 3), 1.0)
     texels[2, 4] = 1e8
     renderer = SceneRenderer(room(mi, lamp=None, sky=sky(mi, texels)), inputs="emitters")
@@ -197,7 +197,7 @@ BAD = [(-5.0, "outside the physical range"), (np.nan, "not finite"), (np.inf, "n
 
 @pytest.mark.parametrize(("value", "words"), BAD)
 def test_impossible_light_raises_where_it_is_asked_for_by_name(mi, tmp_path, value, words):
-    """With its texel and channel; kinds and globs leave it out, and the plan says so."""
+    """With texel and channel; kinds and globs leave it out, and the plan says so."""
     texels = np.full((8, 16, 3), 1.0, np.float32)
     texels[2, 4, 1] = value
     path = tmp_path / "sky.exr"

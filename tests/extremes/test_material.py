@@ -17,7 +17,7 @@ from .scenes import GREY, attribute, coverage, furnace, in_the_sky, mean, rgb, r
 
 WALLS, GLOW = "walls.bsdf.reflectance.value", "walls.emitter.radiance.value"
 MIRROR = {"type": "conductor", "material": "none", "specular_reflectance": rgb(1.0)}
-COVERED = 2e-3  # how well the part of a picture is known that a ball covers
+COVERED = 2e-3  # accuracy of the coverage of a ball
 
 
 def series(passed: float, depth: int) -> tuple[float, float]:
@@ -39,7 +39,7 @@ def test_furnace(oven, reflectance, radiance):
 
 @pytest.mark.parametrize("reflectance", [0.0, 1.0])
 def test_furnace_of_black_and_of_white_walls(oven, reflectance):
-    # At 0 the slope is that at 0.001 (_derivative_routes.SINGULARITY_OFFSETS): 0.3 % is the accuracy.
+    # At 0 the derivative is that at 0.001 (_derivative_routes.SINGULARITY_OFFSETS): 0.3 % is the accuracy.
     check_furnace(oven, reflectance, 2.0, rounding=3e-3 if reflectance == 0 else 2e-5)
 
 
@@ -54,7 +54,7 @@ def check_furnace(oven, reflectance, radiance, rounding=2e-5):
 
 @pytest.mark.parametrize("passed", [0.0, 0.7, 1.0])
 def test_closed_mirror_box(mi, passed):
-    """Without noise: the light is that of the series, to rounding, and so are its derivatives."""
+    """Without noise, the light and its derivatives equal the series up to rounding."""
     scene = furnace(mi, {**MIRROR, "specular_reflectance": rgb(passed)}, depth=7)
     found = attribute(scene, ["walls.bsdf.specular_reflectance.*", GLOW])
     light, slope = series(passed, 7)
@@ -64,7 +64,7 @@ def test_closed_mirror_box(mi, passed):
 
 
 def test_white_surfaces_lose_nothing_and_black_ones_all(mi):
-    """A convex ball in an even sky: M = 1 − c + c·r, where it covers c."""
+    """A convex ball under a uniform sky: M = 1 − c + c·r for a coverage c."""
     renderer = SceneRenderer(in_the_sky(mi, GREY), inputs="reflectance")
     covered, name = coverage(renderer), "ball.bsdf.reflectance.value"
     for reflectance in (0.0, 1.0):
@@ -83,7 +83,7 @@ def test_white_surfaces_lose_nothing_and_black_ones_all(mi):
 @pytest.mark.long
 @pytest.mark.parametrize("plugin", ["roughconductor", "roughdielectric"])
 def test_roughness_from_a_ten_thousandth_to_one(mi, plugin):
-    """The derivative is that of the picture, as far as the noise of either tells, and is never sure of being 0."""
+    """The derivative is that of the image, within the noise of both, and never exactly 0."""
     fixed = {"material": "none"} if plugin == "roughconductor" else {"int_ior": 1.5}
     renderer = SceneRenderer(
         room(mi, lamp=5.0, ball={"type": plugin, "alpha": 0.1, **fixed}), inputs="ball.bsdf.alpha.*"
@@ -120,7 +120,7 @@ def test_roughness_from_a_ten_thousandth_to_one(mi, plugin):
     [1 + 1e-6, *(pytest.param(one, marks=pytest.mark.long) for one in (1 / 3, 1 - 1e-6, 1.0, 1.5, 3.0))],
 )
 def test_clear_glass_in_an_even_sky_is_invisible(mi, ior):
-    """What glass does not reflect it lets pass, whatever its index: M = 1, and no slope."""
+    """What glass does not reflect it transmits, whatever its index: M = 1, with no derivative."""
     found = attribute(
         in_the_sky(mi, {"type": "dielectric", "int_ior": ior, "ext_ior": 1.0}, depth=16),
         ["ior", "emitters"],
@@ -143,7 +143,7 @@ def test_nested_dielectrics(mi):
         assert abs(slope) < allowed(8) * error + 1e-3
 
 
-def test_opacity_nought_and_one(mi):
+def test_opacity_zero_and_one(mi):
     """Rays cross two skins, the inner side black: M = 1 − c + c (r o + (1 − o)²)."""
     mask = {"type": "mask", "opacity": 0.5, "skin": GREY}
     renderer = SceneRenderer(in_the_sky(mi, mask, depth=6), inputs=["opacity", "reflectance"])
@@ -168,12 +168,12 @@ def test_opacity_nought_and_one(mi):
     ],
 )
 def test_odd_textures(mi, shape, value):
-    """A texture of one colour counts like that colour, also black, one texel large, or one texel wide."""
+    """A uniform texture counts like its colour, also if it is black, 1×1 or one texel high."""
     scene = in_the_sky(mi, texture(mi, np.full((*shape, 3), value)))
     renderer = SceneRenderer(scene, inputs="textures")
     found = VanillaSceneGradient(renderer, mean).attribute(seed=shifted(), spp=64)
     name = "ball.bsdf.reflectance.data"
-    assert found[name].shape == (*(max(2, side) for side in shape), 3)  # Mitsuba keeps two texels at least
+    assert found[name].shape == (*(max(2, side) for side in shape), 3)  # Mitsuba stores at least two texels
     assert torch.isfinite(found[name]).all()
     assert torch.isfinite(found.standard_error[name]).all()
     assert abs(z(total(found, name), coverage(renderer), COVERED)) < allowed(8)
@@ -190,7 +190,7 @@ ETA = "knob.bsdf.eta.value"
 
 @pytest.fixture(scope="module")
 def radiator(mi):
-    """A room with a ball of an impossible metal, as one that is published has it on the knob of a radiator."""
+    """A room with a ball of an impossible metal, as on a radiator knob in a published scene."""
     knob = {"type": "sphere", "center": [1.2, 0, 0], "radius": 0.4, "bsdf": KNOB}
     return SceneRenderer(room(mi, knob=knob), inputs=["materials", "knob.*"])
 

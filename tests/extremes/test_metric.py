@@ -1,4 +1,4 @@
-"""Metrics at the extremes: constant, jumping, huge, not a number, random, greedy, elsewhere."""
+"""Metrics at the extremes: constant, discontinuous, huge, NaN, random, keeping memory, on other devices."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_metrics_without_a_derivative_are_refused(renderer, metric):
 
 
 def test_jump_beside_the_image(renderer, plain):
-    """On either side of a jump the derivative is that of the side: the jump itself is for ablation to see."""
+    """On either side of a jump the derivative is that of the side; only ablation measures the jump."""
     found = by(renderer, lambda image: image.mean() * (image.mean() > 1e-3))
     torch.testing.assert_close(found[BALL], plain[BALL], rtol=1e-4, atol=0)
 
@@ -92,7 +92,7 @@ def test_beyond_single_precision(renderer):
 
 
 def test_not_a_number_on_a_few_pixels(renderer):
-    """Refused, with the place; and where a metric skips them, its derivative is looked at too."""
+    """Refused, with the place; if a metric skips these pixels, its derivative is checked too."""
 
     def spoilt(image):
         holes = torch.zeros_like(image)
@@ -111,8 +111,8 @@ def test_not_a_number_on_a_few_pixels(renderer):
         by(renderer, skipped)
 
 
-def test_not_a_number_in_one_pass_is_found_there():
-    """Any renderer: the pass, its seed and the pixels; the others are not averaged with it."""
+def test_not_a_number_in_one_replicate_is_located():
+    """For any renderer, the error names the replicate, its seed and the pixels."""
 
     class Spoilt(ToyRenderer):
         def __call__(self, inputs, *, seed, spp):
@@ -154,7 +154,7 @@ def test_gradient_that_is_not_a_number_is_named():
         by(Root(), mean)
 
 
-def test_plain_torch_code_is_told_too(renderer):
+def test_plain_torch_code_gets_the_same_errors(renderer):
     x = renderer.leaves()
     loss = renderer(x, seed=shifted(4)).log().mean()
     with pytest.raises(
@@ -165,7 +165,7 @@ def test_plain_torch_code_is_told_too(renderer):
 
 
 def test_metric_that_keeps_its_graph(renderer, plain):
-    """What it keeps stays its own: later results do not change."""
+    """Later results do not change."""
     kept = []
 
     def greedy(image):
@@ -204,7 +204,7 @@ def test_metric_that_changes_its_image(renderer):
 
 
 def test_random_metric(renderer, plain):
-    """Its own noise is in the errors: of the value where it is added, of the gradient where it is multiplied."""
+    """Its noise is part of the errors: additive noise of the value's, multiplicative noise of the gradient's."""
     torch.manual_seed(shifted())
     added = by(renderer, lambda image: image.mean() + torch.randn(()))
     assert 0.5 < added.metric_standard_error < 10

@@ -16,21 +16,19 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.rendering import _renderer
+from scenecaptum.scene import SceneGraph
+
+from .scenes import small_box
 
 FLOOR = "floor.reflectance.value"
-PATIENCE = 100.0  # seconds; only a process that hangs takes them
+PATIENCE = 100.0  # seconds, after which a process counts as hanging
 
-# Atomic additions come in any order: a gradient repeats to about 1e-6 of its size.
+# Atomic additions happen in varying order: a gradient repeats to about 1e-6 of its size.
 SAME = {"rtol": 2e-5, "atol": 1e-9}
 
 
-def small_box() -> SceneRenderer:
-    return SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=4, max_depth=3)
-
-
 def attribution_of(seed: int) -> dict[str, torch.Tensor]:
-    """Load, attribute, and return plain tensors: what a worker process is asked for."""
+    """Load, attribute, and return plain tensors: the task of a worker process."""
     torch.set_num_threads(1)
     found = VanillaSceneGradient(small_box(), metrics.MeanLuminance()).attribute(
         seed=shifted(seed), replicates=2
@@ -53,7 +51,7 @@ def expected(mi: Any) -> list[dict[str, torch.Tensor]]:
 
 
 def test_attributions_from_several_threads_are_those_of_one(expected: list[Any]) -> None:
-    # Each loads a scene of its own too: loading writes to what the whole process shares.
+    # Each loads a scene as well, because loading writes to state that the whole process shares.
     with ThreadPoolExecutor(3) as pool:
         for found, one in zip(pool.map(attribution_of, range(3)), expected, strict=True):
             assert_same(found, one)
@@ -67,16 +65,16 @@ def test_threads_may_share_a_renderer(expected: list[Any]) -> None:
             assert_same(found, one)
 
 
-def test_a_refused_scene_is_gone_before_its_error_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Going with the error, it would go while another thread renders, whose kernels reach every object alive."""
+def test_a_refused_scene_is_freed_before_its_error_is_handled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Freed later, it might go while another thread renders, whose kernels reach every live object."""
     loaded: list[weakref.ref[Any]] = []
+    construct = SceneGraph.__init__
 
-    class Watched(_renderer.SceneGraph):
-        def __init__(self, scene: Any) -> None:
-            super().__init__(scene)
-            loaded.append(weakref.ref(self))
+    def watched(graph: SceneGraph, scene: Any) -> None:
+        construct(graph, scene)
+        loaded.append(weakref.ref(graph))
 
-    monkeypatch.setattr(_renderer, "SceneGraph", Watched)
+    monkeypatch.setattr(SceneGraph, "__init__", watched)
     with pytest.raises(SceneCaptumError, match=r"nothing\.such") as caught:
         SceneRenderer("cornell-box", "nothing.such")
     assert caught.value.__traceback__ is not None, "it holds the frames in which the scene was loaded"
@@ -87,7 +85,7 @@ def test_a_refused_scene_is_gone_before_its_error_is_read(monkeypatch: pytest.Mo
 
 
 class Attributions(torch.utils.data.Dataset[Any]):
-    """What a DataLoader may serve: each item is the attribution of a seed."""
+    """A dataset for a DataLoader: each item is the attribution of a seed."""
 
     def __len__(self) -> int:
         return 1
@@ -123,7 +121,7 @@ FORKS = [
 
 
 def in_a_fork(call: Any) -> str:
-    """Call in a forked process, and return what is raised there."""
+    """Call a function in a forked process, and return the message of what it raises."""
 
     def child(connection: Connection) -> None:
         try:
@@ -153,7 +151,7 @@ def test_a_forked_process_is_refused_instead_of_hanging(expected: list[Any], cal
     said = in_a_fork(lambda: call(renderer))
     assert "forked" in said, said
     assert "spawn" in said
-    renderer(seed=shifted())  # the parent goes on
+    renderer(seed=shifted())  # the parent still works
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
@@ -197,13 +195,13 @@ def scalar(mi: Any) -> Any:
     mi.set_variant(before)
 
 
-def test_the_users_variant_is_given_back(scalar: Any, expected: list[Any]) -> None:
+def test_the_users_variant_is_restored(scalar: Any, expected: list[Any]) -> None:
     assert_same(attribution_of(0), expected[0])
     assert scalar.variant() == "scalar_rgb"
 
 
-def test_what_is_registered_while_another_variant_is_set_is_found_later() -> None:
-    """In a process of its own: a module is imported, and its plugin registered, only once."""
+def test_plugins_registered_under_another_variant_are_found_later() -> None:
+    """In a separate process, because a module is imported, and its plugin registered, only once."""
     code = (
         "import scenecaptum as sc\n"
         "mi = sc.activate()\n"
@@ -234,7 +232,7 @@ def test_a_renderer_keeps_its_variant_whatever_is_set_later(
     assert mi.variant() == "scalar_rgb"
 
 
-def test_the_users_variant_is_given_back_after_an_error(scalar: Any) -> None:
+def test_the_users_variant_is_restored_after_an_error(scalar: Any) -> None:
     with pytest.raises(SceneCaptumError):
         SceneRenderer("cornell-box", "no such input")
     assert scalar.variant() == "scalar_rgb"
@@ -248,7 +246,7 @@ def test_a_scene_of_a_variant_without_derivatives_is_refused_by_name(scalar: Any
 
 
 @pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"])
-def test_other_colours_than_rgb_are_set_aside_or_refused(mi: Any, variant: str, expected: list[Any]) -> None:
+def test_other_colour_modes_are_replaced_or_refused(mi: Any, variant: str, expected: list[Any]) -> None:
     before = mi.variant()
     mi.set_variant(variant)
     try:
@@ -263,8 +261,8 @@ def test_other_colours_than_rgb_are_set_aside_or_refused(mi: Any, variant: str, 
 # --- The user's own rendering ---------------------------------------------------------------------
 
 
-def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
-    """Neither side sees the other: the user's picture, parameters and gradients, and the attribution."""
+def test_the_users_own_rendering_and_ours_do_not_interfere(mi: Any) -> None:
+    """The user's image, parameters and gradients stay the same, and so does the attribution."""
     import drjit as dr
 
     box = mi.cornell_box()
@@ -294,7 +292,7 @@ def test_the_users_own_rendering_in_between_changes_nothing(mi: Any) -> None:
     method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
     undisturbed = method.attribute(seed=shifted(), replicates=2)
     torch.testing.assert_close(users_picture(), picture, **SAME)
-    pending = renderer(renderer.leaves(), seed=shifted(4)).mean()  # a graph of ours is open meanwhile
+    pending = renderer(renderer.leaves(), seed=shifted(4)).mean()  # a graph of ours is pending meanwhile
     assert users_gradient() == pytest.approx(gradient, rel=1e-4)
     pending.backward()
     assert_same(dict(method.attribute(seed=shifted(), replicates=2)), dict(undisturbed))

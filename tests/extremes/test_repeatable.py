@@ -1,7 +1,7 @@
 """The same seed gives the same result: again, after anything else, on any number of threads, in any process.
 
-Pictures repeat bit by bit. Gradients are summed by atomic additions, whose order no seed fixes: they repeat to
-about 1e-6 of their size, and 1e-5 is promised.
+Images repeat bit by bit. Gradients are summed by atomic additions, whose order no seed fixes: they repeat to
+about 1e-6 of their size; 1e-5 is guaranteed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def make(scene: str) -> SceneRenderer:
 
 
 def picture_and_gradients(renderer: SceneRenderer) -> tuple[torch.Tensor, Tensors, Tensors]:
-    """Return a picture, the gradients of the same samples, and those of samples that choose their pixels."""
+    """Return an image, the gradients of the same samples, and those with importance-sampled pixels."""
 
     def gradients(seed_grad: int | None) -> Tensors:
         leaves = renderer.leaves()
@@ -60,10 +60,10 @@ def assert_same(
     *,
     picture: float = 0.0,
 ) -> None:
-    """Compare pictures to a relative precision, bit by bit by default, and gradients to what is promised."""
+    """Compare images to a relative precision, by default bit by bit, and gradients to the guaranteed one."""
     torch.testing.assert_close(found[0], expected[0], rtol=picture, atol=0.0)
     for gradients, reference in zip(found[1:], expected[1:], strict=True):
-        # What cancels is small beside what it is the sum of: the largest says how large that is.
+        # A sum that cancels is small beside its terms; the largest gradient shows their size.
         largest = max(one.norm() for one in reference.values())
         for name, one in reference.items():
             off = float((gradients[name] - one).norm() / (one.norm() + PROMISED * largest))
@@ -94,7 +94,7 @@ def test_on_any_number_of_threads(expected: Any, count: int) -> None:
 
 
 def test_whatever_was_rendered_before(expected: Any) -> None:
-    """A renderer that has first been used in a dark room went on to choose other pixels: 20 % off."""
+    """A renderer that was first used in a dark room once sampled other pixels ever after: 20 % off."""
     used = make("cornell-box")
     dark = {
         name: (value * 0.02).requires_grad_() if name.endswith("reflectance.value") else value
@@ -104,8 +104,8 @@ def test_whatever_was_rendered_before(expected: Any) -> None:
     assert_same(picture_and_gradients(used), expected)
 
 
-def test_whatever_the_owner_of_the_scene_did_before(mi: Any) -> None:
-    """A borrowed scene is rendered as it is now, and as by a renderer that has never seen it otherwise."""
+def test_whatever_the_user_did_to_the_scene_before(mi: Any) -> None:
+    """A shared scene is rendered in its present state, as by a new renderer."""
     scene = mi.load_dict(mi.cornell_box(), optimize=False)
     params = mi.traverse(scene)
 
@@ -122,8 +122,8 @@ def test_whatever_the_owner_of_the_scene_did_before(mi: Any) -> None:
     assert not torch.allclose(darker[0], own[0], rtol=0.01)
 
 
-def test_the_first_pass_of_a_renderer_is_like_the_later_ones(mi: Any) -> None:
-    """Finite differences move a principled material away from its values and back, which must leave no trace."""
+def test_the_first_call_of_a_renderer_is_like_later_ones(mi: Any) -> None:
+    """Finite differences move a principled material away from its values and back, which must have no effect."""
     lacquer = {"type": "principled", "roughness": 0.4, "specular": 0.5, "clearcoat": 0.0, "metallic": 0.0}
     renderer = SceneRenderer(room(mi, lacquer), "materials", spp=8, max_depth=3)
     assert "finite difference" in str(renderer.plan)

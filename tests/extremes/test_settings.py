@@ -33,7 +33,7 @@ def test_one_pixel(oven):
     assert abs(z(total(found, WALLS), 2.75)) < allowed(8)
 
 
-def test_one_sample_is_unbiased_and_says_that_it_knows_no_error(oven):
+def test_one_sample_is_unbiased_and_has_no_error_bar(oven):
     found = [VanillaSceneGradient(oven, mean).attribute(seed=seed, spp=1) for seed in seeds(16)]
     assert all(one.standard_error is None and one.metric_standard_error is None for one in found)
     assert "no error bars" in str(found[0])
@@ -41,7 +41,7 @@ def test_one_sample_is_unbiased_and_says_that_it_knows_no_error(oven):
     assert abs(slopes.mean() - 2.75) < allowed(16) * slopes.std() / 16**0.5
 
 
-def test_depth_of_one_sees_light_alone(oven):
+def test_depth_of_one_shows_emitters_only(oven):
     found = VanillaSceneGradient(oven.replace(max_depth=1), mean).attribute(seed=shifted())
     assert found.metric_value == pytest.approx(1.0, rel=1e-6)
     assert found.saliency()[WALLS] == 0
@@ -50,7 +50,7 @@ def test_depth_of_one_sees_light_alone(oven):
 
 @pytest.mark.parametrize("reflectance", [0.5, pytest.param(0.9, marks=pytest.mark.long)])
 def test_depth_of_a_hundred(oven, reflectance):
-    """Russian roulette ends paths, and biases neither the light nor its slope."""
+    """Russian roulette biases neither the light nor its derivative."""
     deep = oven.replace(max_depth=100)
     values = {**deep.inputs, WALLS: torch.full((3,), reflectance)}
     found = VanillaSceneGradient(deep, mean).attribute(
@@ -109,7 +109,7 @@ def test_other_seeds_are_refused(renderer, seed):
         ({"resolution": (0, 8)}, "width must be a whole number of at least 1"),
     ],
 )
-def test_nothing_of_something_is_refused(mi, options, words):
+def test_settings_of_zero_are_refused(mi, options, words):
     with pytest.raises(SceneCaptumError, match=f"{words}, not 0"):
         SceneRenderer(room(mi), **options)
 

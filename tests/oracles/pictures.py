@@ -1,4 +1,4 @@
-"""Generated pictures with glare sources: flat, graded, merged, separate, near and far from the line of sight."""
+"""Generated images with glare sources: flat, graded, merged, separate, near and far from the line of sight."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def disc(camera, centre, radius, level, *, graded=False):
 
 
 def window(camera, centre, half_width, half_height, level):
-    """Luminance of a window: what lies within so many degrees of azimuth and elevation."""
+    """Luminance of a window: a range of azimuth and elevation, in degrees."""
     x, y, z = camera.directions.numpy().transpose(2, 0, 1)
     azimuth, elevation = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
     inside = (np.abs(azimuth - centre[0]) <= half_width) & (np.abs(elevation - centre[1]) <= half_height)
@@ -40,7 +40,7 @@ def window(camera, centre, half_width, half_height, level):
 
 
 def room(camera: Camera, level: float) -> np.ndarray:
-    """A background that is lighter above than below, between half and one and a half of the level."""
+    """A background that is brighter above than below, from half to one and a half times the level."""
     return level * (1 + 0.5 * camera.directions[..., 1].numpy())
 
 

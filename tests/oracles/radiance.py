@@ -1,4 +1,4 @@
-"""Writes pictures that the real evalglare reads, runs it, and reads what it prints."""
+"""Writes images for evalglare, runs it, and parses its output."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EFFICACY = 179.0
 
 @dataclass(frozen=True)
 class Report:
-    """What ``evalglare -d`` printed: the ratings by name, and one row of numbers per source."""
+    """The output of ``evalglare -d``: the ratings by name, and one row of numbers per source."""
 
     ratings: dict[str, float]
     sources: list[list[float]]
@@ -41,12 +41,12 @@ RADIANCE = _to_xyz([(0.640, 0.330), (0.290, 0.600), (0.150, 0.060)], (1 / 3, 1 /
 
 
 def write_picture(path: Path, luminance: np.ndarray, view: str) -> torch.Tensor:
-    """Write a grey picture in cd/m² as RGBE, and return it as evalglare decodes it: ``(H, W, 3)`` radiance."""
+    """Write a grey image in cd/m² as RGBE, and return it as evalglare decodes it: ``(H, W, 3)`` radiance."""
     return torch.from_numpy(_write(path, np.repeat(luminance[..., None] / EFFICACY, 3, -1), view))
 
 
 def write_coloured(path: Path, radiance: np.ndarray, view: str) -> torch.Tensor:
-    """Write Rec. 709 radiance as RGBE of Radiance's primaries; return as evalglare decodes it, in Rec. 709."""
+    """Write Rec. 709 radiance as RGBE of Radiance's primaries; return it as evalglare decodes it, in Rec. 709."""
     converted = radiance @ (np.linalg.solve(RADIANCE, REC709)).T
     assert converted.min() >= 0, "the colour lies outside Radiance's gamut"
     return torch.from_numpy(_write(path, converted, view) @ (np.linalg.solve(REC709, RADIANCE)).T)

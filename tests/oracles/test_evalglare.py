@@ -1,4 +1,4 @@
-"""Glare ratings against the real evalglare 3.06, which the Python package pyradiance bundles."""
+"""Glare ratings against evalglare 3.06, which the Python package pyradiance bundles."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def test_ratings_and_number_of_sources_are_those_of_evalglare(picture, evaluated
     settings = {"relaxation": 0, "background": "hemisphere"}
     rating = UnifiedGlareRating(picture.camera, **settings)
     assert len(rating.sources(image)) == len(report.sources)
-    # evalglare prints six digits; issue 4 allows 0.15 and 0.003.
+    # evalglare prints six digits; 0.15 and 0.003 are allowed.
     within(rating(image).item(), report.ratings["ugr"], 1e-3)
     within(DaylightGlareProbability(picture.camera, **settings)(image).item(), report.ratings["dgp"], 1e-4)
     within(DaylightGlareIndex(picture.camera, **settings)(image).item(), report.ratings["dgi"], 1e-3)
 
 
 @by_name
-def test_each_source_is_that_of_evalglare(picture, evaluated):
+def test_sources_are_those_of_evalglare(picture, evaluated):
     image, report = evaluated(picture, "-b", "2000")
     rating = UnifiedGlareRating(picture.camera, relaxation=0)
     ours = sorted((s.column, s.luminance, s.solid_angle, s.position_index) for s in rating.sources(image))
@@ -89,14 +89,14 @@ def test_a_threshold_relative_to_the_mean_is_that_of_evalglare(picture, evaluate
 
 
 @by_name
-def test_a_relaxed_rating_stays_near_evalglare(picture, evaluated):
+def test_a_relaxed_rating_is_close_to_evalglare(picture, evaluated):
     near = (np.abs(picture.luminance / 2000 - 1) < 0.3).any()
     image, report = evaluated(picture, "-b", "2000")
     rating = UnifiedGlareRating(picture.camera, background="hemisphere")
     within(rating(image).item(), report.ratings["ugr"], 0.3 if near else 1e-3)
 
 
-def test_the_pictures_are_of_the_kinds_that_matter():
+def test_the_images_cover_the_relevant_cases():
     assert len(PICTURES) >= 25
     assert {picture.camera.projection for picture in PICTURES} == {"fisheye", "perspective"}
     clear = [p for p in PICTURES if not (np.abs(p.luminance / 2000 - 1) < 0.3).any()]
@@ -125,7 +125,7 @@ COLOURS = {"candle": (1.6, 0.9, 0.35), "sky": (0.7, 0.95, 2.2), "sodium": (1.9, 
 
 @pytest.mark.parametrize("colour", COLOURS)
 @pytest.mark.parametrize("name", ["merged", "sun-in-a-window", "perspective-three", "window-of-three-panes"])
-def test_coloured_pictures_are_rated_alike_once_in_radiance_primaries(evalglare, tmp_path, name, colour):
+def test_coloured_images_agree_in_radiance_primaries(evalglare, tmp_path, name, colour):
     # A render has Rec. 709 primaries, which evalglare does not know; luminance does not depend on the choice.
     picture = next(picture for picture in PICTURES if picture.name == name)
     lamp, wall = np.array(COLOURS[colour]), np.array([0.9, 1.05, 0.8])

@@ -1,3 +1,4 @@
 """The command line, ``scenecaptum COMMAND``: one file per command."""
 
 from ._main import main as main
+from ._main import parser as parser

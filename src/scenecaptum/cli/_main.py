@@ -15,7 +15,7 @@ BAD_INPUT, INTERRUPTED = 2, 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 success, 1 not confirmed, 2 bad input, 130 interrupted."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     try:
         status: int = options.run(options)
     except SceneCaptumError as error:
@@ -27,13 +27,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    whole = argparse.ArgumentParser(
         prog="scenecaptum",
         description="Attribute any metric of a rendered image to the parameters of the scene.",
     )
-    parser.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    whole.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
+    commands = whole.add_subparsers(required=True, metavar="COMMAND")
     for command in (_attribute, _tradeoff, _validate, _demo, _doctor):
         command.add(commands)
-    return parser
+    return whole

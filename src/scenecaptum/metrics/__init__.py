@@ -11,7 +11,7 @@ from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
 from ._luminance import luminance as luminance
 from ._luminance_map import plot_luminance as plot_luminance
-from ._named import NamedMetric
+from ._named import NamedMetric as NamedMetric
 from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index

@@ -6,4 +6,6 @@ __all__ = ["RenderPlan", "SceneRenderer"]
 from ._integrators import STOCK_INTEGRATORS as STOCK_INTEGRATORS
 from ._plan import RenderPlan as RenderPlan
 from ._renderer import SceneRenderer as SceneRenderer
+from ._sensors import SENSORS as SENSORS
+from ._sensors import SensorType as SensorType
 from ._sensors import named_sensors as named_sensors

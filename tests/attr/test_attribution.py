@@ -1,0 +1,373 @@
+"""Attribution by plain gradients: error bars, the result object, interruption and refusals."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from chance import allowed
+from seeds import seeds, shifted
+from toy import ReplayingToyRenderer, ToyRenderer, log_mean
+
+import scenecaptum
+from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
+from scenecaptum.attr import AttributionInterrupted
+from scenecaptum.estimation import channel_totals
+
+
+def glare_like(image: torch.Tensor) -> torch.Tensor:
+    return torch.sigmoid((image - 0.9) / 0.1).mean()
+
+
+METRICS = {"linear": torch.mean, "log": log_mean, "sigmoid": glare_like}
+REPEATS = 150
+
+
+def assert_bars_are_honest(spread: torch.Tensor, bars: torch.Tensor) -> None:
+    """The standard deviation of n repeats has a relative error of 1/√(2n); four of these are allowed."""
+    ratio, width = spread / bars.square().mean(0).sqrt(), 4 / math.sqrt(2 * REPEATS)
+    assert ((ratio - 1).abs() < width).all(), f"spread over bar {ratio.tolist()}, allowed 1 ± {width:.2f}"
+
+
+def exact_gradient(renderer: ToyRenderer, metric) -> torch.Tensor:
+    x = renderer.inputs["x"].clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(metric(renderer.exact({"x": x})), x)
+    return gradient
+
+
+# ------------------------------------------------------------------------------------------ the error bars
+
+
+@pytest.mark.parametrize("renderer_class", [ToyRenderer, ReplayingToyRenderer])
+@pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS)
+def test_standard_error_is_the_spread_over_repeats_and_the_mean_is_right(renderer_class, metric):
+    # The jackknife is of first order: the noise of an image must be far smaller than the sigmoid's width.
+    renderer = renderer_class(noise=0.1 if metric is glare_like else 0.3)
+    repeats = [VanillaSceneGradient(renderer, metric).attribute(seed=seed) for seed in seeds(REPEATS)]
+    values = torch.stack([one["x"] for one in repeats])
+    assert_bars_are_honest(values.std(0), torch.stack([one.standard_error["x"] for one in repeats]))
+
+    error = values.std(0) / math.sqrt(REPEATS)
+    z = (values.mean(0) - exact_gradient(renderer, metric)) / error
+    assert (z.abs() < allowed(REPEATS, 3)).all(), f"bias in standard errors {z.tolist()}"
+
+
+def test_error_bars_include_the_noise_of_the_image():
+    """The gradient of the log of a noisy image: half of its error comes from the image, which adjoints of
+    leave-one-out means alone would not show."""
+    renderer = ReplayingToyRenderer(noise=0.3)
+    repeats = [VanillaSceneGradient(renderer, log_mean).attribute(seed=seed) for seed in seeds(REPEATS)]
+    truth = exact_gradient(renderer, log_mean)
+    covered = torch.stack(
+        [(lo <= truth) & (truth <= hi) for lo, hi in (one.interval(0.95)["x"] for one in repeats)]
+    )
+    share = covered.float().mean().item()
+    # The three channels are correlated, so their number does not make the share more accurate.
+    width = 4 * math.sqrt(0.95 * 0.05 / REPEATS)
+    assert abs(share - 0.95) < width, f"95 % intervals cover {share:.1%}, allowed 95 ± {width:.1%}"
+
+
+def test_bias_of_a_linear_metric_is_zero():
+    attribution = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute()
+    assert not attribution.bias["x"].any()
+
+
+def test_one_replicate_has_no_error_bars_and_says_so():
+    attribution = VanillaSceneGradient(ToyRenderer(), log_mean).attribute(replicates=1)
+    assert attribution.standard_error is None
+    assert attribution.saliency_error() is None
+    assert attribution.metric_standard_error is None
+    assert attribution.info["replicates"] == 1
+    with pytest.raises(SceneCaptumError, match="at least two replicates"):
+        attribution.interval()
+
+
+def test_a_renderer_that_ignores_the_seed_gets_errors_of_zero():
+    renderer = ToyRenderer(noise=0.0)
+    attribution = VanillaSceneGradient(renderer, log_mean).attribute()
+    torch.testing.assert_close(attribution["x"], exact_gradient(renderer, log_mean))
+    assert attribution.standard_error["x"].max() < 1e-6
+
+
+# ------------------------------------------------------------------------------------------ the metric
+
+
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [
+        (lambda image: image.mean().item(), "must return a torch tensor, not float"),
+        (lambda image: image.mean((0, 1)), r"must return a scalar; it returned shape \(3,\)"),
+        (lambda image: image.detach().mean(), "does not depend on the image"),
+        (lambda image: torch.tensor(1.0, requires_grad=True) * 2, "does not depend on the image"),
+        (lambda image: (image > 0.5).sum(), "does not depend on the image"),
+        (lambda image: (image * float("nan")).mean(), "is nan on the rendered image"),
+        (
+            lambda image: (image - image).clamp_min(0).sqrt().sum(),
+            "derivative that is not finite on 16 of 16 pixels",
+        ),
+    ],
+)
+def test_a_metric_that_cannot_be_attributed_is_refused_with_the_reason(metric, message):
+    with pytest.raises(SceneCaptumError, match=message):
+        VanillaSceneGradient(ToyRenderer(), metric).attribute()
+
+
+def test_target_chooses_an_element_of_a_vector():
+    renderer = ToyRenderer(noise=0.0)
+
+    def per_channel(image: torch.Tensor) -> torch.Tensor:
+        return image.mean((0, 1))
+
+    attribution = VanillaSceneGradient(renderer, per_channel).attribute(target=1)
+    torch.testing.assert_close(attribution["x"], exact_gradient(renderer, lambda image: image[..., 1].mean()))
+    with pytest.raises(SceneCaptumError, match=r"target=3 does not index .* shape \(3,\)"):
+        VanillaSceneGradient(renderer, per_channel).attribute(target=3)
+
+
+def test_linearity_in_the_metric():
+    renderer = ReplayingToyRenderer()
+    one = VanillaSceneGradient(renderer, torch.mean).attribute(seed=shifted(3))
+    thrice = VanillaSceneGradient(renderer, lambda image: 3 * image.mean()).attribute(seed=shifted(3))
+    torch.testing.assert_close(thrice["x"], 3 * one["x"])
+
+
+def test_without_inputs_there_is_nothing_to_attribute_to():
+    def renderer(inputs, *, seed, spp):
+        return inputs["x"].expand(2, 2, 3)
+
+    with pytest.raises(SceneCaptumError, match="give inputs="):
+        VanillaSceneGradient(renderer, torch.mean).attribute()
+    attribution = VanillaSceneGradient(renderer, torch.mean).attribute({"x": torch.ones(())})
+    assert attribution["x"] == pytest.approx(1)
+
+
+# ------------------------------------------------------------------------------------------ the result
+
+
+@pytest.fixture(scope="module")
+def cornell_attribution(cornell):
+    return VanillaSceneGradient(cornell, metrics.MeanLuminance()).attribute(seed=shifted(5))
+
+
+def test_attribution_agrees_with_finite_differences_of_many_seeds(cornell, cornell_attribution):
+    """The attribution has independent seeds: it agrees with the expected derivative within its error bars."""
+    name = "light.emitter.radiance.value"
+    value, step = cornell.inputs[name], torch.tensor([1.0, 0.0, 0.0])
+    metric = metrics.MeanLuminance()
+
+    def difference(seed: int) -> float:
+        with torch.no_grad():
+            up, down = (metric(cornell({name: value + sign * step}, seed=seed)) for sign in (1, -1))
+        return ((up - down) / 2).item()
+
+    differences = torch.tensor([difference(seed) for seed in seeds(8)])
+    error = math.hypot(differences.std() / math.sqrt(8), cornell_attribution.standard_error[name][0])
+    z = (cornell_attribution[name][0] - differences.mean()).item() / error
+    assert abs(z) < allowed(8), f"z = {z:.2f}"
+
+
+def test_light_attributions_add_up_to_the_metric(cornell, cornell_attribution):
+    """Radiance enters linearly: Σ L ∂M/∂L = M."""
+    name = "light.emitter.radiance.value"
+    total = (cornell.inputs[name] * cornell_attribution[name]).sum().item()
+    error = math.hypot(
+        cornell_attribution.metric_standard_error,
+        (cornell.inputs[name] * cornell_attribution.standard_error[name]).norm(),
+    )
+    difference = total - cornell_attribution.metric_value
+    assert abs(difference) < allowed(8) * error, f"differs by {difference:.2e}, standard error {error:.1e}"
+
+
+def test_info_says_how_it_was_computed(cornell_attribution):
+    info = cornell_attribution.info
+    assert info["method"] == "VanillaSceneGradient"
+    assert info["metric"] == "MeanLuminance"
+    assert (info["seed"], info["spp"], info["replicates"]) == (shifted(5), 16, 8)
+    assert info["integrator"] == "scenecaptum_replay"
+    assert {"scenecaptum", "torch", "mitsuba", "drjit", "python"} <= info["versions"].keys()
+
+
+def test_ranking_is_by_descending_norm(cornell_attribution):
+    rows = cornell_attribution.ranking()
+    saliencies = [row.saliency for row in rows]
+    assert saliencies == sorted(saliencies, reverse=True)
+    assert [row.rank for row in rows] == list(range(1, len(rows) + 1))
+    assert len(cornell_attribution.ranking(top=3)) == 3
+    first = rows[0]
+    assert first.saliency == pytest.approx(cornell_attribution[first.name].norm().item())
+
+
+def test_texture_ranks_like_its_colour():
+    """A texture's saliency is that of its texel sum, so that a constant texture ranks like the colour it shows."""
+    per_texel = torch.full((4, 5, 3), 0.1)
+    torch.testing.assert_close(channel_totals(per_texel), torch.full((3,), 2.0))
+    torch.testing.assert_close(channel_totals(torch.tensor([3.0, 4.0])).norm(), torch.tensor(5.0))
+    assert channel_totals(torch.tensor(2.0)).shape == (1,)
+
+
+def test_saliency_error_follows_the_covariance_of_the_channels():
+    repeats = [
+        VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(seed=seed) for seed in seeds(REPEATS)
+    ]
+    norms = torch.tensor([one.saliency()["x"] for one in repeats])
+    assert_bars_are_honest(norms.std(), torch.tensor([one.saliency_error()["x"] for one in repeats]))
+
+
+def test_unknown_name_suggests_a_similar_one(cornell_attribution):
+    with pytest.raises(SceneCaptumError, match=r"Did you mean 'light\.emitter\.radiance\.value'"):
+        cornell_attribution["light.emitter.radiance"]
+
+
+def test_dataframe_has_a_row_for_each_parameter(cornell_attribution):
+    pytest.importorskip("pandas")
+    frame = cornell_attribution.to_dataframe()
+    assert list(frame["name"]) == [row.name for row in cornell_attribution.ranking()]
+    assert (frame["saliency_error"] > 0).all()
+
+
+def test_saved_result_loads_with_everything_and_still_draws(cornell_attribution, tmp_path):
+    cornell_attribution.save(tmp_path / "result.npz")
+    loaded = SceneAttribution.load(tmp_path / "result.npz")
+    assert list(loaded) == list(cornell_attribution)
+    for name in loaded:
+        torch.testing.assert_close(loaded[name], cornell_attribution[name], rtol=0, atol=0)
+        torch.testing.assert_close(loaded.standard_error[name], cornell_attribution.standard_error[name])
+    assert loaded.ranking() == cornell_attribution.ranking()
+    assert loaded.info == cornell_attribution.info
+    assert loaded.metric_value == cornell_attribution.metric_value
+    torch.testing.assert_close(loaded.heatmap(), cornell_attribution.heatmap())
+    assert str(loaded) == str(cornell_attribution)
+
+
+def test_a_result_without_error_bars_survives_saving(tmp_path):
+    attribution = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(replicates=1)
+    attribution.save(tmp_path / "result.npz")
+    loaded = SceneAttribution.load(tmp_path / "result.npz")
+    assert loaded.standard_error is None
+    assert loaded.bias is None
+
+
+@pytest.mark.parametrize("damage", ["truncated", "pickle", "text", "foreign", "missing"])
+def test_a_damaged_file_is_refused(damage, cornell_attribution, tmp_path):
+    path = tmp_path / "result.npz"
+    match damage:
+        case "truncated":
+            cornell_attribution.save(path)
+            path.write_bytes(path.read_bytes()[:-400])
+        case "pickle":
+            np.savez(path, header=np.array([{"format": "evil"}], dtype=object))
+        case "text":
+            path.write_text("not an archive")
+        case "foreign":
+            np.savez(path, header='{"format": "something else"}')
+    with pytest.raises(SceneCaptumError, match=r"result\.npz"):
+        SceneAttribution.load(path)
+
+
+def test_failed_saving_leaves_no_file(tmp_path, cornell_attribution):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SceneCaptumError, match="cannot be written"):
+        cornell_attribution.save(tmp_path / "file" / "result.npz")
+
+
+def test_difference_of_a_result_with_itself_is_exactly_zero(cornell_attribution):
+    zero = cornell_attribution - cornell_attribution
+    assert all(not zero[name].any() and not zero.standard_error[name].any() for name in zero)
+
+
+def test_errors_of_a_difference_use_shared_noise_where_there_is_some():
+    """Two metrics on the same samples: the error bar of their difference is its actual spread."""
+    renderer = ReplayingToyRenderer()
+
+    def difference(seed: int) -> SceneAttribution:
+        a = VanillaSceneGradient(renderer, torch.mean).attribute(seed=seed)
+        return a - VanillaSceneGradient(renderer, lambda image: image[:2].mean()).attribute(seed=seed)
+
+    repeats = [difference(seed) for seed in seeds(REPEATS)]
+    spread = torch.stack([one["x"] for one in repeats]).std(0)
+    assert_bars_are_honest(spread, torch.stack([one.standard_error["x"] for one in repeats]))
+
+
+def test_errors_of_unrelated_results_add_in_squares():
+    a = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(seed=shifted())
+    b = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(seed=shifted(1))
+    expected = torch.hypot(a.standard_error["x"], b.standard_error["x"])
+    torch.testing.assert_close((a - b).standard_error["x"], expected)
+    assert (a - b).saliency_error()["x"] > 0
+
+
+def test_results_for_different_parameters_cannot_be_subtracted(cornell_attribution):
+    other = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute()
+    with pytest.raises(SceneCaptumError, match="same parameters"):
+        cornell_attribution - other
+
+
+# ------------------------------------------------------------------------------------------ interruption
+
+
+class InterruptedRenderer(ToyRenderer):
+    """Raises KeyboardInterrupt during the backward passes."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__()
+        self.left = after
+
+    def __call__(self, inputs, *, seed, spp):
+        image = super().__call__(inputs, seed=seed, spp=spp)
+        if image.requires_grad:
+            image.register_hook(self.count)
+        return image
+
+    def count(self, gradient: torch.Tensor) -> None:
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+
+
+def test_interruption_carries_the_result_of_the_finished_replicates():
+    with pytest.raises(AttributionInterrupted) as caught:
+        VanillaSceneGradient(InterruptedRenderer(after=3), torch.mean).attribute()
+    partial = caught.value.partial
+    assert partial.info["replicates"] == 3
+    assert partial.info["interrupted"]
+    assert partial.standard_error["x"].min() > 0
+
+
+def test_interruption_before_the_first_backward_pass_has_no_result():
+    with pytest.raises(KeyboardInterrupt) as caught:
+        VanillaSceneGradient(InterruptedRenderer(after=0), torch.mean).attribute()
+    assert not isinstance(caught.value, AttributionInterrupted)
+
+
+# ----------------------------------------------------------------------------------- wrong arguments
+
+
+def test_a_renderer_and_a_metric_in_the_wrong_order_are_refused_at_construction() -> None:
+    with pytest.raises(SceneCaptumError, match="swapped"):
+        VanillaSceneGradient(metrics.MeanLuminance(), ToyRenderer())
+    with pytest.raises(SceneCaptumError, match="metric must be callable, not int"):
+        VanillaSceneGradient(ToyRenderer(), 3)
+
+
+@pytest.mark.parametrize("inputs", [torch.ones(3), (torch.ones(3),), 3])
+def test_inputs_that_are_not_a_mapping_are_refused(inputs: object) -> None:
+    method = VanillaSceneGradient(ToyRenderer(), torch.mean)
+    with pytest.raises(
+        SceneCaptumError, match=f"a dict from parameter name to tensor.*{type(inputs).__name__}"
+    ):
+        method.attribute(inputs)
+
+
+def test_subpackages_are_attributes_and_load_when_used() -> None:
+    code = (
+        "import sys, scenecaptum as sc\n"
+        "assert 'scenecaptum.validation' not in sys.modules\n"
+        "assert sc.validation.ablation_test is not None and sc.report.write_report is not None\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'valdation'"):
+        _ = scenecaptum.valdation  # type: ignore[attr-defined]

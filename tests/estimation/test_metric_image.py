@@ -1,0 +1,259 @@
+"""The image that a metric is evaluated on: denoised where that is measured to be closer to the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+import torch
+from chance import allowed
+from seeds import seeds, shifted
+
+import scenecaptum as sc
+from scenecaptum import Camera, FeatureAblationScene, VanillaSceneGradient, metrics
+from scenecaptum.denoising import denoise, straight_through
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.estimation import ImageTransform, TargetedMetric, choose_transform, student_t
+from scenecaptum.estimation._jackknife import _denoiser_bias, is_linear, jackknife
+
+SIZE = 32
+CAMERA = Camera.perspective(SIZE, SIZE, fov_x=60)
+
+
+class Fireflies:
+    """A room with a window; its walls get part of their light from rare, bright paths."""
+
+    spp = 16
+
+    def __init__(self, chance: float = 0.001) -> None:
+        self.chance = chance
+        y, x = torch.meshgrid(torch.linspace(0, 1, SIZE), torch.linspace(0, 1, SIZE), indexing="ij")
+        self.wall = (0.5 + 0.3 * x + 0.2 * y)[..., None].expand(-1, -1, 3).clone()
+        self.window = torch.zeros(SIZE, SIZE, 3)
+        self.window[8:14, 10:20] = 20.0
+        self.wall[8:14, 10:20] = 0.0
+        self.inputs = {"wall": torch.tensor(1.0), "window": torch.tensor(1.0)}
+
+    def exact(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return inputs["wall"] * self.wall + inputs["window"] * self.window
+
+    def __call__(self, inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int) -> torch.Tensor:
+        generator = torch.Generator().manual_seed(seed)
+        hits = torch.binomial(
+            torch.full((SIZE, SIZE, 1), float(spp)), torch.tensor(self.chance), generator=generator
+        )
+        light = 0.2 + 0.8 * hits / (spp * self.chance)
+        return inputs["wall"] * self.wall * light + inputs["window"] * self.window
+
+
+def glare() -> Any:
+    return metrics.UnifiedGlareRating(CAMERA, threshold_factor=5, efficacy=179.0)
+
+
+def test_choice_and_errors_are_measured():
+    noisy, calm = Fireflies(), Fireflies(chance=1.0)
+    images = [noisy(noisy.inputs, seed=seed, spp=4) for seed in seeds(8)]
+    transform = choose_transform("auto", images, None, None)
+    assert transform.denoises
+    truth = noisy.exact(noisy.inputs)
+    halves = [torch.stack(images[start::2]).mean(0) for start in (0, 1)]
+    seen = (denoise(halves[0]) + denoise(halves[1])) / 2
+    weight = 1 / (seen.mean(-1, keepdim=True) ** 2 + (0.1 * seen.mean()) ** 2)
+
+    def error(made: list[torch.Tensor]) -> float:
+        return sum((weight * (one - truth) ** 2).mean().item() for one in made) / 2
+
+    assert transform.raw_error == pytest.approx(error(halves), rel=0.2)
+    assert error([denoise(one) for one in halves]) < 0.2 * transform.raw_error
+    assert transform.denoised_error < 0.5 * transform.raw_error
+
+    clean = [
+        calm(calm.inputs, seed=seed, spp=4)
+        + 1e-5 * torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(seed))
+        for seed in seeds(8)
+    ]
+    assert not choose_transform("auto", clean, None, None).denoises
+
+
+def test_intervals_contain_the_converged_rating_or_carry_a_caution():
+    renderer, rating = Fireflies(), glare()
+    exact = rating(renderer.exact(renderer.inputs)).item()
+    held = raw_held = near = cautions = 0
+    for seed in seeds(20):
+        denoised, raw = (
+            VanillaSceneGradient(renderer, rating).attribute(seed=seed, spp=32, denoise=mode)
+            for mode in ("auto", False)
+        )
+        assert denoised.info["picture"]["denoised"]
+        low, high = denoised.metric_interval(0.95)
+        held += low <= exact <= high
+        raw_low, raw_high = raw.metric_interval(0.95)
+        raw_held += raw_low <= exact <= raw_high
+        near += abs(raw.metric_value - exact) < 1
+        cautions += raw.info["picture"]["caution"] is not None
+    assert held >= 16  # with 95 % each, fewer in 1 of 3000 cases
+    assert near <= 12, "the noise shall matter, or the test says nothing"  # 23 of 100
+    assert raw_held >= 16
+    assert cautions >= 16
+
+
+class Gray(ImageTransform):
+    """A denoiser whose output is uniformly gray."""
+
+    def __call__(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.full_like(image, 0.5)
+
+
+def test_the_bias_of_a_denoiser_is_part_of_the_error():
+    renderer = Fireflies(0.1)
+    metric = TargetedMetric(lambda image: image.square().mean(), transform=Gray(True))
+    truth = renderer.exact(renderer.inputs)
+    shares = torch.tensor([0.4, 0.2, 0.2, 0.1, 0.1], dtype=torch.float64)
+    found, held = [], 0
+    for seed in seeds(20):
+        images = [
+            renderer(renderer.inputs, seed=20 * seed + k, spp=int(640 * share))
+            for k, share in enumerate(shares.tolist())
+        ]
+        _, adjoint = metric.value_and_adjoint(images[0])
+        found.append(_denoiser_bias(metric, torch.stack(images), shares, adjoint)[0])
+        seen = jackknife(metric, images, [640 * share for share in shares.tolist()])
+        held += abs(seen.value - truth.square().mean().item()) <= student_t(0.95, 4) * seen.standard_error
+    # The metric is a square: its error is exactly the second-order term.
+    expected = (truth - 0.5).square().mean().item()
+    each = torch.tensor(found)
+    assert abs(each.mean() - expected) < allowed(20) * each.std() / math.sqrt(20)
+    assert each.std() < 0.1 * expected
+    assert held == 20
+
+
+def test_equal_images_do_not_make_a_metric_linear():
+    image = Fireflies()(Fireflies().inputs, seed=shifted(), spp=64)
+    squares, mean = (TargetedMetric(one) for one in (lambda image: image.square().mean(), torch.mean))
+    for images in ([image], [image, image], [image, image, 2 * image]):
+        assert not is_linear(squares, images)
+        assert is_linear(mean, images)
+
+
+def test_gradients_at_a_denoised_image_are_those_of_the_converged_one():
+    renderer, rating = Fireflies(), glare()
+    leaves = {name: value.clone().requires_grad_() for name, value in renderer.inputs.items()}
+    exact = torch.autograd.grad(rating(renderer.exact(leaves)), list(leaves.values()))
+    misses = 0
+    for seed in seeds(10):
+        found = VanillaSceneGradient(renderer, rating).attribute(seed=seed, spp=64)
+        for (name, value), true in zip(found.items(), exact, strict=True):
+            misses += bool(abs(value - true) > 4 * found.standard_error[name] + 1e-4 * abs(true))
+    assert misses <= 1
+
+
+def test_images_of_linear_metrics_are_not_denoised():
+    renderer = Fireflies()
+    plain, other = (
+        VanillaSceneGradient(renderer, torch.mean).attribute(seed=shifted(3), denoise=mode)
+        for mode in (False, True)
+    )
+    assert not other.info["picture"]["denoised"]
+    assert other.info["picture"]["spp"] == 16
+    for name in plain:
+        assert torch.equal(plain[name], other[name])
+
+
+def test_the_caution_is_printed_and_saved(tmp_path):
+    found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=shifted(0), denoise=False)
+    caution = found.info["picture"]["caution"]
+    assert caution.startswith("the picture is too noisy for this metric: ")
+    assert caution in " ".join(str(found).split())
+    assert caution in " ".join(found._repr_html_().split())
+    found.save(tmp_path / "found.npz")
+    assert sc.SceneAttribution.load(tmp_path / "found.npz").info["picture"]["caution"] == caution
+    bars = found.plot_bars()
+    written = " ".join(text.get_text() for text in bars.findobj() if hasattr(text, "get_text"))
+    assert "too noisy" in " ".join(written.split())
+
+
+def test_images_can_have_a_separate_sample_budget():
+    renderer, rating = Fireflies(), glare()
+    few, many = (
+        VanillaSceneGradient(renderer, rating).attribute(seed=shifted(0), picture_spp=spp)
+        for spp in (16, 512)
+    )
+    assert (few.info["picture"]["spp"], many.info["picture"]["spp"]) == (16, 512)
+    assert many.metric_standard_error < few.metric_standard_error
+    by_goal = VanillaSceneGradient(renderer, rating).attribute(
+        seed=shifted(0), tolerance=0.5, spp=16, picture_spp=64
+    )
+    assert by_goal.info["picture"]["spp"] == 4 * by_goal.info["spp"]
+
+
+@pytest.mark.parametrize("method", [sc.IntegratedGradientsScene, sc.SmoothGradScene, FeatureAblationScene])
+def test_every_method_obeys_the_denoise_option(method):
+    renderer, rating = Fireflies(), glare()
+    half = dict.fromkeys(renderer.inputs, 0.5)
+    baselines = {} if method is sc.SmoothGradScene else {"baselines": half}
+    renderer.bounds = dict.fromkeys(renderer.inputs, (0.0, 2.0))
+    found = method(renderer, rating).attribute(seed=shifted(0), spp=64, denoise=True, **baselines)
+    assert found.info["picture"]["denoised"]
+    exact = rating(renderer.exact(renderer.inputs)).item()
+    assert abs(found.metric_value - exact) < 5 * found.metric_standard_error
+
+
+def test_a_metric_without_derivatives_gets_the_denoised_image():
+    def bright(image: torch.Tensor) -> torch.Tensor:
+        return (image.mean(-1) > 5).sum().float()
+
+    renderer = Fireflies()
+    exact = bright(renderer.exact(renderer.inputs)).item()
+    baselines = {"wall": 0.0, "window": 0.0}
+    found = {
+        mode: FeatureAblationScene(renderer, bright).attribute(
+            seed=shifted(0), spp=192, denoise=mode, baselines=baselines
+        )
+        for mode in (True, "auto", False)
+    }
+    # Of 1000 pixels of the wall 62 ± 8 have a bright path in 64 samples.
+    assert found[False].metric_value > exact + 30
+    assert abs(found[True].metric_value - exact) < 8
+    assert abs(found["auto"].metric_value - exact) < 8
+
+
+def test_invalid_options_are_refused():
+    renderer = Fireflies()
+    with pytest.raises(
+        SceneCaptumError, match=r'denoise must be "auto", True or False, not "yes"|not \'yes\''
+    ):
+        VanillaSceneGradient(renderer, glare()).attribute(denoise="yes")
+    with pytest.raises(SceneCaptumError, match="picture_spp=8 is less than spp=16"):
+        VanillaSceneGradient(renderer, glare()).attribute(picture_spp=8)
+
+    def flat(inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int) -> torch.Tensor:
+        return renderer(inputs, seed=seed, spp=spp).flatten()
+
+    def bent(image: torch.Tensor) -> torch.Tensor:
+        return image.square().mean()
+
+    with pytest.raises(SceneCaptumError, match=r"denoise=True requires an image \(H, W, 3\)"):
+        VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16, denoise=True)
+    assert not VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16).info["picture"]["denoised"]
+    with pytest.raises(SceneCaptumError, match="Only an image"):
+        denoise(torch.zeros(5, 5))
+
+
+@pytest.mark.parametrize("factor", [2.0**-100, 1e-30, 0.7, 1e30])
+def test_denoising_is_independent_of_exposure(factor):
+    renderer = Fireflies()
+    image = renderer(renderer.inputs, seed=shifted(), spp=8)
+    expected = denoise(image)
+    assert (expected - image).norm() > 0.1 * image.norm()
+    torch.testing.assert_close(denoise(image * factor) / factor, expected, rtol=1e-3, atol=1e-4)
+    assert not denoise(torch.zeros_like(image)).any()
+
+
+def test_the_denoiser_is_a_straight_through_estimator():
+    image = Fireflies()(Fireflies().inputs, seed=shifted(0), spp=4).requires_grad_()
+    seen = straight_through(image)
+    torch.testing.assert_close(seen.detach(), denoise(image))
+    (gradient,) = torch.autograd.grad(seen.square().sum(), image)
+    torch.testing.assert_close(gradient, 2 * seen.detach())

@@ -1,0 +1,123 @@
+"""Optimisation: which parameters it moves, where it stops, and which it keeps."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from chance import allowed
+from seeds import seeds, shifted
+
+from scenecaptum import SceneRenderer, metrics, optimize
+from scenecaptum.errors import SceneCaptumError
+
+
+class Lamps:
+    """``image = colour · (strong + weak / 10 + faint / 100)`` with noise that falls as 1/√spp."""
+
+    spp = 64
+    bounds = {"strong": (0.0, 1.0), "weak": (0.0, math.inf), "faint": (0.0, 1.0)}  # noqa: RUF012
+    labels = {"strong": "the strong lamp"}  # noqa: RUF012
+
+    def __init__(self, noise: float = 0.1) -> None:
+        self.noise = noise
+        self.inputs = {
+            "strong": torch.tensor([0.5, 0.6, 0.7]),
+            "weak": torch.tensor(2.0),
+            "faint": torch.full((4, 4, 3), 0.5),
+        }
+
+    def __call__(self, inputs, *, seed, spp):
+        light = inputs["strong"] + inputs["weak"] / 10 + inputs["faint"].mean((0, 1)) / 100
+        noise = torch.randn(8, 8, 3, generator=torch.Generator().manual_seed(seed)) / math.sqrt(spp)
+        return light * (1 + self.noise * noise)
+
+
+def test_only_the_most_salient_parameters_are_moved():
+    found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
+    assert found.reached
+    assert found.after.value + 2 * found.after.error < 0.6 < found.before.value
+    assert [moved.name for moved in found.moved] == ["strong", "weak"]
+    assert torch.equal(found.values["faint"], Lamps().inputs["faint"])
+    assert found.history[0] > found.history[-1]
+    # It stops at the goal, not at the limits of the parameters.
+    assert len(found.history) < 20
+    assert max(moved.fraction for moved in found.moved) < 0.5
+    exact = Lamps(noise=0.0)(found.values, seed=shifted(), spp=1).mean().item()
+    assert abs(exact - found.after.value) < allowed(8) * found.after.error
+
+
+def test_no_parameter_moves_farther_than_its_limit():
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
+    assert not found.reached
+    start = Lamps().inputs
+    # The range of "weak" is unbounded: its value replaces it.
+    for name, length in {"strong": 1.0, "weak": 2.0, "faint": 1.0}.items():
+        torch.testing.assert_close(
+            start[name] - found.values[name], torch.full_like(start[name], 0.2 * length)
+        )
+    assert {moved.name: round(moved.fraction, 6) for moved in found.moved} == dict.fromkeys(start, 0.2)
+
+
+def test_physical_bounds_are_kept_with_a_margin():
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=1.0, steps=40)
+    torch.testing.assert_close(found.values["strong"], torch.full((3,), 0.01))
+    torch.testing.assert_close(found.values["weak"], torch.tensor(0.02))
+    at_its_bound = Lamps()
+    at_its_bound.inputs["faint"] = torch.zeros(4, 4, 3)
+    found = optimize.minimize(at_its_bound, torch.mean, -1.0, top=3, steps=3)
+    assert torch.equal(found.values["faint"], torch.zeros(4, 4, 3))
+
+
+def test_the_path_depends_on_the_seed_only():
+    paths = [optimize.minimize(Lamps(), torch.mean, 0.6, seed=shifted(seed)).history for seed in (1, 1, 2)]
+    assert paths[0] == paths[1] != paths[2]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"change": 0.0}, "change must be a fraction"),
+        ({"change": 1.5}, "change must be a fraction"),
+        ({"top": 0}, "top"),
+        ({"steps": 0}, "steps"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_bad_options_are_refused(options, words):
+    with pytest.raises(SceneCaptumError, match=words):
+        optimize.minimize(Lamps(), torch.mean, 0.5, **options)
+
+
+def test_a_metric_without_gradient_is_refused():
+    with pytest.raises(SceneCaptumError, match="No parameter affects"):
+        optimize.minimize(Lamps(), lambda image: 0 * image.mean(), -1.0)
+
+
+def test_table_and_figure_show_the_steps():
+    found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
+    lines = str(found).splitlines()
+    assert lines[1].startswith("the strong lamp")
+    assert "below the goal of 0.6" in lines[-1]
+    figure = found.plot()
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles[0].startswith("before: 0.8")
+    assert titles[1].startswith("after: 0.5")
+    missed = optimize.minimize(Lamps(), torch.mean, 0.0, steps=1)
+    assert "not below the goal of 0" in str(missed)
+
+
+def test_glare_of_the_office_falls(mi):
+    renderer = SceneRenderer("office", ["reflectance", "emitters"], resolution=(32, 18), spp=64, max_depth=3)
+    glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5.0)
+    found = optimize.minimize(renderer, glare, 0.0, top=3, steps=4)
+    assert len(found.moved) == 3
+    paths = [renderer.inputs, {**renderer.inputs, **found.values}]
+    before, after = (
+        torch.tensor([glare(renderer(way, seed=seed, spp=512)).item() for seed in seeds(100, 116)])
+        for way in paths
+    )
+    fall = before - after  # with common random numbers
+    assert fall.mean() > allowed(len(fall)) * fall.std() / math.sqrt(len(fall))
+    assert found.after.value < found.before.value

@@ -1,0 +1,68 @@
+"""The scripts in examples/ run at a reduced size, and print what they claim."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from chance import allowed
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SIZE = (32, 18)
+
+
+@pytest.fixture(autouse=True)
+def _examples_import_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_lamps_add_up_to_the_brightness(mi: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    lamps = load("which_lamp").main(SIZE, 16)["mean luminance"]
+    whole = sum(sum(lamp.total) for lamp in lamps.ranking())
+    error = sum(lamp.saliency_error**2 for lamp in lamps.ranking()) ** 0.5 + lamps.metric_standard_error
+    assert abs(whole - lamps.metric_value) < allowed(8) * error
+    assert "all of them" in capsys.readouterr().out
+
+
+def test_two_designs_are_compared(mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    change = load("two_designs").main(tmp_path / "new", SIZE, 16)
+    assert change.metric_value < 0, "lighter surroundings glare less"
+    assert (tmp_path / "new" / "ranks.png").is_file()
+    assert "lighter walls" in capsys.readouterr().out
+
+
+def test_a_metric_of_your_own_depends_most_on_its_object(mi: Any) -> None:
+    found = load("own_metric").main(SIZE, 32)
+    assert any("desk" in row.label for row in found.ranking(top=5)), found
+
+
+def test_a_logit_depends_most_on_the_chair(mi: Any, torchvision: Any, tmp_path: Path) -> None:
+    found = load("chair_logit").main(tmp_path / "new", (32, 32), 8, random=True)
+    assert found.metric_value != 0
+    assert (tmp_path / "new" / "chair.png").is_file()
+
+
+def test_metrics_rank_parameters_each_in_its_own_way(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    correlations = load("specificity").main(tmp_path / "new", SIZE, 32)
+    with_itself = [value for (one, other), value in correlations.items() if one == other]
+    with_another = [value for (one, other), value in correlations.items() if one != other]
+    # The metrics differ by far more than the noise.
+    assert min(with_itself) > 0.8, correlations
+    assert max(with_another) < 0.5, correlations
+    assert correlations["UGR", "mean luminance"] == correlations["mean luminance", "UGR"]
+    assert (tmp_path / "new" / "specificity.png").is_file()
+    assert "desk's contrast" in capsys.readouterr().out

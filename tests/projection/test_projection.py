@@ -1,0 +1,293 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
+from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
+from scenecaptum.projection._cryptomatte import identifier, murmur3
+
+
+def attribution(parameters: tuple[tuple[str, ...], ...], **saliency: float) -> SceneAttribution:
+    """A 1×2 picture: the left pixel shows object 0, the right one half object 0 and half object 1."""
+    surfaces = SurfaceMap(
+        shape=(1, 2),
+        pixel=np.array([0, 1, 1], np.int32),
+        object_index=np.array([0, 0, 1], np.int32),
+        fraction=np.array([1.0, 0.5, 0.5], np.float32),
+        objects=tuple(f"object_{i}" for i in range(len(parameters))),
+        parameters=parameters,
+    )
+    values = {name: torch.tensor(value) for name, value in saliency.items()}
+    return SceneAttribution(values, standard_error=None, metric_value=1.0, surfaces=surfaces)
+
+
+def test_pixels_average_objects_by_coverage():
+    painted = heatmap(attribution((("a",), ("b",)), a=2.0, b=-1.0))
+    torch.testing.assert_close(painted, torch.tensor([[1.0, 0.75]]))
+
+
+def test_an_object_with_several_parameters_shows_their_norm():
+    painted = heatmap(attribution((("a", "b"), ("c",)), a=3.0, b=4.0, c=5.0))
+    torch.testing.assert_close(painted, torch.tensor([[1.0, 1.0]]))
+
+
+def test_a_shared_parameter_paints_every_object_that_uses_it():
+    painted = heatmap(attribution((("a",), ("a",)), a=0.5))
+    torch.testing.assert_close(painted, torch.ones(1, 2))
+
+
+def test_invisible_objects_count_for_scale_and_ranking():
+    result = attribution((("a",), ("b",), ("hidden",)), a=1.0, b=2.0, hidden=4.0)
+    torch.testing.assert_close(heatmap(result), torch.tensor([[0.25, 0.375]]))
+    assert result.ranking()[0].name == "hidden"
+
+
+def test_a_parameter_of_no_object_sets_the_scale_too():
+    painted = heatmap(attribution((("a",), ("b",)), a=1.0, b=1.0, point_light=2.0))
+    torch.testing.assert_close(painted, torch.full((1, 2), 0.5))
+
+
+def test_parameters_that_were_not_attributed_are_not_painted():
+    painted = heatmap(attribution((("a",), ("not an input",)), a=1.0))
+    torch.testing.assert_close(painted, torch.tensor([[1.0, 0.5]]))
+
+
+def test_attributions_of_zero_give_a_black_map():
+    assert not heatmap(attribution((("a",), ("b",)), a=0.0, b=0.0)).any()
+
+
+def test_without_a_scene_there_is_no_map():
+    with pytest.raises(SceneCaptumError, match="which object each pixel shows"):
+        SceneAttribution({"a": torch.ones(())}, standard_error=None, metric_value=1.0).heatmap()
+
+
+def test_map_of_a_real_scene_equals_the_saliency_of_the_object_at_each_pixel(cornell):
+    result = VanillaSceneGradient(cornell, metrics.MeanLuminance()).attribute(replicates=1)
+    painted, surfaces = result.heatmap(), cornell.surfaces
+    assert painted.shape == (32, 32)
+    assert 0 <= painted.min() < painted.max() <= 1
+    saliency = result.saliency()
+    (floor,) = (n for n in saliency if n.startswith("floor."))
+    whole = (surfaces.object_index == surfaces.objects.index("floor_shape")) & (surfaces.fraction == 1)
+    expected = saliency[floor] / max(saliency.values())
+    np.testing.assert_allclose(painted.flatten()[surfaces.pixel[whole]], expected, rtol=1e-5)
+    assert whole.sum() > 20
+
+
+# --- Choosing, signs and scales --------------------------------------------------------------------
+
+
+def test_a_name_or_a_glob_chooses_what_is_painted_and_sets_the_scale():
+    result = attribution((("a", "b"), ("c",)), a=3.0, b=4.0, c=2.0)
+    torch.testing.assert_close(heatmap(result, parameter="b"), torch.tensor([[1.0, 0.5]]))
+    torch.testing.assert_close(heatmap(result, parameter=["a", "c"]), torch.tensor([[1.0, 5 / 6]]))
+    torch.testing.assert_close(heatmap(result, parameter="[ab]"), torch.tensor([[1.0, 0.5]]))
+    with pytest.raises(SceneCaptumError, match="matches none of the 3 parameters"):
+        heatmap(result, parameter="d*")
+
+
+def test_a_signed_map_has_the_sign_of_the_summed_effects():
+    result = attribution((("a", "b"), ("c",)), a=3.0, b=-4.0, c=5.0)
+    torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, 0.0]]))
+    colours = {"a": torch.tensor([0.0, 3.0, -4.0]), "b": torch.zeros(3), "c": torch.tensor([0.0, 0.0, 2.5])}
+    result = dataclasses.replace(result, attributions=colours)
+    torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, -0.25]]))
+    assert torch.equal(heatmap(result), heatmap(result).abs())
+
+
+def test_a_logarithmic_map_shows_the_decades_below_its_maximum():
+    result = attribution((("a",), ("b",), ("hidden",)), a=1.0, b=-0.98, hidden=100.0)
+    expected = torch.tensor([[1 / 3, 0.0]])
+    torch.testing.assert_close(
+        heatmap(result, scale="log", signed=True, decades=3), expected, atol=1e-5, rtol=0
+    )
+    torch.testing.assert_close(heatmap(result, scale="log", decades=4)[0, 0], torch.tensor(0.5))
+    minus = dataclasses.replace(result, attributions={n: -v for n, v in result.items()})
+    torch.testing.assert_close(
+        heatmap(minus, scale="log", signed=True), -heatmap(result, scale="log", signed=True)
+    )
+    nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
+    assert not heatmap(nothing, scale="log", signed=True).any()
+
+
+def test_maps_with_a_shared_maximum_can_be_compared():
+    before, after = (attribution((("a",), ("b",)), a=a, b=1.0) for a in (2.0, 8.0))
+    top = shared_maximum([before, after])
+    assert top == 8.0
+    torch.testing.assert_close(heatmap(before, maximum=top), torch.tensor([[0.25, 0.1875]]))
+    torch.testing.assert_close(heatmap(after, maximum=top), heatmap(after))
+    torch.testing.assert_close(heatmap(after, maximum=4.0)[0, 0], torch.tensor(1.0))  # and nothing else
+    assert shared_maximum([before, after], parameter="b") == 1.0
+    assert shared_maximum([]) == 0.0
+    nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
+    assert not heatmap(nothing, maximum=shared_maximum([nothing, nothing])).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scale": "cubic"}, 'scale must be "linear" or "log"'),
+        ({"scale": "log", "decades": 0}, "decades must be positive"),
+        ({"maximum": -1.0}, "maximum must be finite and not negative"),
+        ({"maximum": float("nan")}, "maximum must be finite and not negative"),
+    ],
+)
+def test_an_unknown_scale_is_refused(options: dict[str, Any], message: str):
+    with pytest.raises(SceneCaptumError, match=message):
+        heatmap(attribution((("a",), ("b",)), a=1.0, b=2.0), **options)
+
+
+def test_groups_are_chosen_and_signed_like_parameters():
+    result = attribution((("a", "b"), ("c",)), pair=-2.0, c=1.0)
+    result = dataclasses.replace(result, info={"groups": {"pair": ["a", "b"], "c": ["c"]}})
+    torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, -0.25]]))
+    torch.testing.assert_close(heatmap(result, parameter="pair"), torch.tensor([[1.0, 0.5]]))
+
+
+# --- Texels ----------------------------------------------------------------------------------------
+
+
+def textured() -> SceneAttribution:
+    """The left pixel shows both texels of a texture equally, the right one only the second."""
+    result = attribution((("t", "a"), ("b",)), a=0.0, b=0.0)
+    shown = TexelMap(
+        entry=np.array([0, 0, 1], np.int32),
+        texel=np.array([0, 1, 1], np.int32),
+        weight=np.array([1.0, 1.0, 2.0], np.float32),
+    )
+    values = {**result.attributions, "t": torch.tensor([[[3.0, 0.0], [-1.0, 2.0]]])}
+    surfaces = dataclasses.replace(result.surfaces, texels={"t": shown})
+    return dataclasses.replace(result, attributions=values, surfaces=surfaces)
+
+
+def test_texels_paint_the_gradient_per_unit_of_texture():
+    result = textured()
+    # Mean gradients per unit of texture: (2, 2) on the left, 2 × (-1, 2) on the right.
+    left, right = 8**0.5, 20**0.5
+    torch.testing.assert_close(heatmap(result, texels=True), torch.tensor([[left / right, 0.5]]))
+    torch.testing.assert_close(heatmap(result), torch.tensor([[1.0, 0.5]]))
+    assert shared_maximum([result], texels=True) == pytest.approx(right)
+    assert shared_maximum([result]) == pytest.approx(left)
+
+
+def test_texels_join_the_other_parameters_of_their_object():
+    result = textured()
+    result = dataclasses.replace(result, attributions={**result.attributions, "a": torch.tensor(-12.0)})
+    right = (20 + 144) ** 0.5
+    expected = -torch.tensor([[(8 + 144) ** 0.5 / right, 0.5]])
+    torch.testing.assert_close(heatmap(result, texels=True, signed=True), expected)
+
+
+def test_a_texture_without_texel_map_is_refused():
+    result = textured()
+    bare = dataclasses.replace(result, surfaces=dataclasses.replace(result.surfaces, texels={}))
+    with pytest.raises(SceneCaptumError, match="not known which texels the pixels show"):
+        heatmap(bare, texels=True)
+    torch.testing.assert_close(heatmap(bare, texels=True, parameter="a"), heatmap(bare, parameter="a"))
+
+
+def test_texels_are_saved_and_loaded(tmp_path: Path):
+    result = textured()
+    result.save(tmp_path / "result.npz")
+    loaded = SceneAttribution.load(tmp_path / "result.npz")
+    torch.testing.assert_close(loaded.heatmap(texels=True), result.heatmap(texels=True))
+
+
+# --- Files -----------------------------------------------------------------------------------------
+
+
+def test_an_exported_array_holds_the_numbers(tmp_path: Path):
+    result = attribution((("a",), ("b",)), a=2.0, b=-1.0)
+    export(result, tmp_path / "map.npy", signed=True)
+    np.testing.assert_array_equal(np.load(tmp_path / "map.npy"), heatmap(result, signed=True))
+
+
+def test_an_exported_picture_has_eight_bits(tmp_path: Path):
+    result = attribution((("a",), ("b",)), a=2.0, b=-1.0)
+    export(result, tmp_path / "map.png")
+    assert np.array(Image.open(tmp_path / "map.png")).tolist() == [[255, 191]]
+    export(result, tmp_path / "signed.png", signed=True)
+    assert np.array(Image.open(tmp_path / "signed.png")).tolist() == [[255, 159]]
+    export(result, tmp_path / "colours.png", colours="gray_r")
+    assert np.array(Image.open(tmp_path / "colours.png"))[0, 0].tolist() == [0, 0, 0]
+    export(torch.tensor([[0.0, 3.0]]), tmp_path / "limits.png", limits=(0, 4))
+    assert np.array(Image.open(tmp_path / "limits.png")).tolist() == [[0, 191]]
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "options", "message"),
+    [
+        (torch.zeros(2, 3), "map.jpg", {}, "must end in .png, .exr or .npy"),
+        (torch.zeros(2, 3, 4), "map.png", {}, r"not \(2, 3, 4\)"),
+        (torch.zeros(2, 3), "map.png", {"signed": True}, "signed: only for an attribution"),
+        (torch.zeros(2, 3), "map.png", {"colours": "viridiss"}, "Did you mean 'viridis'"),
+        (torch.zeros(2, 3), "map.png", {"limits": (1, 1)}, "limits must be two numbers"),
+        (torch.zeros(2, 3), "nowhere/map.npy", {}, "cannot be written"),
+    ],
+)
+def test_invalid_exports_are_refused(
+    tmp_path: Path, what: torch.Tensor, name: str, options: dict[str, Any], message: str
+):
+    with pytest.raises(SceneCaptumError, match=message):
+        export(what, tmp_path / name, **options)
+
+
+def test_names_are_hashed_as_cryptomatte_does():
+    # From the specification, and from MurmurHash3's reference implementation.
+    known = {
+        "bunny": 0x13851A76,
+        "default": 0x42C9679F,
+        "hello": 0x248BFA47,
+        "": 0,
+        "hello, world": 0x149BBB7F,
+    }
+    assert {name: murmur3(name) for name in known} == known
+    floats = np.array([identifier(f"object {n}") for n in range(3000)] + [identifier("")], np.uint32)
+    assert len(set(floats.tolist())) == 3001
+    values = floats.view(np.float32)
+    assert np.isfinite(values).all()
+    assert (np.abs(values) >= np.finfo(np.float32).tiny).all()
+
+
+def test_an_exported_cryptomatte_can_be_decoded(mi: Any, tmp_path: Path):
+    result = dataclasses.replace(attribution((("a",), ("b",), ()), a=2.0, b=-1.0), image=torch.rand(1, 2, 3))
+    surfaces = dataclasses.replace(
+        result.surfaces,
+        pixel=np.array([0, 0, 1, 1], np.int32),
+        object_index=np.array([0, 1, 0, 2], np.int32),
+        fraction=np.array([0.25, 0.75, 0.5, 0.5], np.float32),
+    )
+    result = dataclasses.replace(result, surfaces=surfaces)
+    export(result, tmp_path / "map.exr")
+    bitmap = mi.Bitmap(str(tmp_path / "map.exr"))
+    names = [field.name for field in bitmap.struct_()]
+    planes = dict(zip(names, np.moveaxis(np.array(bitmap), -1, 0), strict=True))
+    np.testing.assert_array_equal(planes["saliency"], heatmap(result))
+    np.testing.assert_array_equal(np.stack([planes[c] for c in "RGB"], -1), result.image)
+
+    metadata = bitmap.metadata()
+    (key,) = {k.split("/")[1] for k in metadata.keys() if k.startswith("cryptomatte/")}  # noqa: SIM118
+    assert key == f"{murmur3('CryptoObject'):08x}"[:7]
+    assert metadata[f"cryptomatte/{key}/hash"] == "MurmurHash3_32"
+    assert metadata[f"cryptomatte/{key}/conversion"] == "uint32_to_float32"
+    manifest = json.loads(metadata[f"cryptomatte/{key}/manifest"])
+    assert manifest.keys() == {"object_0", "object_1"}  # the last is the background
+    name_of = {np.uint32(int(bits, 16)).view(np.float32): name for name, bits in manifest.items()}
+    layer = metadata[f"cryptomatte/{key}/name"]
+    ranks = [(planes[f"{layer}00.{i}"][0], planes[f"{layer}00.{c}"][0]) for i, c in ("RG", "BA")]
+    decoded = [[(name_of.get(ids[pixel]), cover[pixel]) for ids, cover in ranks] for pixel in (0, 1)]
+    assert decoded == [[("object_1", 0.75), ("object_0", 0.25)], [("object_0", 0.5), (None, 0.0)]]
+
+
+def test_a_map_without_objects_is_an_exr_of_one_channel(mi: Any, tmp_path: Path):
+    values = torch.rand(3, 4) * 1000 - 500
+    export(values, tmp_path / "map.exr")
+    np.testing.assert_array_equal(np.array(mi.Bitmap(str(tmp_path / "map.exr"))).squeeze(), values)

@@ -1,0 +1,65 @@
+"""Albedo and normals that guide the denoiser."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from seeds import shifted
+
+from scenecaptum import SceneRenderer
+from scenecaptum.denoising import denoise
+
+
+@pytest.fixture(scope="module")
+def mirrored(mi: Any) -> SceneRenderer:
+    """One half of the image is a grey wall, the other a mirror that shows the red wall behind the camera."""
+    transform = mi.ScalarTransform4f
+    diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3, 0.3, 0.3]}}
+    red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.1, 0.1]}}
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 40,
+            "to_world": transform().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+        "wall": {
+            "type": "rectangle",
+            "to_world": transform().translate([-5, 0, 0]).scale(5),
+            "bsdf": diffuse,
+        },
+        "mirror": {
+            "type": "rectangle",
+            "to_world": transform().translate([5, 0, 0]).scale(5),
+            "bsdf": {"type": "conductor"},
+        },
+        "behind": {
+            "type": "rectangle",
+            "to_world": transform().translate([0, 0, 5]).rotate([0, 1, 0], 180).scale(20),
+            "bsdf": red,
+        },
+        "lamp": {"type": "point", "position": [0, 1, 3], "intensity": {"type": "rgb", "value": 5.0}},
+    }
+    return SceneRenderer(scene, "reflectance", spp=16, max_depth=4)
+
+
+def test_guides_follow_mirrors_and_have_no_noise(mirrored):
+    guides = mirrored.guides
+    torch.testing.assert_close(guides.albedo[:, :7], torch.full((16, 7, 3), 0.3))
+    torch.testing.assert_close(guides.albedo[:, 9:], torch.tensor([0.8, 0.1, 0.1]).expand(16, 7, 3))
+    torch.testing.assert_close(guides.normal[:, :7], torch.tensor([0.0, 0.0, 1.0]).expand(16, 7, 3))
+    torch.testing.assert_close(guides.normal[:, 9:], torch.tensor([0.0, 0.0, -1.0]).expand(16, 7, 3))
+    assert mirrored.guides is guides
+
+
+def test_the_captum_bridge_denoises_on_request(mirrored):
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        return image.square().mean()
+
+    forward, inputs = mirrored.as_captum(metric, seed=shifted(4), denoise=True)
+    image = mirrored(seed=shifted(4))
+    assert math.isclose(forward(*inputs).item(), metric(denoise(image, mirrored.guides)).item(), rel_tol=1e-4)

@@ -1,0 +1,297 @@
+"""Describing the parameters of a scene, and selecting some of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from refusals import message
+
+from scenecaptum.scene import SceneParameters, discover, load_scene, select
+from scenecaptum.scene._graph import SceneGraph
+from scenecaptum.scene._selection import KINDS
+
+Config = dict[str, Any]
+
+
+def table(scene: Any) -> SceneParameters:
+    return discover(SceneGraph(load_scene(scene)))
+
+
+def rgb(*value: float) -> Config:
+    return {"type": "rgb", "value": list(value)}
+
+
+def camera() -> Config:
+    film = {"type": "hdrfilm", "width": 8, "height": 8}
+    return {
+        "type": "perspective",
+        "film": film,
+        "sampler": {"type": "independent", "sample_count": 1},
+    }
+
+
+def ball(bsdf: Config, **more: Any) -> Config:
+    return {"type": "sphere", "bsdf": bsdf, **more}
+
+
+def small(**objects: Any) -> Config:
+    return {"type": "scene", "eye": camera(), **objects}
+
+
+@pytest.fixture(scope="module")
+def zoo_dict(mi: Any) -> Config:
+    """One of each: every kind of material, light and medium, materials shared, nested and seen from behind."""
+    ref, inner = {"type": "ref", "id": "shared"}, {"type": "ref", "id": "inner"}
+    texels = mi.Bitmap(np.full((4, 5, 3), 0.5, np.float32))
+    fog = {
+        "type": "homogeneous",
+        "albedo": rgb(0.5, 0.6, 0.7),
+        "sigma_t": 1.0,
+        "phase": {"type": "hg", "g": 0.1},
+    }
+    return small(
+        shared={"type": "diffuse", "reflectance": rgb(0.2, 0.3, 0.4)},
+        inner={"type": "diffuse", "reflectance": rgb(0.4, 0.3, 0.2)},
+        two_faced={"type": "twosided", "bsdf": inner},
+        first=ball(ref),
+        second=ball(ref),
+        wrapped=ball({"type": "twosided", "bsdf": ref}),
+        faced=ball({"type": "ref", "id": "two_faced"}),
+        inner_only=ball({"type": "twosided", "bsdf": inner}),
+        cut_out=ball({"type": "mask", "opacity": 0.5, "bsdf": ref}),
+        mixed=ball({"type": "blendbsdf", "weight": 0.3, "a": ref, "b": {"type": "diffuse"}}),
+        gold=ball({"type": "conductor", "material": "Au"}),
+        copper=ball({"type": "roughconductor", "material": "Cu", "alpha": 0.2}),
+        glass=ball({"type": "dielectric"}),
+        frosted=ball({"type": "roughdielectric", "alpha": 0.3}),
+        enamel=ball({"type": "plastic", "diffuse_reflectance": rgb(0.1, 0.2, 0.3)}),
+        vinyl=ball({"type": "roughplastic", "alpha": 0.2}),
+        lacquer=ball({"type": "principled", "base_color": rgb(0.1, 0.2, 0.3), "roughness": 0.3}),
+        poster=ball({"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": texels, "raw": True}}),
+        lamp=ball({"type": "diffuse"}, emitter={"type": "area", "radiance": rgb(1, 2, 3)}),
+        spot={"type": "point", "position": [0, 0, 3], "intensity": rgb(1, 1, 1)},
+        sky={"type": "envmap", "bitmap": mi.Bitmap(np.full((4, 8, 3), 0.5, np.float32))},
+        mist=ball({"type": "null"}, interior=fog),
+        crate={"type": "cube", "bsdf": ref},
+    )
+
+
+@pytest.fixture(scope="module")
+def zoo(zoo_dict: Config) -> SceneParameters:
+    return table(zoo_dict)
+
+
+# --- Discovery -------------------------------------------------------------------------------------
+
+UNIT, POSITIVE, NON_NEGATIVE = "[0, 1]", "(0, ∞)", "[0, ∞)"
+ALL_SHARERS = "shared wrapped cut_out mixed"
+
+EXPECTED = {
+    "shared.reflectance.value": ("reflectance", (3,), UNIT, ALL_SHARERS),
+    # No shape uses it directly: it belongs to the two materials that contain it.
+    "inner.reflectance.value": ("reflectance", (3,), UNIT, "two_faced inner_only"),
+    "cut_out.bsdf.opacity.value": ("opacity", (), UNIT, "cut_out"),
+    "mixed.bsdf.weight.value": ("opacity", (), UNIT, "mixed"),
+    "mixed.bsdf.bsdf_1.reflectance.value": ("reflectance", (), UNIT, "mixed"),
+    # A mirror without a named metal has an index of exactly 0.
+    "gold.bsdf.eta.value": ("ior", (3,), NON_NEGATIVE, "gold"),
+    "gold.bsdf.k.value": ("ior", (3,), NON_NEGATIVE, "gold"),
+    "gold.bsdf.specular_reflectance.value": ("reflectance", (), UNIT, "gold"),
+    "copper.bsdf.alpha.value": ("roughness", (), "(0, 1]", "copper"),
+    "enamel.bsdf.diffuse_reflectance.value": ("reflectance", (3,), UNIT, "enamel"),
+    "vinyl.bsdf.alpha": ("roughness", (), "(0, 1]", "vinyl"),
+    "vinyl.bsdf.eta": ("ior", (), POSITIVE, "vinyl"),
+    "lacquer.bsdf.base_color.value": ("reflectance", (3,), UNIT, "lacquer"),
+    "lacquer.bsdf.roughness.value": ("roughness", (), "(0, 1]", "lacquer"),
+    "lacquer.bsdf.metallic.value": ("surface", (), UNIT, "lacquer"),
+    "poster.bsdf.reflectance.data": ("reflectance", (4, 5, 3), UNIT, "poster"),
+    "lamp.emitter.radiance.value": ("emitters", (3,), NON_NEGATIVE, "lamp"),
+    "spot.intensity.value": ("emitters", (3,), NON_NEGATIVE, "spot"),
+    "sky.scale": ("emitters", (), NON_NEGATIVE, "sky"),
+    "mist.interior_medium.albedo.value.value": ("media", (3,), UNIT, "mist"),
+    "mist.interior_medium.sigma_t.value.value": ("media", (), NON_NEGATIVE, "mist"),
+    "mist.interior_medium.phase_function.g": ("media", (), "[-1, 1]", "mist"),
+}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_parameter_is_described(zoo: SceneParameters, name: str) -> None:
+    p = zoo[name]
+    kind, shape, bounds, owners = EXPECTED[name]
+    assert (p.problem, p.kind, p.shape, str(p.bounds)) == (None, kind, shape, bounds)
+    assert sorted(p.owners) == sorted(owners.split())
+
+
+def test_the_sky_is_a_light_and_not_a_texture(zoo: SceneParameters) -> None:
+    sky = zoo["sky.data"]
+    assert (sky.kind, len(sky.shape), sky.is_texture, sky.problem) == ("emitters", 3, False, None)
+    assert zoo["poster.bsdf.reflectance.data"].is_texture
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("crate.vertex_positions", "changes visibility"),
+        ("first.to_world", "changes visibility"),
+        ("crate.faces", "geometry"),
+        ("eye.to_world", "camera"),
+        ("eye.x_fov", "camera"),
+        ("lamp.emitter.sampling_weight", "how samples are drawn"),
+        ("lacquer.bsdf.main_specular_sampling_rate", "how samples are drawn"),
+        ("poster.bsdf.reflectance.to_uv", "transformation"),
+        ("spot.position", "positions a light"),
+    ],
+)
+def test_parameters_without_derivative_have_a_reason(zoo: SceneParameters, name: str, reason: str) -> None:
+    assert reason in (zoo[name].problem or "differentiable")
+    assert zoo[name].status.startswith("not differentiable: ")
+    # Selected by its exact name, it is refused with the same reason.
+    assert reason in message(lambda: select(zoo, name))
+
+
+@pytest.mark.parametrize("name", ["glass.bsdf.eta", "mist.interior_medium.scale"])
+def test_parameters_that_mitsuba_does_not_track_use_finite_differences(
+    zoo: SceneParameters, name: str
+) -> None:
+    assert (zoo[name].status, zoo[name].tracked) == ("differentiable", False)
+
+
+@pytest.mark.parametrize(
+    "name", ["shared.reflectance.value", "copper.bsdf.alpha.value", "vinyl.bsdf.diffuse_reflectance.value"]
+)
+def test_a_correct_derivative_carries_no_caution(zoo: SceneParameters, name: str) -> None:
+    assert zoo[name].status == "differentiable"
+
+
+def test_names_are_those_of_mitsuba_unmerged(mi: Any, zoo_dict: Config, zoo: SceneParameters) -> None:
+    assert list(zoo) == list(mi.traverse(mi.load_dict(zoo_dict, optimize=False)).keys())
+
+
+def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
+    labels = [p.label for p in zoo.values()]
+    assert len(set(labels)) == len(labels)
+    assert zoo["poster.bsdf.reflectance.data"].label == "poster: reflectance texture"
+    assert zoo["lamp.emitter.radiance.value"].label == "lamp: radiance"
+
+
+def test_the_scenes_own_values_are_within_their_bounds(
+    mi: Any, zoo_dict: Config, zoo: SceneParameters
+) -> None:
+    values = mi.traverse(load_scene(zoo_dict))
+    outside = {}
+    for name, p in zoo.items():
+        if p.problem is None:
+            value = np.array(values[name])
+            if value.min() < p.bounds.low or value.max() > p.bounds.high:
+                outside[name] = (value.min(), value.max(), str(p.bounds))
+    assert not outside
+
+
+def test_the_table_prints_one_line_per_parameter(
+    zoo: SceneParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)  # a terminal of this width would cut it
+    header, *lines = str(zoo).splitlines()
+    assert header.split() == ["name", "kind", "shape", "bounds", "owner", "status"]
+    assert [line.split()[0] for line in lines] == list(zoo)
+    assert all(p.status in line for p, line in zip(zoo.values(), lines, strict=True))
+
+
+def test_an_unknown_parameter_raises_with_a_similar_name(zoo: SceneParameters) -> None:
+    said = message(lambda: zoo["shared.reflectanse.value"])
+    assert "Did you mean 'shared.reflectance.value'" in said
+
+
+def test_the_table_is_a_mapping_for_unknown_names_too(zoo: SceneParameters) -> None:
+    assert "shared" not in zoo
+    assert zoo.get("shared") is None
+    assert zoo.get("shared", "other") == "other"
+
+
+# --- Selection -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "outside"),
+    [
+        ("reflectance", "shared.reflectance.value", "copper.bsdf.alpha.value"),
+        ("roughness", "vinyl.bsdf.alpha", "vinyl.bsdf.eta"),
+        ("ior", "glass.bsdf.eta", "copper.bsdf.alpha.value"),
+        ("opacity", "mixed.bsdf.weight.value", "shared.reflectance.value"),
+        ("textures", "poster.bsdf.reflectance.data", "sky.data"),
+        ("emitters", "sky.data", "lamp.emitter.sampling_weight"),
+        ("media", "mist.interior_medium.scale", "lamp.emitter.radiance.value"),
+        ("materials", "lacquer.bsdf.sheen.value", "lamp.emitter.radiance.value"),
+        ("all", "lamp.emitter.radiance.value", "crate.vertex_positions"),
+    ],
+)
+def test_a_kind_selects_its_differentiable_parameters(
+    zoo: SceneParameters, kind: str, inside: str, outside: str
+) -> None:
+    chosen = select(zoo, kind)
+    assert inside in chosen
+    assert outside not in chosen
+    assert [name for name in chosen if zoo[name].problem] == []
+    assert kind in KINDS
+
+
+def test_kinds_partition_the_differentiable_parameters(zoo: SceneParameters) -> None:
+    parts = [select(zoo, kind) for kind in ("materials", "emitters", "media")]
+    assert sorted(name for part in parts for name in part) == sorted(select(zoo, "all"))
+    assert set(select(zoo, "all")) == {name for name, p in zoo.items() if not p.problem}
+
+
+def test_a_glob_an_exact_name_and_a_list(zoo: SceneParameters) -> None:
+    assert select(zoo, "shared.reflectance.value") == ("shared.reflectance.value",)
+    assert select(zoo, "gold.*.k.*") == ("gold.bsdf.k.value",)
+    assert set(select(zoo, "vinyl.*")) == {
+        "vinyl.bsdf.alpha",
+        "vinyl.bsdf.eta",
+        "vinyl.bsdf.diffuse_reflectance.value",
+    }
+    assert set(select(zoo, ["media", "sky.*", "sky.scale"])) == {
+        *select(zoo, "media"),
+        "sky.scale",
+        "sky.data",
+    }
+
+
+def test_selections_come_in_the_scenes_order_once_each(zoo: SceneParameters) -> None:
+    chosen = select(zoo, ["sky.scale", "reflectance", "shared.reflectance.value", "*.reflectance.value"])
+    order = [name for name in zoo if name in chosen]
+    assert list(chosen) == order
+
+
+@pytest.mark.parametrize(
+    ("inputs", "words"),
+    [
+        ("reflectanse", ["matches no parameter", "'reflectance'", "parameters_table()"]),
+        ("shared.reflectance.valu", ["matches no parameter", "'shared.reflectance.value'"]),
+        (["reflectance", "nothing.*"], ["'nothing.*'", "matches no parameter"]),
+        ("*.to_world", ["none of which can be differentiated", "eye.to_world", "camera"]),
+        ([], ["selects nothing", "reflectance"]),
+        ([3], ["int"]),
+    ],
+)
+def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, words: list[str]) -> None:
+    said = message(lambda: select(zoo, inputs))
+    assert [word for word in words if word not in said] == [], said
+
+
+def test_a_kind_without_parameters_is_named(mi: Any) -> None:
+    said = message(lambda: select(table("cornell-box"), "media"))
+    assert "'media'" in said
+    assert "Did you mean" not in said
+
+
+def test_a_published_scene_loads_with_differentiable_textures(mi: Any, shared_scenes: Path) -> None:
+    room = shared_scenes / "living-room" / "scene.xml"
+    if not room.is_file():
+        pytest.skip(f"{room} does not exist")
+    described = table(room)
+    assert len(select(described, "textures")) >= 1
+    assert [p.problem for p in described.values() if p.name.endswith(".data") and p.problem] == []
+    assert all(p.caution is None for p in described.values() if p.name.endswith("reflectance.data"))

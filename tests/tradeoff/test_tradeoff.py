@@ -1,0 +1,362 @@
+"""The cost of accuracy: measured errors and biases are those of renderers with known ones."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+import re
+
+import pandas
+import pytest
+import torch
+from chance import allowed
+from results import all_text
+from rooms import room
+from seeds import seeds, shifted
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.ranks import kendall_tau
+from scenecaptum.tradeoff import Setting, measure
+from scenecaptum.tradeoff import _statistics as statistics
+
+
+class Bounces:
+    """An image of ``depth`` bounces, each half as bright as the one before, with noise of 1/√spp.
+
+    The noise is independent for every pixel, and in the backward pass for every parameter.
+    """
+
+    spp = 16
+
+    def __init__(self, depth: int = 4, noise: float = 0.2, noise_seen: float = 0.2) -> None:
+        self.plan = dataclasses.make_dataclass("Plan", ["max_depth", "integrator"])(depth, "own")
+        self.noise = noise
+        self.noise_seen = noise_seen
+        self.inputs = {f"p{k}": torch.tensor(1.0 + k) for k in range(6)}
+        self.weights = torch.tensor([2.0, 1.6, 1.2, 0.8, 0.4, 0.1])
+        self.taken: list[tuple[int, int]] = []
+
+    def replace(self, *, max_depth, resolution=None, integrator=None):
+        return Bounces(max_depth, self.noise, self.noise_seen)
+
+    @property
+    def brightness(self) -> float:
+        return 1 - 0.5**self.plan.max_depth
+
+    @property
+    def gradient(self) -> torch.Tensor:
+        return self.brightness * self.weights
+
+    def __call__(self, inputs, *, seed, spp, seed_grad=None, spp_grad=None):
+        spp_grad = spp_grad or spp
+        self.taken.append((spp, spp_grad))
+        x = torch.stack([inputs[name] for name in self.inputs])
+        seen = 1 + self.noise_seen / math.sqrt(spp) * normal(seed, 192).reshape(8, 8, 3)
+        primal = (self.gradient @ x.detach()) * seen
+        noisy = 1 + self.noise / math.sqrt(spp_grad) * normal(seed if seed_grad is None else seed_grad, 6)
+        linear = (self.gradient * noisy) @ x
+        return primal + linear - linear.detach()
+
+
+def normal(seed: int, count: int) -> torch.Tensor:
+    return torch.randn(count, generator=torch.Generator().manual_seed(seed))
+
+
+def cubes(image: torch.Tensor) -> torch.Tensor:
+    return (image**3).mean()
+
+
+def z_of(value: float, error: float, expected: float) -> float:
+    return (value - expected) / error
+
+
+# ------------------------------------------------------------------------------------------------ error and bias
+
+
+def test_relative_error_is_that_of_the_noise():
+    renderer = Bounces()
+    trade = measure(renderer, torch.mean, vary={"spp": [4, 256]}, reference_spp=10**6, runs=20)
+    for row in trade.rows:
+        # The relative noise of each element is the same, and so is that of the whole.
+        expected = renderer.noise / math.sqrt(row.setting.gradient_spp)
+        assert abs(z_of(*row.relative_error, expected)) < allowed(20, 3), row
+
+
+def test_gradients_without_bias_show_none():
+    rows = [measure(Bounces(), torch.mean, vary={}, runs=4, seed=seed).rows[0] for seed in seeds(12)]
+    assert not any(row.bias.significant for row in rows)
+
+
+def test_the_bias_of_short_paths_is_the_missing_light():
+    trade = measure(Bounces(4, 0.05), torch.mean, vary={"max_depth": [1, 2, 8]}, reference_spp=10_000)
+    assert trade.reference.setting.max_depth == 8
+    for row in trade.rows:
+        depth = row.setting.max_depth
+        expected = 1 - (1 - 0.5**depth) / (1 - 0.5**8)
+        assert row.bias.significant == (depth < 8), row
+        assert abs(row.bias.value - expected) < max(4 * row.bias.error, 1e-3), row
+        assert row.bias.value - 1e-6 <= row.relative_error.value
+
+
+def test_noise_biases_a_non_linear_metric_without_the_jackknife():
+    renderer = Bounces(noise=0.1, noise_seen=2.0)
+    trade = measure(renderer, cubes, vary={"replicates": [1]}, reference_spp=10**6, runs=20)
+    jackknifed, naive = trade.rows
+    # The adjoint is the square of each pixel, to which noise adds its variance.
+    expected = renderer.noise_seen**2 / 16
+    assert naive.bias.significant, trade
+    assert abs(z_of(naive.bias.value, naive.bias.error, expected)) < allowed(20), naive
+    assert not jackknifed.bias.significant, trade
+    assert jackknifed.bias.upper_limit < expected / 2
+
+
+def test_samples_of_the_image_and_of_the_gradient_are_separate():
+    renderer = Bounces()
+    vary = {"primal_spp": [4, 64], "gradient_spp": [4, 64]}
+    trade = measure(renderer, torch.mean, vary=vary, reference_spp=10_000, runs=20)
+    by_spp = {(row.setting.primal_spp, row.setting.gradient_spp): row for row in trade.rows}
+    assert set(by_spp) == {(16, 16), (4, 16), (64, 16), (16, 4), (16, 64)}
+    # A weighted sum of squares of normal variables; its error is estimated too small where it is small by chance.
+    squares = renderer.gradient.square()
+    relative = (squares.norm() / squares.sum()).item() / math.sqrt(2 * 20)
+    for (_, gradient_spp), row in by_spp.items():
+        # A linear metric has the same adjoint for every image.
+        expected = renderer.noise / math.sqrt(gradient_spp)
+        assert abs(row.relative_error.value / expected - 1) < 4 * relative, row
+        assert 0.3 < row.relative_error.error / (relative * expected) < 2, row
+    assert set(renderer.taken) >= {(2, 2), (1, 4), (8, 2), (4, 1), (2, 8)}  # each pass of 4 or 8
+
+
+def test_false_alarms_are_rare_under_any_noise():
+    generator = torch.Generator().manual_seed(shifted())
+    for shape in (torch.eye(12), torch.diag(torch.tensor([5.0] + [0.1] * 11)), torch.ones(12, 12)):
+        alarms = 0
+        for _ in range(400):
+            runs, passes = (torch.randn(n, 12, generator=generator) @ shape for n in (4, 16))
+            spread = (passes - passes.mean(0)) / math.sqrt(16 * 15)
+            alarms += statistics.relative_bias(runs - passes.mean(0), spread, 1.0).significant
+        assert alarms <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
+
+
+def test_a_known_bias_is_measured():
+    generator = torch.Generator().manual_seed(shifted())
+    nothing = torch.zeros(1, 8, dtype=torch.float64)
+    squares = []
+    for _ in range(300):
+        # The square of the bias is 4 times the variance of the mean.
+        noise = torch.randn(8, 8, generator=generator, dtype=torch.float64)
+        squares.append((2 * statistics.relative_bias(2 / math.sqrt(8) + noise, nothing, 2.0).value) ** 2)
+    mean = torch.tensor(squares)
+    assert abs(z_of(mean.mean().item(), mean.std().item() / math.sqrt(300), 4.0)) < allowed(300)
+
+    for runs in (3, 8):
+        one = 0.3 + 1e-3 * torch.randn(runs, 1, generator=generator, dtype=torch.float64)
+        assert statistics.relative_bias(one, nothing[:, :1], 1.0).significant
+
+    many = 0.3 + torch.randn(100, 8, generator=generator, dtype=torch.float64)
+    bias = statistics.relative_bias(many, nothing, 2.0)
+    assert bias.significant
+    assert abs(z_of(bias.value, bias.error, 0.3 * math.sqrt(8) / 2)) < allowed(100)
+    assert bias.value + bias.error < bias.upper_limit < bias.value + 2 * bias.error
+
+
+# ------------------------------------------------------------------------------------------------ ranks
+
+
+def test_rank_correlations_are_those_of_pandas():
+    generator = torch.Generator().manual_seed(shifted())
+    for _ in range(5):
+        one, other = (torch.randint(0, 6, (12,), generator=generator).double() for _ in range(2))
+        frame = pandas.DataFrame({"one": one.numpy(), "other": other.numpy()})
+        expected = frame.corr(method="spearman").loc["one", "other"]
+        assert statistics.spearman(one, other) == pytest.approx(expected)
+    assert math.isnan(statistics.spearman(torch.ones(3).double(), torch.arange(3).double()))
+
+
+def test_ranks_that_the_reference_does_not_resolve_do_not_count():
+    reference, error = torch.tensor([3.0, 2.0, 1.9]), torch.full((3,), 0.1)
+    swapped, reversed_ = torch.tensor([3.0, 1.9, 2.0]), torch.tensor([1.0, 2.0, 3.0])
+    assert kendall_tau(swapped, reference) == pytest.approx(1 / 3)
+    assert statistics.kendall_of_resolved(swapped, reference, error) == 1
+    assert statistics.kendall_of_resolved(reversed_, reference, error) == -1
+    assert math.isnan(statistics.kendall_of_resolved(swapped, reference, 9 * error))
+
+
+def test_top_agreement_counts_the_first_in_any_order():
+    first, other = torch.tensor([9.0, 8.0, 7.0, 1.0, 0.0]), torch.tensor([7.0, 9.0, 1.0, 8.0, 0.0])
+    assert statistics.top_agreement(first, other, 3) == pytest.approx(2 / 3)
+    assert statistics.top_agreement(first, other, 2) == pytest.approx(1 / 2)
+
+
+def test_rankings_converge_to_that_of_the_reference():
+    trade = measure(Bounces(noise=1.0), torch.mean, vary={"spp": [2, 4096]}, reference_spp=10**6, runs=10)
+    _, few, many = trade.rows
+    for name in ("spearman", "kendall", "kendall_resolved", "top"):
+        assert getattr(few, name).value < getattr(many, name).value == 1, name
+
+
+# ------------------------------------------------------------------------------------------------ renderers
+
+
+def test_a_setting_does_not_depend_on_how_the_renderer_was_made(cornell):
+    change = {"resolution": (16, 8), "max_depth": 2}
+    replaced = cornell.replace(**change)
+    fresh = SceneRenderer("cornell-box", ["reflectance", "emitters"], spp=16, **change)
+    assert torch.equal(replaced(seed=shifted(3)), fresh(seed=shifted(3)))
+    one, other = (
+        VanillaSceneGradient(each, metrics.MeanLuminance()).attribute(replicates=2)
+        for each in (replaced, fresh)
+    )
+    for name in one:
+        torch.testing.assert_close(one[name], other[name], rtol=1e-4, atol=1e-7)
+    # Its scene is shared, and its image is unchanged.
+    assert cornell(seed=shifted(3)).shape == (32, 32, 3)
+    assert cornell.plan.max_depth == 4
+
+
+def test_the_backward_pass_may_have_its_own_sample_count(cornell):
+    few, many = cornell.leaves(), cornell.leaves()
+    cornell(few, seed=shifted(1), spp=2, seed_grad=shifted(5), spp_grad=32).mean().backward()
+    cornell(many, seed=shifted(2), spp=32, seed_grad=shifted(5)).mean().backward()
+    for name in few:
+        torch.testing.assert_close(few[name].grad, many[name].grad, rtol=1e-4, atol=1e-7)
+
+
+def test_the_missing_derivative_of_a_mirror_in_stock_prb_shows_as_bias(mi):
+    ball = {"type": "conductor", "specular_reflectance": {"type": "rgb", "value": 0.8}}
+    scene = room(mi, ball)
+    scene["floor"]["bsdf"] = {"type": "diffuse"}
+    renderer = SceneRenderer(scene, "reflectance", spp=64, max_depth=3)
+    trade = measure(
+        renderer, metrics.MeanLuminance(), vary={"integrator": ["prb"]}, runs=4, reference_spp=512
+    )
+    own, stock = trade.rows
+    assert not own.bias.significant, trade
+    assert stock.bias.significant, trade
+    assert stock.setting.integrator == "prb"
+    assert renderer.replace(integrator="prb").plan.integrator == "prb"
+
+
+def test_coarser_images_get_their_own_metric(cornell):
+    def glare(renderer: SceneRenderer) -> metrics.UnifiedGlareRating:
+        return metrics.UnifiedGlareRating(renderer.camera, threshold_factor=2)
+
+    trade = measure(
+        cornell,
+        glare(cornell),
+        vary={"resolution": [(16, 16)]},
+        metric_for=glare,
+        runs=2,
+        reference_spp=32,
+    )
+    assert [row.setting.resolution for row in trade.rows] == [(32, 32), (16, 16)]
+    assert trade.reference.setting.resolution == (32, 32)
+    with pytest.raises(SceneCaptumError, match="metric_for="):
+        measure(cornell, glare(cornell), vary={"resolution": [(16, 16)]}, runs=2, reference_spp=32)
+
+
+# ------------------------------------------------------------------------------------------------ the result
+
+
+@pytest.fixture(scope="module")
+def trade():
+    return measure(Bounces(), torch.mean, vary={"spp": [4, 4096], "max_depth": [1, 8]}, reference_spp=10**6)
+
+
+def test_by_default_every_setting_of_the_renderer_is_varied():
+    found = measure(Bounces(), torch.mean, runs=2)
+    assert {row.varied for row in found.rows} == {
+        "", "spp", "primal_spp", "gradient_spp", "replicates", "max_depth", "integrator"
+    }  # fmt: skip
+    assert found.rows[0].setting == Setting(16, 16, 8, 4, None, "own")
+
+
+def test_csv_has_a_line_for_each_setting(trade, tmp_path):
+    trade.to_csv(tmp_path / "tradeoff.csv")
+    lines = list(csv.DictReader((tmp_path / "tradeoff.csv").open()))
+    assert [line["varied"] for line in lines] == ["own", "spp", "spp", "max_depth", "max_depth"]
+    assert [int(line["primal_spp"]) for line in lines] == [16, 4, 4096, 16, 16]
+    for line, row in zip(lines, trade.rows, strict=True):
+        assert float(line["relative_error"]) == row.relative_error.value
+        assert float(line["bias_z"]) == row.bias.z
+        assert line["on_front"] == str(row in trade.front)
+
+
+def test_no_setting_dominates_the_front(trade):
+    front = trade.front
+    for row in trade.rows:
+        beaten = any(
+            one.seconds <= row.seconds and one.relative_error.value < row.relative_error.value
+            for one in front
+        )
+        assert beaten == (row not in front)
+
+
+def test_the_cheapest_setting_within_a_tolerance_is_recommended(trade):
+    cheapest = trade.cheapest(0.2)
+    good = [row for row in trade.rows if sum(row.relative_error) <= 0.2]
+    assert cheapest.seconds == min(row.seconds for row in good)
+    assert "For an error of 20 %" in trade.recommendation(0.2)
+    # Depth 4 leaves out a sixteenth, which more samples cannot recover.
+    short = dataclasses.replace(trade, rows=tuple(row for row in trade.rows if row.setting.max_depth == 4))
+    (bias,) = re.findall(r"has a bias of (\S+) %", short.recommendation(0.01))
+    assert float(bias) == pytest.approx(100 / 17, abs=0.5)  # a sixteenth of sixteen parts and one
+    few = dataclasses.replace(trade, rows=tuple(row for row in trade.rows if row.setting.max_depth == 8))
+    assert "spp should suffice" in few.recommendation(0.01)
+
+
+def test_table_and_figure_show_every_setting(trade):
+    text = str(trade)
+    for words in ("16 spp, depth 4", "spp 4096", "max depth 1", "reference: 1000000 spp, depth 8", "≤"):
+        assert words in text
+    figure = trade.plot()
+    (axes,) = figure.axes
+    assert axes.get_xscale() == axes.get_yscale() == "log"
+    texts = all_text(figure)
+    for words in ("own: 16 spp, depth 4", "spp", "depth", "4096", "dashed", "mean"):
+        assert words in texts
+
+
+# ------------------------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"vary": {"sp": [4]}}, "'sp' cannot be varied.*'spp'"),
+        ({"vary": {"spp": [0]}}, "spp must be a whole number"),
+        ({"vary": {"spp": 4}}, "must be a list of values, not 4"),
+        ({"vary": {"max_depth": [-2]}}, "max_depth must be a whole number"),
+        ({"vary": {"resolution": [64]}}, "resolution must be"),
+        ({"vary": {"integrator": ["path"]}}, "prb.*'path'"),
+        ({"runs": 1}, "runs must be a whole number of at least 2"),
+        ({"reference_spp": 1}, "reference_spp"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_is_rendered(options, words):
+    renderer = Bounces()
+    with pytest.raises(SceneCaptumError, match=words):
+        measure(renderer, torch.mean, **options)
+    assert not renderer.taken
+
+
+def test_settings_that_a_renderer_cannot_vary_are_named():
+    def bare(inputs, *, seed, spp):
+        return inputs["x"].expand(2, 2, 3)
+
+    with pytest.raises(SceneCaptumError, match="no attribute `spp`"):
+        measure(bare, torch.mean)
+    bare.spp, bare.inputs = 4, {"x": torch.tensor(1.0)}
+    for key in ("max_depth", "resolution", "integrator", "primal_spp", "gradient_spp"):
+        with pytest.raises(SceneCaptumError, match=f"Varying '{key}' needs"):
+            measure(bare, torch.mean, vary={key: [2]})
+    with pytest.raises(SceneCaptumError, match="All gradients are 0"):
+        measure(bare, lambda image: 0 * image.mean(), runs=2)
+
+
+def test_a_tolerance_that_is_not_positive_is_refused(trade):
+    with pytest.raises(SceneCaptumError, match="tolerance"):
+        trade.cheapest(0.0)

@@ -1,0 +1,172 @@
+"""The randomisation check distinguishes attributions that depend on a network's weights from those that do not."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from chance import allowed
+from seeds import seeds, shifted
+from toy import ToyRenderer
+
+from scenecaptum import InputXGradientScene, metrics
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.validation import randomization_check
+from scenecaptum.validation._randomization import _ranks, _reset
+
+
+class Lamps(ToyRenderer):
+    """Twelve lamps, each of which lights separate pixels."""
+
+    def __init__(self, noise: float = 0.1) -> None:
+        super().__init__(noise)
+        self.matrix = torch.rand(4, 4, 3, 12, generator=torch.Generator().manual_seed(shifted(2))) ** 4
+        self.inputs = {f"lamp {k}": torch.tensor(0.1) for k in range(12)}
+
+    def __call__(self, inputs, *, seed, spp):
+        return self.sampled(seed, spp) @ torch.stack(list(inputs.values()))
+
+
+class Network(torch.nn.Module):
+    """A linear layer on all pixels, and a scale that has no ``reset_parameters``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        with torch.random.fork_rng():
+            torch.manual_seed(shifted(1))
+            self.first = torch.nn.Linear(48, 8)
+            self.last = torch.nn.Linear(8, 1)
+        self.scale = torch.nn.Parameter(torch.tensor([1.0, 2.0]))
+
+    def forward(self, image):
+        return self.scale.abs().sum() * self.last(self.first(image.flatten()).tanh()).squeeze()
+
+
+class Deaf(Network):
+    """A network whose output ignores its weights."""
+
+    def forward(self, image):
+        return (image * torch.linspace(0.1, 2, 48).reshape(image.shape)).sum() + 0 * self.scale.sum()
+
+
+def test_a_trained_network_differs_from_random_ones():
+    check = randomization_check(Lamps(), Network())
+    assert check.ranking_changes, str(check)
+    assert check.signs_change, str(check)
+    assert check.magnitudes[0].min() > 0.9
+    assert check.magnitudes[-1].mean() < 0.7
+    assert "the attribution depends on the learnt weights, in its ranking and its signs" in check.verdict
+
+
+def test_a_metric_that_ignores_its_weights_is_detected():
+    checks = [randomization_check(Lamps(noise=1.0), Deaf(), stages=1, seed=seed) for seed in seeds(4)]
+    # Each has a probability of 1 in 70 by chance.
+    assert sum(check.ranking_changes + check.signs_change for check in checks) <= 2
+    for check in checks:
+        own, random = check.magnitudes
+        assert abs(own.mean() - random.mean()) < allowed(8) * own.std(), str(check)
+    assert any("shows no dependence" in check.verdict for check in checks)
+
+
+def test_signs_may_differ_where_magnitudes_do_not():
+    class Either(Deaf):
+        """A network whose last layer only determines the sign."""
+
+        def forward(self, image):
+            return super().forward(image) * self.last.bias.sign().squeeze()
+
+    check = randomization_check(Lamps(), Either(), stages=1, draws=6)
+    assert set(check.signed[1].sign().tolist()) == {1.0, -1.0}, "draw more"
+    assert check.magnitudes.min() > 0.9
+
+
+def test_noise_is_not_counted_as_change():
+    check = randomization_check(Lamps(noise=100.0), Deaf(), seed=shifted(1))
+    assert check.magnitudes[0].mean() < 0.9, "there is too little noise for this test"
+    assert not check.ranking_changes
+    assert not check.signs_change
+
+
+def test_layers_are_randomized_from_the_output_on():
+    seen = []
+
+    class Watching(Network):
+        def forward(self, image):
+            state = {name: tuple(value.flatten().tolist()) for name, value in self.named_parameters()}
+            if state not in seen:
+                seen.append(state)
+            return super().forward(image)
+
+    check = randomization_check(Lamps(), Watching(), draws=2)
+    assert check.layers == ("last", "first", "")
+    assert check.randomized == (0, 1, 2, 3)
+    own, *stages = seen
+    changed = [{name for name in own if stage[name] != own[name]} for stage in stages]
+    last, first = {"last.weight", "last.bias"}, {"first.weight", "first.bias"}
+    assert changed == [last, last | first, last | first | {"scale"}] * 2
+    assert all(stages[0][name] == stages[2][name] for name in last), "randomised layers stay as they are"
+    assert stages[0]["last.weight"] != stages[3]["last.weight"], "draws differ"
+
+
+def test_the_metric_and_the_generator_are_not_changed():
+    network = Network()
+    before, torch_state = copy.deepcopy(network.state_dict()), torch.get_rng_state()
+    first, second = (randomization_check(Lamps(), network, draws=2, seed=shifted(3)) for _ in range(2))
+    torch.testing.assert_close(network.state_dict(), before, rtol=0, atol=0)
+    assert torch.equal(torch.get_rng_state(), torch_state)
+    assert torch.equal(first.signed, second.signed)
+
+
+def test_weights_without_a_reset_keep_their_scale():
+    layer = torch.nn.Module()
+    layer.weights = torch.nn.Parameter(3 + 0.5 * torch.randn(4000))
+    _reset(layer, 0)
+    assert layer.weights.mean().item() == pytest.approx(3, abs=0.05)
+    assert layer.weights.std().item() == pytest.approx(0.5, rel=0.1)
+
+
+def test_ranks_of_ties_are_their_mean():
+    assert _ranks(torch.tensor([3.0, 1.0, 3.0, 2.0])).tolist() == [3.5, 1.0, 3.5, 2.0]
+
+
+def test_other_methods_can_be_checked():
+    check = randomization_check(Lamps(), Network(), method=InputXGradientScene, stages=1, draws=2)
+    assert check.method == "InputXGradientScene"
+    assert check.magnitudes.shape == check.signed.shape == (2, 2)
+
+
+def test_invalid_input_is_refused():
+    class Few(Lamps):
+        def __init__(self):
+            super().__init__()
+            self.inputs = {name: self.inputs[name] for name in ("lamp 0", "lamp 1", "lamp 2")}
+            self.matrix = self.matrix[..., :3]
+
+    with pytest.raises(SceneCaptumError, match=r"mean has none\. Pass a torch\.nn\.Module"):
+        randomization_check(Lamps(), torch.mean)
+    with pytest.raises(SceneCaptumError, match="MeanLuminance has none"):
+        randomization_check(Lamps(), metrics.MeanLuminance())
+    with pytest.raises(SceneCaptumError, match="at least 4 parameters, not 3"):
+        randomization_check(Few(), Network())
+    with pytest.raises(SceneCaptumError, match="draws must be a whole number of at least 2"):
+        randomization_check(Lamps(), Network(), draws=1)
+
+
+def test_table_and_figure():
+    check = randomization_check(Lamps(), Network(), draws=2)
+    lines = str(check).splitlines()
+    assert "Network, VanillaSceneGradient" in lines[0]
+    assert lines[3].split()[:4] == ["0", "of", "3", "none"]
+    assert lines[4].split()[:4] == ["1", "of", "3", "last"]
+    (axes,) = check.plot().axes
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["0", "1", "2", "3"]
+
+
+def test_on_the_shape_classifier(mi, cornell):
+    metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
+    # At few samples, a network's derivative would be too noisy for a verdict.
+    check = randomization_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
+    assert len(check.layers) == 9
+    assert check.layers[0] == "model.head"
+    assert check.signs_change, str(check)

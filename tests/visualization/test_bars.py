@@ -1,0 +1,135 @@
+"""Bars, and saliency maps beside the render, on results made by hand: nothing is rendered."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from results import CASES, all_text, make, surfaces
+
+from scenecaptum import SceneCaptumError
+from scenecaptum.visualization import display_image, plot_bars, plot_heatmap
+
+
+def whiskers(axes: Any) -> list[float]:
+    """The half-lengths of the whiskers, by bar."""
+    from matplotlib.container import ErrorbarContainer
+
+    lengths = []
+    for container in axes.containers:
+        if isinstance(container, ErrorbarContainer):
+            (lines,) = container.lines[2]
+            lengths += [float(segment[1, 0] - segment[0, 0]) / 2 for segment in lines.get_segments()]
+    return lengths
+
+
+def test_bars_show_order_sign_and_error() -> None:
+    from matplotlib.colors import to_hex
+    from matplotlib.figure import Figure
+
+    attribution = make()
+    figure = plot_bars(attribution)
+    assert isinstance(figure, Figure)
+    (axes,) = figure.axes
+    ranking = attribution.ranking()
+    assert [bar.get_width() for bar in axes.patches] == [row.saliency for row in ranking]
+    assert axes.yaxis.get_inverted()  # the first bar, at 0, is on top
+    assert [to_hex(bar.get_facecolor()).upper() for bar in axes.patches] == [c for *_, c in CASES]
+    assert whiskers(axes) == pytest.approx([row.saliency_error for row in ranking], rel=1e-4, abs=1e-9)
+    text = all_text(figure)
+    for said in ("Glare", "VanillaSceneGradient", "per unit of the parameter", "lowers", "raises"):
+        assert said in text
+
+
+def test_omitted_bars_and_missing_whiskers_are_noted() -> None:
+    figure = plot_bars(make(barred=False), top=3)
+    (axes,) = figure.axes
+    assert len(axes.patches) == 3
+    assert whiskers(axes) == []
+    assert "5 less salient parameters not shown" in all_text(figure)
+    assert "no error bars: 1 replicate" in all_text(figure)
+    assert "not shown" not in all_text(plot_bars(make(), top=None))
+
+
+def test_bars_of_doubtful_derivatives_are_hatched() -> None:
+    figure = plot_bars(make(cautions={"rough": "its size is off"}))
+    hatched = [bool(bar.get_hatch()) for bar in figure.axes[0].patches]
+    assert hatched == [name == "rough" for name, *_ in CASES]
+    assert "! desk: roughness" in all_text(figure)
+    assert "its size is off" in all_text(figure)
+
+
+def test_bars_draw_into_given_axes_and_names_are_not_formulas() -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    axes = figure.subplots(1, 2)
+    odd = dataclasses.replace(make(metric=r"$\oops{$"), labels={"lamp": r"$\frac{$"})
+    assert plot_bars(odd, ax=axes[1]) is figure
+    assert len(axes[1].patches) == len(CASES)
+    assert not axes[0].patches
+    figure.canvas.draw()
+
+
+def test_bars_refuse_a_count_of_zero() -> None:
+    with pytest.raises(SceneCaptumError, match="top must be at least 1"):
+        plot_bars(make(), top=0)
+
+
+def test_heatmap_shows_the_saliency_beside_the_render() -> None:
+    attribution = make()
+    figure = plot_heatmap(attribution)
+    left, right, bar = figure.axes
+    np.testing.assert_allclose(left.images[0].get_array(), display_image(attribution.image))
+    np.testing.assert_allclose(right.images[0].get_array(), attribution.heatmap())
+    figure.canvas.draw()
+    assert left.get_window_extent().size == pytest.approx(right.get_window_extent().size)
+    assert bar.get_window_extent().height == pytest.approx(right.get_window_extent().height)
+    assert "Glare = 2.336942 ± 0.000533" in all_text(figure)
+    assert "VanillaSceneGradient" in all_text(figure)
+
+
+def test_heatmap_names_salient_invisible_parameters() -> None:
+    assert "not in the picture: lamp, #1" in all_text(plot_heatmap(make()))
+    seen = dataclasses.replace(make(), surfaces=surfaces("lamp", "two_minds"))
+    assert "not in the picture: floor, #3" in all_text(plot_heatmap(seen))
+    # Invisible parameters below the first three are not listed.
+    weak = {name: value for name, value in make().items() if name in ("lamp", "two_minds", "noisy")}
+    first = dataclasses.replace(seen, attributions={**weak, "third": torch.tensor(0.2)}, covariance=None)
+    shown = dataclasses.replace(first.surfaces, parameters=(("lamp", "third"), ("two_minds",), ()))
+    assert "not in the picture" not in all_text(plot_heatmap(dataclasses.replace(first, surfaces=shown)))
+    # A group is visible where one of its members is.
+    grouped = make(groups={"lamp": ["bulb", "rough"], "two_minds": ["elsewhere"]})
+    assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))
+
+
+def test_heatmap_needs_a_surface_map() -> None:
+    with pytest.raises(SceneCaptumError, match="which object each pixel shows"):
+        plot_heatmap(dataclasses.replace(make(), surfaces=None))
+    with pytest.raises(SceneCaptumError, match="no picture"):
+        plot_heatmap(dataclasses.replace(make(), image=None))
+
+
+def test_figures_leave_global_state_alone_and_show_in_notebooks() -> None:
+    import matplotlib
+    from matplotlib._pylab_helpers import Gcf
+
+    before, managed = dict(matplotlib.rcParams), len(Gcf.figs)
+    for figure in (plot_bars(make()), plot_heatmap(make())):
+        assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+    assert dict(matplotlib.rcParams) == before
+    assert len(Gcf.figs) == managed
+
+
+def test_importing_and_printing_load_no_matplotlib() -> None:
+    code = (
+        "import sys, torch, scenecaptum.visualization as v, scenecaptum as sc\n"
+        "print(sc.SceneAttribution({'a': torch.tensor(1.0)}, None, 1.0))\n"
+        "assert not {'matplotlib', 'kornia', 'PIL'} & set(sys.modules), sorted(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

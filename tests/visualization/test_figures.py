@@ -1,0 +1,536 @@
+"""Maps over renders, luminance, rank comparisons and metric specificity, by the contents of the figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+from results import CASES, all_text, make, surfaces
+
+from scenecaptum import Camera, SceneAttribution, SceneCaptumError, metrics
+from scenecaptum.visualization import (
+    LOWERS,
+    RAISES,
+    UNCLEAR,
+    diverging,
+    plot_bars,
+    plot_heatmap,
+    plot_overlay,
+    plot_rank_comparison,
+    plot_specificity,
+)
+
+
+def hexes(colors: Any) -> list[str]:
+    from matplotlib.colors import to_hex
+
+    return [to_hex(color).upper() for color in colors]
+
+
+def outside(figure: Any) -> list[str]:
+    """Return the drawn texts that are cut off at the edges of a figure."""
+    from matplotlib.text import Text
+
+    with mock.patch.object(Text, "draw", autospec=True, side_effect=Text.draw) as draw:
+        figure.canvas.draw()
+    drawn = {call.args[0] for call in draw.call_args_list if call.args[0].get_text()}
+    assert drawn
+    width, height = figure.canvas.get_width_height()
+    boxes = {text: text.get_window_extent() for text in drawn}
+    return [
+        text.get_text()
+        for text, box in boxes.items()
+        if box.x0 < -1 or box.y0 < -1 or box.x1 > width + 1 or box.y1 > height + 1
+    ]
+
+
+# -- bars ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("quantity", "said", "not_said"),
+    [
+        ("gradient per unit", "raising it lowers the metric", "takes from"),
+        ("gradient × range", "raising it lowers the metric", "takes from"),
+        ("mean gradient per unit", "raising it lowers the metric", "takes from"),
+        ("gradient × value", "takes from the metric", "raising"),
+        ("input × gradient", "takes from the metric", "raising"),
+        ("contribution", "takes from the metric", "raising"),
+        ("effect of ablation", "takes from the metric", "raising"),
+        ("effect of occlusion", "takes from the metric", "raising"),
+        ("Shapley value", "takes from the metric", "raising"),
+    ],
+)
+def test_the_legend_says_what_a_sign_means(quantity: str, said: str, not_said: str) -> None:
+    text = all_text(plot_bars(make(quantity=quantity)))
+    assert said in text
+    assert not_said not in text
+
+
+def test_contributions_without_a_named_quantity_add_or_take() -> None:
+    text = all_text(plot_bars(dataclasses.replace(make(), convergence_delta=0.01)))
+    assert "adds to the metric" in text
+    assert "saliency: contribution to Glare" in text
+
+
+@pytest.mark.parametrize("quantity", ["mean squared gradient per unit", "variance of the gradient per unit"])
+def test_squares_and_variances_have_no_sign(quantity: str) -> None:
+    figure = plot_bars(make(quantity=quantity))
+    assert set(hexes(bar.get_facecolor() for bar in figure.axes[0].patches)) == {UNCLEAR}
+    assert "it has no sign" in all_text(figure)
+    assert "+" not in all_text(figure)
+
+
+def test_a_difference_is_not_called_the_metric() -> None:
+    text = all_text(plot_bars(make(metric="A − B", minus={"metric": "B"})))
+    assert "raising it lowers the difference" in text
+    assert "the metric" not in text
+
+
+def test_bars_of_zeros_are_labelled_and_have_no_sign() -> None:
+    still = make()
+    zero = dataclasses.replace(
+        still,
+        attributions={name: 0 * value for name, value in still.items()},
+        covariance={name: 0 * value for name, value in still.covariance.items()},
+    )
+    figure = plot_bars(zero)
+    text = all_text(figure)
+    assert "all saliencies are 0" in text
+    assert "raises" not in text
+    assert "lost in the noise" not in text
+    assert figure.axes[0].get_xlim() == (0, 1)
+
+
+LONG = {name: f"{name}_{'very_' * 30}long" for name, *_ in CASES}
+
+
+def lengthy() -> SceneAttribution:
+    cautions = dict.fromkeys(LONG, "the plugin's tables are outside the derivative graph: its size is off")
+    return dataclasses.replace(
+        make(metric="a_metric_of_somebody_with_a_long.name_in_a_module", cautions=cautions), labels=LONG
+    )
+
+
+@pytest.mark.parametrize("top", [1, 3, None])
+def test_no_text_of_the_bars_is_cut_off(top: int | None) -> None:
+    assert outside(plot_bars(lengthy(), top=top)) == []
+    assert outside(plot_bars(make(), top=top)) == []
+
+
+def test_the_bars_keep_their_height_under_long_text() -> None:
+    figure = plot_bars(lengthy())
+    figure.canvas.draw()
+    bars = figure.axes[0].patches
+    points = [bar.get_window_extent().height * 72 / figure.dpi for bar in bars]
+    assert min(points) > 8  # as tall as the names beside them
+
+
+# -- maps ------------------------------------------------------------------------------------------------
+
+
+def test_the_overlay_is_a_map_over_a_grey_render() -> None:
+    attribution = make()
+    figure = attribution.plot_overlay(alpha=0.6)
+    picture, bar = figure.axes
+    below, above = picture.images
+    assert below.get_array().ndim == 2
+    assert below.get_cmap().name == "gray"
+    heat = attribution.heatmap().numpy()
+    np.testing.assert_allclose(above.get_array(), heat)
+    opacity = np.broadcast_to(above.get_alpha(), heat.shape)
+    assert opacity.max() <= 0.6
+    order = np.argsort(heat.ravel())
+    assert (np.diff(opacity.ravel()[order]) >= -1e-6).all()
+    assert opacity.max() > opacity.min()
+    # The legend is opaque, even if the map is transparent.
+    assert bar.collections[-1].get_alpha() is None
+    assert "relative to the strongest" in all_text(figure)
+
+
+def test_invalid_overlays_are_refused() -> None:
+    with pytest.raises(SceneCaptumError, match="alpha"):
+        plot_overlay(make(), alpha=1.5)
+    with pytest.raises(SceneCaptumError, match="no picture"):
+        plot_overlay(dataclasses.replace(make(), image=None))
+    with pytest.raises(SceneCaptumError, match="scale must be one of 'sqrt', 'linear', 'log', not 'cubic'"):
+        plot_overlay(make(), scale="cubic")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("scale", "places"),
+    [("sqrt", (0.0, 0.1, 1.0)), ("linear", (0.0, 0.01, 1.0)), ("log", (0.0, 1 / 3, 1.0))],
+)
+def test_scales_map_values_and_label_the_legend(scale: Any, places: tuple[float, ...]) -> None:
+    figure = plot_heatmap(make(), scale=scale)
+    norm = figure.axes[1].images[0].norm
+    np.testing.assert_allclose(norm([0.0, 0.01, 1.0]), places, atol=1e-9)
+    ticks = figure.axes[2].get_yticks()
+    assert ticks.max() == 1
+    assert ticks.min() == (0.001 if scale == "log" else 0)
+
+
+def test_maps_draw_into_given_axes() -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(layout="constrained")
+    left, right = figure.subplots(1, 2)
+    assert plot_heatmap(make(), ax=left) is figure
+    assert plot_overlay(make(), ax=right) is figure
+    assert len(left.images) == 1
+    assert len(right.images) == 2
+    assert len(figure.axes) == 4  # each with its colour bar
+
+
+def test_maps_of_zeros_are_labelled() -> None:
+    zero = dataclasses.replace(make(), attributions={name: 0 * value for name, value in make().items()})
+    assert "all saliencies are 0" in all_text(plot_heatmap(zero))
+    assert "all saliencies are 0" not in all_text(plot_heatmap(make()))
+
+
+def sized(height: int, width: int, base: SceneAttribution) -> SceneAttribution:
+    pixel = np.arange(height * width, dtype=np.int32)
+    shown = dataclasses.replace(
+        surfaces("rough", "floor"),
+        shape=(height, width),
+        pixel=pixel,
+        object_index=(pixel % width >= width // 2).astype(np.int32),
+        fraction=np.ones(height * width, np.float32),
+    )
+    return dataclasses.replace(base, image=torch.ones(height, width, 3), surfaces=shown)
+
+
+@pytest.mark.parametrize("shape", [(9, 16), (16, 16), (16, 9)], ids=str)
+def test_no_text_of_a_map_is_cut_off(shape: tuple[int, int]) -> None:
+    for attribution in (make(), lengthy()):
+        for figure in (plot_heatmap(sized(*shape, attribution)), plot_overlay(sized(*shape, attribution))):
+            assert outside(figure) == []
+            assert figure.get_figwidth() < 7.3
+
+
+def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
+    from matplotlib.colors import to_rgb
+
+    attribution = make()
+    figure = plot_heatmap(attribution, signed=True)
+    mapped = figure.axes[1].images[0]
+    np.testing.assert_allclose(mapped.get_array(), attribution.heatmap(signed=True))
+    assert mapped.get_array().min() < 0
+    np.testing.assert_allclose(mapped.norm([-1, -0.25, 0, 0.25, 1]), [0, 0.25, 0.5, 0.75, 1])
+    low, middle, high = (np.array(mapped.cmap(x)[:3]) for x in (1 / 6, 0.5, 5 / 6))
+    assert middle.min() > 0.95
+    # The map has 256 colours, and the nearest to a sixth is not exactly there.
+    np.testing.assert_allclose([low, high], [to_rgb(LOWERS), to_rgb(RAISES)], atol=0.02)
+    assert "orange: raising it lowers the metric" in all_text(figure)
+
+
+def test_lightness_of_colour_maps_follows_the_magnitude() -> None:
+    from kornia.color import rgb_to_lab
+
+    def lightness(colors: Any, at: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        rgb = torch.tensor(colors(at)[:, :3], dtype=torch.float32).T.reshape(3, 1, -1)
+        return rgb_to_lab(rgb)[0, 0].numpy()
+
+    magnitude = plot_heatmap(make()).axes[1].images[0].cmap
+    assert (np.diff(lightness(magnitude, np.linspace(0, 1, 40))) > 0).all()
+    negative = lightness(diverging(), np.linspace(0, 0.5, 20))
+    positive = lightness(diverging(), np.linspace(1, 0.5, 20))
+    assert (np.diff(negative) > 0).all()
+    assert (np.diff(positive) > 0).all()
+    assert np.abs(negative - positive).max() < 12  # neither sign looks stronger
+
+
+# -- luminance -------------------------------------------------------------------------------------------
+
+
+def glaring() -> tuple[torch.Tensor, metrics.UnifiedGlareRating]:
+    """A dim grey picture with two lamps, the smaller one brighter."""
+    image = torch.full((24, 36, 3), 0.1)
+    image[4:8, 5:15] = 20.0
+    image[16:18, 28:31] = 60.0
+    camera = Camera.perspective(36, 24, 60.0)
+    return image, metrics.UnifiedGlareRating(camera, threshold=1000.0, relaxation=0.0)
+
+
+def test_luminance_is_in_candela_on_a_logarithmic_scale() -> None:
+    from matplotlib.colors import LogNorm
+
+    image, _ = glaring()
+    figure = metrics.plot_luminance(image)
+    picture, bar = figure.axes
+    (shown,) = picture.images
+    np.testing.assert_allclose(shown.get_array(), 179 * metrics.luminance(image), rtol=1e-5)
+    assert isinstance(shown.norm, LogNorm)
+    assert (shown.norm.vmin, shown.norm.vmax) == (10, 20000)
+    assert "luminance in cd/m²" in all_text(figure)
+    figure.canvas.draw()
+    written = [label.get_text() for label in bar.get_yticklabels()]
+    assert "1\u202f000" in written
+    assert f"{179 * float(metrics.luminance(image).mean()):.4g} cd/m²" in all_text(figure)
+
+
+def test_an_efficacy_and_limits_can_be_given() -> None:
+    figure = metrics.plot_luminance(torch.ones(4, 6, 3), efficacy=100.0, limits=(1.0, 1000.0))
+    (shown,) = figure.axes[0].images
+    np.testing.assert_allclose(shown.get_array(), 100.0, rtol=1e-5)
+    assert (shown.norm.vmin, shown.norm.vmax) == (1, 1000)
+    for limits in ((0.0, 1.0), (2.0, 1.0), (1.0, math.inf)):
+        with pytest.raises(SceneCaptumError, match="limits must be two increasing positive luminances"):
+            metrics.plot_luminance(torch.ones(4, 6, 3), limits=limits)
+
+
+@pytest.mark.parametrize("fill", [0.0, 1e-30, 5.0, 1e30])
+def test_any_image_has_a_scale(fill: float) -> None:
+    figure = metrics.plot_luminance(torch.full((4, 6, 3), fill))
+    figure.canvas.draw()
+    norm = figure.axes[0].images[0].norm
+    assert 0 < norm.vmin < norm.vmax < math.inf
+
+
+def test_black_is_dark_and_nan_is_grey() -> None:
+    image = torch.full((4, 6, 3), 1.0)
+    image[0, 0], image[1, 1] = 0.0, math.nan
+    (shown,) = metrics.plot_luminance(image).axes[0].images
+    array = shown.get_array()
+    assert array.mask.sum() == 1
+    assert array.mask[1, 1]
+    assert array[0, 0] < shown.norm.vmin
+
+
+def test_sources_are_outlined_numbered_and_listed() -> None:
+    from matplotlib.collections import LineCollection
+
+    image, rating = glaring()
+    figure = metrics.plot_luminance(image, rating)
+    picture = figure.axes[0]
+    lines = [one for one in picture.collections if isinstance(one, LineCollection)]
+    assert len(lines) == 2  # white on black
+    for drawn in lines:
+        # Each edge of each pixel at a border: twice (4 + 10) of the large lamp and (2 + 3) of the small one.
+        segments = np.array(drawn.get_segments())
+        assert len(segments) == 2 * (4 + 10) + 2 * (2 + 3)
+        large = segments[segments[..., 0].max(1) < 20].reshape(-1, 2)
+        assert (large.min(0).tolist(), large.max(0).tolist()) == ([4.5, 3.5], [14.5, 7.5])
+    first, second = rating.sources(image)
+    placed = {text.get_text(): text.xy for text in picture.texts if text.get_text() in ("1", "2")}
+    assert placed["1"] == pytest.approx((29, 16.5), abs=0.3)
+    assert placed["2"] == pytest.approx((9.5, 5.5), abs=0.3)
+    text = all_text(figure)
+    assert f"UnifiedGlareRating = {float(rating(image)):.4g}" in text
+    assert "2 glare sources" in text
+    assert f"1   10\u202f740 cd/m², {first.solid_angle:.3g} sr" in text
+    assert f"2   3\u202f580 cd/m², {second.solid_angle:.3g} sr" in text
+    assert outside(figure) == []
+
+
+def test_one_source_none_and_many() -> None:
+    image, rating = glaring()
+    image[16:18, 28:31] = 0.1
+    assert "1 glare source;" in all_text(metrics.plot_luminance(image, rating))
+    assert "no glare source" in all_text(metrics.plot_luminance(image / 1000, rating))
+    pixels = metrics.UnifiedGlareRating(rating.camera, threshold=1000.0, grouping="pixel", relaxation=0.0)
+    figure = metrics.plot_luminance(image, pixels)
+    assert "40 glare sources" in all_text(figure)
+    assert "each pixel above the threshold is a separate source" in all_text(figure)
+    assert {text.get_text() for text in figure.axes[0].texts}.isdisjoint("12345678")
+    # Neighbours are not outlined against each other.
+    assert len(figure.axes[0].collections[0].get_segments()) == 2 * (4 + 10)
+
+
+def test_pixels_outside_a_fisheye_are_grey() -> None:
+    camera = Camera.fisheye(16, 16)
+    (shown,) = metrics.plot_luminance(torch.ones(16, 16, 3), camera).axes[0].images
+    unseen = (camera.solid_angles == 0).numpy()
+    assert unseen.any()
+    np.testing.assert_array_equal(np.ma.getmaskarray(shown.get_array()), unseen)
+
+
+def test_an_image_of_another_camera_is_refused() -> None:
+    _, rating = glaring()
+    with pytest.raises(SceneCaptumError, match=r"\(5, 7\).*\(24, 36\)"):
+        metrics.plot_luminance(torch.ones(5, 7, 3), rating)
+
+
+# -- rank comparison -------------------------------------------------------------------------------------
+
+
+def ranked(order: str, **info: Any) -> SceneAttribution:
+    """Attribute to one-letter parameters, the first the most salient."""
+    values = {name: torch.tensor(float(len(order) - place)) for place, name in enumerate(order)}
+    return SceneAttribution({name: values[name] for name in sorted(order)}, None, 1.0, info=info)
+
+
+def ends(figure: Any) -> dict[str, tuple[float, float]]:
+    """Return each line's left and right rank, by its label."""
+    axes = figure.axes[0]
+    written = [text for text in axes.texts if text.xy[0] == 0 and text.get_text() in "abcdefgh"]
+    names = {text.xy[1]: text.get_text() for text in written}
+    lines = [line for line in axes.lines if line.get_marker() == "o"]
+    return {names[line.get_ydata()[0]]: tuple(line.get_ydata()) for line in lines}
+
+
+def test_lines_show_which_parameters_rise_and_fall() -> None:
+    figure = plot_rank_comparison(ranked("abcde", metric="First"), ranked("cabed", metric="Second"))
+    assert ends(figure) == {"a": (1, 2), "b": (2, 3), "c": (3, 1), "d": (4, 5), "e": (5, 4)}
+    lines = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
+    assert hexes(line.get_color() for line in lines) == [LOWERS, LOWERS, RAISES, LOWERS, RAISES]
+    assert "Kendall's τ = 0.40" in all_text(figure)  # 7 pairs alike, 3 not
+    assert {"First", "Second"} <= set(all_text(figure).splitlines())
+    same = plot_rank_comparison(ranked("ab", metric="First"), ranked("ab", metric="Second"))
+    assert hexes(line.get_color() for line in same.axes[0].lines) == [UNCLEAR, UNCLEAR]
+
+
+def test_the_top_of_either_ranking_is_shown_with_its_ranks() -> None:
+    figure = plot_rank_comparison(ranked("abcdefgh"), ranked("hbacdefg"), top=2)
+    assert ends(figure) == {"a": (1, 3), "b": (2, 2), "h": (3, 1)}
+    written = {(text.xy, text.get_text()) for text in figure.axes[0].texts}
+    assert ((0, 3), "8") in written
+    assert ((1, 3), "3") in written
+    dashed = [line for line in figure.axes[0].lines if line.get_marker() != "o"]
+    assert [line.get_ydata()[0] for line in dashed] == [2.5]
+    assert "5 parameters not shown" in all_text(figure)
+
+
+def test_rank_changes_within_the_noise_are_dashed() -> None:
+    def measured(values: dict[str, float], error: float) -> SceneAttribution:
+        tensors = {name: torch.tensor(value) for name, value in values.items()}
+        return SceneAttribution(
+            tensors, None, 1.0, covariance={name: torch.tensor([[error**2]]) for name in values}
+        )
+
+    a = {"a": 4.0, "b": 3.0, "c": 2.9, "d": 1.0}
+    b = {"a": 1.0, "b": 2.9, "c": 3.0, "d": 4.0}
+    figure = plot_rank_comparison(measured(a, 0.1), measured(b, 0.1))
+    lines = {
+        line.get_ydata()[0]: line.is_dashed() for line in figure.axes[0].lines if line.get_marker() == "o"
+    }
+    # b and c swap places within the noise; a and d far beyond it.
+    assert lines == {1: False, 2: True, 3: True, 4: False}
+    assert "within the noise" in all_text(figure)
+    figure = plot_rank_comparison(measured(a, 0.001), measured(b, 0.001))
+    assert not any(line.is_dashed() for line in figure.axes[0].lines)
+    assert "within the noise" not in all_text(figure)
+
+
+def test_labels_of_many_parameters_do_not_overlap() -> None:
+    letters = "abcdefghijklmnopqrstuvwxyzåäö"
+    labels = {name: f"{name * 30}: reflectance" for name in letters}
+    a, b = (dataclasses.replace(ranked(order), labels=labels) for order in (letters, letters[::-1]))
+    figure = plot_rank_comparison(a, b, top=29)
+    assert outside(figure) == []
+    for x in (0, 1):
+        boxes = [t.get_window_extent() for t in figure.axes[0].texts if t.xy[0] == x and "…" in t.get_text()]
+        assert len(boxes) == 29
+        boxes.sort(key=lambda box: box.y0)
+        assert all(low.y1 <= high.y0 + 1 for low, high in itertools.pairwise(boxes))
+
+
+def test_columns_are_named_by_what_differs() -> None:
+    text = all_text(plot_rank_comparison(ranked("ab", method="Vanilla"), ranked("ba", method="Shapley")))
+    assert {"Vanilla", "Shapley"} <= set(text.splitlines())
+    text = all_text(plot_rank_comparison(ranked("ab", metric="First"), ranked("ba", metric="First")))
+    assert {"First (first)", "First (second)"} <= set(text.splitlines())
+
+
+def test_comparisons_need_parameters_in_common() -> None:
+    with pytest.raises(SceneCaptumError, match=r"at least two parameters .* share 1"):
+        plot_rank_comparison(ranked("ab"), ranked("bc"))
+    with pytest.raises(SceneCaptumError, match="top must be at least 1"):
+        plot_rank_comparison(ranked("ab"), ranked("ba"), top=0)
+    assert "2 parameters that only one" in all_text(plot_rank_comparison(ranked("abc"), ranked("bcd")))
+
+
+def test_an_undefined_rank_correlation_is_noted() -> None:
+    alike = dataclasses.replace(ranked("ab"), attributions={n: torch.tensor(0.0) for n in "ab"})
+    assert "not defined" in all_text(plot_rank_comparison(alike, ranked("ab")))
+
+
+# -- metric specificity ----------------------------------------------------------------------------------
+
+
+def test_specificity_sets_bars_above_maps() -> None:
+    a = make()
+    b = dataclasses.replace(make(metric="Luminance"), attributions={n: -v for n, v in make().items()})
+    figure = plot_specificity([a, b], top=3)
+    left, right, under_left, under_right, _ = figure.axes
+    figure.canvas.draw()
+    for axes, one in ((left, a), (right, b)):
+        assert [bar.get_width() for bar in axes.patches] == [row.saliency for row in one.ranking(3)]
+    assert hexes(bar.get_facecolor() for bar in left.patches) == [RAISES, UNCLEAR, LOWERS]
+    assert hexes(bar.get_facecolor() for bar in right.patches) == [LOWERS, UNCLEAR, RAISES]
+    np.testing.assert_allclose(under_left.images[0].get_array(), a.heatmap())
+    np.testing.assert_allclose(under_right.images[0].get_array(), b.heatmap())
+    for above, below in ((left, under_left), (right, under_right)):
+        assert above.get_window_extent().y0 > below.get_window_extent().y1
+    assert under_left.get_window_extent().x1 < under_right.get_window_extent().x0
+    text = all_text(figure)
+    assert "Glare = 2.336942 ± 0.000533" in text
+    assert "Luminance = 2.336942 ± 0.000533" in text
+    assert "in each" in text
+    assert outside(figure) == []
+
+
+def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None:
+    from matplotlib.figure import Figure
+
+    own = Figure(figsize=(6, 6), layout="constrained")
+    part = own.subfigures(1, 2)[0]
+    assert plot_specificity([make(cautions={"lamp": "off"})], figure=part) is own
+    assert "! known to be inaccurate" in all_text(own)
+    with pytest.raises(SceneCaptumError, match="at least one"):
+        plot_specificity([])
+
+
+def test_no_text_of_many_columns_is_cut_off() -> None:
+    assert outside(plot_specificity([make(), lengthy(), make(barred=False)])) == []
+
+
+def test_maps_can_share_a_scale() -> None:
+    weak = dataclasses.replace(make(), attributions={n: v / 4 for n, v in make().items()})
+    figure = plot_specificity([make(), weak], shared=True)
+    strong_map, weak_map = (axes.images[0].get_array() for axes in figure.axes[2:4])
+    np.testing.assert_allclose(weak_map, strong_map / 4, rtol=1e-5)
+    assert "of all" in all_text(figure)
+
+
+def test_figures_leave_global_state_alone() -> None:
+    import matplotlib
+    from matplotlib._pylab_helpers import Gcf
+
+    before, managed = dict(matplotlib.rcParams), len(Gcf.figs)
+    image, rating = glaring()
+    for figure in (
+        plot_overlay(make()),
+        metrics.plot_luminance(image, rating),
+        plot_rank_comparison(ranked("ab"), ranked("ba")),
+        plot_specificity([make()]),
+    ):
+        assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+    assert dict(matplotlib.rcParams) == before
+    assert len(Gcf.figs) == managed
+
+
+def test_the_example_draws_every_figure(mi: Any, tmp_path: Path) -> None:
+    from PIL import Image
+
+    path = Path(__file__).parents[2] / "examples" / "figures.py"
+    spec = importlib.util.spec_from_file_location("figures", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.main(tmp_path / "new", resolution=(32, 18), spp=16)
+    drawn = sorted(picture.stem for picture in (tmp_path / "new").iterdir())
+    assert drawn == ["bars", "heatmap", "luminance", "overlay", "ranks", "specificity"]
+    for picture in (tmp_path / "new").iterdir():
+        with Image.open(picture) as shown:
+            assert shown.format == "PNG"
+            assert 1000 < shown.width < 1300

@@ -1,0 +1,220 @@
+"""Tables and numbers, on results made by hand: nothing is rendered."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import pytest
+import torch
+from results import CASES, NASTY, all_text, make
+
+from scenecaptum import SceneAttribution
+from scenecaptum.visualization import (
+    align_decimals,
+    plot_bars,
+    shorten,
+    table_html,
+    table_text,
+    with_error,
+)
+from scenecaptum.visualization._text import goal_notes
+
+
+@pytest.fixture(autouse=True)
+def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+
+
+def row_of(name: str, text: str) -> str:
+    (line,) = [line for line in text.splitlines() if re.match(rf" *\d+  {re.escape(name)}", line)]
+    return line
+
+
+# -- numbers ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "written"),
+    [
+        (0.09784, 0.00079, ("0.0978", "0.0008")),
+        (0.09784, 0.00012, ("0.09784", "0.00012")),
+        (0.5, 0.00097, ("0.5000", "0.0010")),
+        (-3.14159, 0.2, ("-3.14", "0.20")),
+        (1.25e-7, 2e-8, ("1.25e-7", "0.20e-7")),
+        (1234567.0, 4000.0, ("1.235e6", "0.004e6")),
+        (12345.6, 720.0, ("12300", "700")),
+        (0.0, 0.0, ("0", "0")),
+        (0.0, 0.002, ("0", "0.0020")),
+        (0.2, 0.0, ("0.2000", "0")),
+        (1 / 3, None, ("0.3333", "")),
+        (0.99999, None, ("1.000", "")),
+        (float("nan"), 0.12, ("nan", "0.12")),
+        (2.0, float("inf"), ("2.000", "inf")),
+        (float("inf"), None, ("inf", "")),
+    ],
+)
+def test_digits_follow_the_error(value: float, error: float | None, written: tuple[str, str]) -> None:
+    assert with_error(value, error) == written
+
+
+def test_decimal_points_stand_in_one_column() -> None:
+    aligned = align_decimals(["-12.5", "0.0978", "3e-7", "0"])
+    assert len({len(number) for number in aligned}) == 1
+    assert aligned[0].index(".") == aligned[1].index(".") == aligned[2].index("e")
+
+
+def test_shortened_names_stay_different() -> None:
+    names = ["luminaire_left: radiance", "luminaire_right: radiance", "sky"]
+    short = shorten(names, 15)
+    assert len(set(short)) == 3
+    assert max(map(len, short)) <= 15
+    assert all(one.startswith("lum") and one.endswith("nce") for one in short[:2])
+    assert "…" in short[0]
+    assert short[2] == "sky"
+    assert shorten(["a\nb\x1b[2J"], 20) == ["a�b�[2J"]
+
+
+# -- tables ----------------------------------------------------------------------------------------------
+
+
+def test_table_shows_what_was_measured_and_how() -> None:
+    heading = table_text(make()).splitlines()[0]
+    assert heading == "Glare = 2.336942 ± 0.000533 · VanillaSceneGradient · 64 spp in 8 replicates"
+
+
+def test_table_ranks_with_sign_error_and_channels() -> None:
+    text = table_text(make())
+    names = re.findall(r"^ *\d+  (\S+)", text, flags=re.MULTILINE)
+    assert names == ["lamp", "two_minds", "floor", "desk:", "wall", "noisy", "tiny", NASTY]
+    assert re.search(r"0\.0978 +± 0\.0008 +-0\.0978$", row_of("desk: roughness", text))
+    assert re.search(r"± 0\.0030 .*\+0\.100 +-0\.200 +\+0\.010$", row_of("two_minds", text))
+    assert re.search(r"1\.25e-7 ± 0\.20e-7 +\+1\.25e-7$", row_of("tiny", text))
+    points = {row_of(name, text).index(".") for name in ("lamp", "two_minds", "wall", "tiny")}
+    assert len(points) == 1
+
+
+def test_texture_shows_totals_with_a_note() -> None:
+    text = table_text(make())
+    assert re.search(r"Σ .*-0\.080 +-0\.120 +-0\.160$", row_of("floor", text))
+    assert "Σ totals over the texels" in text
+    plain = dataclasses.replace(make(), attributions={"rough": torch.tensor(1.0)})
+    assert "texel" not in table_text(plain)
+
+
+def test_missing_error_bars_are_explained() -> None:
+    text = table_text(make(barred=False))
+    assert "no error bars: 1 replicate" in text
+    assert "±" not in text
+    assert "no error bars" not in table_text(make())
+
+
+def planned(**changes: Any) -> SceneAttribution:
+    planner = {
+        "tolerance": 0.05,
+        "share": 0.05,
+        "top": None,
+        "time_limit": None,
+        "reached": True,
+        "stopped": "goal",
+        "relative_half_width": 0.0463,
+        "order": None,
+    }
+    return make(planner={**planner, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "95 % half-widths ≤ 4.6 % (target: 5 %)"),
+        (
+            {"reached": False, "stopped": "the time limit"},
+            "95 % half-widths ≤ 4.6 % (target: 5 %, stopped by the time limit)",
+        ),
+        (
+            {"tolerance": None, "time_limit": 10.0, "reached": None},
+            "95 % half-widths ≤ 4.6 % in 10 s",
+        ),
+        ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
+        ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
+        (
+            {"top": 3, "order": [["a", "b"], ["c"]], "reached": False, "stopped": "the time limit"},
+            "order of the top 3 not resolved, stopped by the time limit",
+        ),
+    ],
+)
+def test_a_goal_is_reported_in_one_line(changes: dict[str, Any], words: str) -> None:
+    assert goal_notes(planned(**changes)) == [words]
+    assert words in str(planned(**changes))
+    assert words in planned(**changes)._repr_html_()
+
+
+def test_interruption_is_reported() -> None:
+    text = table_text(make(interrupted=True, replicates=3))
+    assert "interrupted after 3 replicates" in text
+    assert "in 3 replicates" not in text
+
+
+def test_parameters_left_out_for_their_values_are_named_in_every_form() -> None:
+    said = "knob.eta.value is left out: it is -0.0485"
+    left_out = make(left_out={"knob.eta.value": "it is -0.0485"})
+    assert f"! {said}" in " ".join(table_text(left_out).split())
+    assert said in " ".join(table_html(left_out).split())
+    assert f"! {said}" in " ".join(all_text(plot_bars(left_out)).split())
+    many = make(left_out={f"knob{n}": "it is nan" for n in range(9)})
+    assert "4 more are left out; renderer.plan lists all" in " ".join(table_text(many).split())
+
+
+def test_cautions_are_grouped() -> None:
+    text = table_text(make(cautions={"rough": "size is off", "wall": "size is off", "lamp": "sign is off"}))
+    assert text.count("size is off") == 1
+    assert "!2 size is off (2 parameters)" in text
+    assert "!1 sign is off (1 parameter)" in text
+    assert " !2 " in row_of("desk: roughness", text)
+    assert " !2 " in row_of("wall", text)
+    assert " !1 " in row_of("lamp", text)
+    assert "!" not in row_of("noisy", text)
+    assert "! off" in " ".join(table_text(make(cautions={"rough": "off"})).split())
+
+
+@pytest.mark.parametrize("columns", [30, 50, 80, 120])
+def test_no_line_is_wider_than_the_terminal(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    long = {name: f"{name}_{'very_' * 30}long" for name, *_ in CASES}
+    cautions = {"rough": "the plugin's tables are outside the derivative graph: its size is off"}
+    text = table_text(dataclasses.replace(make(cautions=cautions), labels=long))
+    assert max(map(len, text.splitlines())) <= columns
+    assert "…" in text
+    if columns >= 80:
+        assert "-0.200" in text
+
+
+def test_long_rankings_end_with_the_number_of_hidden_rows() -> None:
+    text = table_text(make(), top=2)
+    assert "… and 6 more of at most 0.215" in text
+    assert "desk" not in text
+    assert "more of at most" not in table_text(make(), top=None)
+
+
+def test_many_channels_are_summarised() -> None:
+    spectrum = {"spectrum": torch.tensor([0.1, -0.3, 0.2, 0.0]).repeat(4)}
+    text = table_text(SceneAttribution(spectrum, None, 1.0))
+    assert "16 numbers, -0.300 to +0.200" in text
+
+
+def test_contributions_are_not_called_gradients() -> None:
+    text = table_text(dataclasses.replace(make(), convergence_delta=0.00123))
+    assert "contribution" in text
+    assert "gradient" not in text.replace("VanillaSceneGradient", "")
+    assert "convergence delta 0.0012" in text
+
+
+def test_html_is_escaped_and_complete() -> None:
+    text = table_html(make(metric="<b>", cautions={"rough": "a < b"}))
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "<b>&lt;b&gt; = 2.336942 ± 0.000533</b>" in text
+    assert "a &lt; b" in text
+    assert text.count("<tr>") == 1 + len(CASES)
+    assert "0.0978 " in text
