@@ -22,8 +22,7 @@ from scenecaptum import (
 )
 from scenecaptum.attr._baselines import resolve_baselines
 from scenecaptum.attr._groups import resolve_groups
-from scenecaptum.attr._perturbation import ArmBudget
-from scenecaptum.estimation import channel_totals
+from scenecaptum.estimation import Budget, channel_totals
 
 METHODS = [FeatureAblationScene, ShapleyValueScene, OcclusionScene]
 LIGHT = "light.emitter.radiance.value"
@@ -278,11 +277,13 @@ def test_interval_of_a_sampled_shapley_value_uses_the_number_of_permutations():
 
 
 def test_budget_is_split_over_arms_and_replicates():
-    budget = ArmBudget.split(64, 4, 8, seed=shifted())
-    assert budget.describe() == {"arms": 4, "spp_per_arm": 16, "replicates": 8, "total_spp": 64}
-    assert ArmBudget.split(10, 4, 8, seed=shifted()).describe()["spp_per_arm"] == 8
-    assert ArmBudget.split(None, 4, 8, seed=shifted()).total is None
-    assert len(set(budget.seeds) | set(ArmBudget.split(64, 4, 8, seed=shifted(1)).seeds)) == 16
+    budget = Budget.with_common_seeds(64, 8, shifted(), 4)
+    assert (budget.spp, budget.replicates, budget.total) == ((2,) * 4, (8,) * 4, 64)
+    assert Budget.with_common_seeds(10, 8, shifted(), 4).spp == (1,) * 4
+    assert Budget.with_common_seeds(None, 8, shifted(), 4).total is None
+    (seeds,) = set(budget.seeds)
+    (others,) = set(Budget.with_common_seeds(64, 8, shifted(1), 4).seeds)
+    assert len({*seeds, *others}) == 16
 
 
 def test_every_coalition_is_rendered_once_and_the_result_says_so():

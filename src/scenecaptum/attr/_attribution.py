@@ -17,8 +17,8 @@ from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ._data import AttributionData, Tensors, covariances
 from ._difference import subtract
-from ._heavy_tails import median_of_means, untrusted_errors
 from ._storage import read_file, write_file
+from ._trust import median_of_means, untrusted_errors
 from ._values import summarize
 
 if TYPE_CHECKING:

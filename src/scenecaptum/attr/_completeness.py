@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
-from ..estimation import TargetedMetric, covariance_of_mean
+from ..estimation import TargetedMetric, covariance_of_mean, pseudo_values
 from ._attribution import SceneAttribution
 from ._convergence import convergence
 from ._method import Result, Run
@@ -22,21 +22,16 @@ def metric_difference(
     The scenes are rendered with common random numbers. The delete-one jackknife removes the first-order bias that
     image noise causes in a non-linear metric.
     """
+    scenes = [torch.stack(tuple(replicates)) for replicates in (images, *references)]
 
-    def mean_without(replicates: Sequence[torch.Tensor], left_out: int | None) -> torch.Tensor:
-        return torch.stack([image for number, image in enumerate(replicates) if number != left_out]).mean(0)
+    def difference(kept: torch.Tensor) -> torch.Tensor:
+        value, *others = (metric.value(replicates[kept].mean(0)) for replicates in scenes)
+        return torch.tensor(value - sum(others) / len(others), dtype=torch.float64)
 
-    def difference_without(left_out: int | None) -> float:
-        values = [metric.value(mean_without(replicates, left_out)) for replicates in references]
-        return metric.value(mean_without(images, left_out)) - sum(values) / len(values)
-
-    count = len(images)
-    if count == 1:
-        return difference_without(None), None
-    full = count * difference_without(None)
-    pseudo_values = [full - (count - 1) * difference_without(left_out) for left_out in range(count)]
-    mean = sum(pseudo_values) / count
-    return mean, math.sqrt(sum((value - mean) ** 2 for value in pseudo_values) / (count * (count - 1)))
+    if len(images) == 1:
+        return difference(torch.arange(1)).item(), None
+    values = pseudo_values(difference, len(images))
+    return values.mean().item(), values.std().item() / math.sqrt(len(values))
 
 
 def with_convergence(

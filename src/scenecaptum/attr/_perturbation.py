@@ -7,19 +7,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, with_checkpoint
-from ..errors import SceneCaptumError, check_seed, whole_number
+from ..errors import SceneCaptumError
 from ..estimation import (
+    Budget,
     Metric,
     TargetedMetric,
     TransformSelector,
     check_renderer_and_metric,
     covariance_of_mean,
     describe_picture,
+    pseudo_values,
     render_images,
     require_memory,
     with_image_transform,
@@ -31,46 +32,6 @@ from ._convergence import convergence
 from ._interruption import AttributionInterrupted
 from ._method import Result, Settings, Targets, target_list
 from ._values import summarize
-
-
-@dataclass(frozen=True)
-class ArmBudget:
-    """Samples and seeds for the arms, which are the unchanged scene and all changed scenes.
-
-    Attributes
-    ----------
-    arms
-        Number of scenes.
-    spp
-        Samples per pixel of each replicate of each arm, or None for the renderer's default.
-    seeds
-        A seed for each replicate. All arms have the same (common random numbers), so that noise cancels in
-        differences.
-    """
-
-    arms: int
-    spp: int | None
-    seeds: tuple[int, ...]
-
-    @classmethod
-    def split(cls, spp: int | None, arms: int, replicates: int, seed: int) -> ArmBudget:
-        """Split samples over arms and replicates: ``⌈⌈spp / arms⌉ / replicates⌉`` each."""
-        replicates = whole_number("replicates", replicates)
-        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(replicates)
-        if spp is not None:
-            spp = math.ceil(math.ceil(whole_number("spp", spp) / arms) / replicates)
-        return cls(arms, spp, tuple(int(state) for state in states))
-
-    @property
-    def total(self) -> int | None:
-        """Samples per pixel over all arms and replicates."""
-        return None if self.spp is None else self.arms * self.spp * len(self.seeds)
-
-    def describe(self) -> dict[str, int | None]:
-        """Return the budget in plain values."""
-        count = len(self.seeds)
-        per_arm = None if self.spp is None else self.spp * count
-        return {"arms": self.arms, "spp_per_arm": per_arm, "replicates": count, "total_spp": self.total}
 
 
 @dataclass(frozen=True)
@@ -104,7 +65,7 @@ class ArmMeasurements:
     image: torch.Tensor
     inputs: Mapping[str, torch.Tensor]
     metrics: tuple[TargetedMetric, ...]
-    budget: ArmBudget
+    budget: Budget
     interrupted: bool
     info: Mapping[str, Any]
 
@@ -165,10 +126,10 @@ class Perturbation:
         watch = Stopwatch(renderer)
         metrics = tuple(TargetedMetric(self.metric, element) for element in target_list(target))
         spp = Capabilities(self.renderer).spp if settings.spp is None else settings.spp
-        budget = ArmBudget.split(spp, len(arms), settings.replicates, settings.seed)
-        require_memory(renderer, [budget.spp], len(budget.seeds))
+        budget = Budget.with_common_seeds(spp, settings.replicates, settings.seed, len(arms))
+        require_memory(renderer, budget.spp, settings.replicates)
         bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
-        pseudo_values, interrupted = [], False
+        rows, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
             metrics = tuple(
@@ -176,20 +137,18 @@ class Perturbation:
             )
             values, first = _pseudo_values(metrics, images, arms[0].description)
             image = torch.stack(images).mean(0)
-            pseudo_values.append(first)
+            rows.append(first)
             bar.update()
             try:
                 for arm in arms[1:]:
                     images = _images(renderer, arm, budget)
-                    pseudo_values.append(_pseudo_values(metrics, images, arm.description)[1])
+                    rows.append(_pseudo_values(metrics, images, arm.description)[1])
                     bar.update()
             except KeyboardInterrupt:
                 interrupted = True
         info = {"method": type(self).__name__, "seed": settings.seed, **watch.info}
         inputs = summarize(arms[0].values())
-        return ArmMeasurements(
-            torch.stack(pseudo_values), values, image, inputs, metrics, budget, interrupted, info
-        )
+        return ArmMeasurements(torch.stack(rows), values, image, inputs, metrics, budget, interrupted, info)
 
     def _results(
         self,
@@ -231,7 +190,7 @@ class Perturbation:
         bias = value - unbiased.mean().item() if count > 1 else None
         error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
         drift = None if bias is None or error is None else (bias, error)
-        spp = None if measured.budget.spp is None else count * measured.budget.spp
+        spp_per_arm = None if measured.budget.spp[0] is None else count * measured.budget.spp[0]
         result_info = {
             **(Capabilities(self.renderer).info or {}),
             "cautions": {},  # the renderer's cautions are about derivatives
@@ -239,9 +198,14 @@ class Perturbation:
             "metric": measured.metrics[index].name,
             "spp": measured.budget.total,
             "replicates": count,
-            "budget": measured.budget.describe(),
+            "budget": {
+                "arms": len(measured.budget.spp),
+                "spp_per_arm": spp_per_arm,
+                "replicates": count,
+                "total_spp": measured.budget.total,
+            },
             "metric_bias": bias,
-            "picture": describe_picture(measured.metrics[index].transform, value, drift, spp),
+            "picture": describe_picture(measured.metrics[index].transform, value, drift, spp_per_arm),
             "interrupted": measured.interrupted,
             "versions": _versions(),
             **info,
@@ -268,9 +232,9 @@ class Perturbation:
         )
 
 
-def _images(renderer: Renderer, arm: Arm, budget: ArmBudget) -> list[torch.Tensor]:
+def _images(renderer: Renderer, arm: Arm, budget: Budget) -> list[torch.Tensor]:
     with error_context(f"On {arm.description}"):
-        return render_images(renderer, dict(arm.values()), budget.seeds, budget.spp)
+        return render_images(renderer, dict(arm.values()), budget.seeds[0], budget.spp[0])
 
 
 def _all_or_none(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.Tensor] | None:
@@ -283,13 +247,14 @@ def _pseudo_values(
     metrics: Sequence[TargetedMetric], images: Sequence[torch.Tensor], scene: str
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the metrics at the mean image ``(targets,)``, and their pseudo-values ``(replicates, targets)``."""
+    stack = torch.stack(tuple(images))
+
+    def values(kept: torch.Tensor) -> torch.Tensor:
+        return _evaluate(metrics, stack[kept].mean(0), scene)
+
     count = len(images)
-    total = torch.stack(tuple(images)).sum(0)
-    values = _evaluate(metrics, total / count, scene)
-    if count == 1:
-        return values, values[None]
-    without = torch.stack([_evaluate(metrics, (total - image) / (count - 1), scene) for image in images])
-    return values, count * values - (count - 1) * without
+    unchanged = values(torch.arange(count))
+    return unchanged, unchanged[None] if count == 1 else pseudo_values(values, count)
 
 
 def _evaluate(metrics: Sequence[TargetedMetric], image: torch.Tensor, scene: str) -> torch.Tensor:

@@ -17,6 +17,11 @@ from ._gradients import input_values as input_values
 from ._gradients import interpolated_point as interpolated_point
 from ._gradients import require_memory as require_memory
 from ._gradients import sum_gradients as sum_gradients
+from ._heavy_tails import FALSE_ALARM_RATE as FALSE_ALARM_RATE
+from ._heavy_tails import MIN_EFFECTIVE_SAMPLES as MIN_EFFECTIVE_SAMPLES
+from ._heavy_tails import MIN_REPLICATES as MIN_REPLICATES
+from ._heavy_tails import has_dominating_replicate as has_dominating_replicate
+from ._heavy_tails import rows_of_median as rows_of_median
 from ._image_info import describe_picture as describe_picture
 from ._jackknife import Adjoints as Adjoints
 from ._jackknife import jackknife as jackknife
@@ -42,6 +47,7 @@ from ._replicates import channel_totals as channel_totals
 from ._replicates import covariance_of_mean as covariance_of_mean
 from ._replicates import render_images as render_images
 from ._resampling import delete_one_jackknife as delete_one_jackknife
+from ._resampling import pseudo_values as pseudo_values
 from ._rounds import ReplicateTime as ReplicateTime
 from ._rounds import Rounds as Rounds
 from ._rounds import RoundSum as RoundSum

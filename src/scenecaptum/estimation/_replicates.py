@@ -89,6 +89,18 @@ class Budget:
             tuple(tuple(row[:count]) for row, count in zip(gradient_seeds, counts, strict=True)),
         )
 
+    @classmethod
+    def with_common_seeds(cls, spp: int | None, replicates: int, seed: int, points: int) -> Budget:
+        """Split samples evenly over points that are compared: ``⌈⌈spp / points⌉ / replicates⌉`` each.
+
+        All points have the same seeds (common random numbers), so that noise cancels in differences.
+        """
+        replicates = whole_number("replicates", replicates)
+        if spp is not None:
+            spp = math.ceil(math.ceil(whole_number("spp", spp) / points) / replicates)
+        seeds = tuple(np.random.SeedSequence(check_seed("seed", seed)).generate_state(replicates).tolist())
+        return cls((spp,) * points, (seeds,) * points, (seeds,) * points)
+
     def with_round(self, replicates: int, spp: int, seed: int) -> Budget:
         """Return the budget with another round of replicates, which has its own seeds."""
         entropy = [check_seed("seed", seed), 2, len(self.spp)]

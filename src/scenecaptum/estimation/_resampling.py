@@ -2,9 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
+
+
+def pseudo_values(statistic: Callable[[torch.Tensor], torch.Tensor], count: int) -> torch.Tensor:
+    """Return the ``(count, …)`` pseudo-values of a statistic by the delete-one jackknife.
+
+    They are ``n·T − (n − 1)·T₋ᵢ``, where ``T₋ᵢ`` leaves out sample ``i``. Their mean has no bias of order ``1/n``;
+    its standard error is that of a mean of independent numbers.
+
+    Example
+    -------
+    >>> samples = torch.tensor([1.0, 2.0, 4.0, 5.0])
+    >>> pseudo_values(lambda kept: samples[kept].mean(), len(samples))
+    tensor([1., 2., 4., 5.])
+
+    Parameters
+    ----------
+    statistic
+        Function of the indices of samples, ``(n,)`` int64, that returns a tensor of any shape.
+    count
+        Number of samples, at least 2.
+
+    References
+    ----------
+    Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981.
+    """
+    indices = torch.arange(count)
+    without = torch.stack([statistic(indices[indices != k]) for k in range(count)])
+    return count * statistic(indices) - (count - 1) * without
 
 
 def delete_one_jackknife(
@@ -19,23 +48,7 @@ def delete_one_jackknife(
     >>> mean.item(), round(error.item(), 4)  # the standard deviation over the square root of 4
     (3.0, 0.9129)
 
-    Parameters
-    ----------
-    statistic
-        Function of the indices of samples, ``(n,)`` int64, that returns a tensor of any shape.
-    count
-        Number of samples, at least 2.
-
-    Returns
-    -------
-    tuple
-        The statistic of all samples, and its standard error, of the same shape.
-
-    References
-    ----------
-    Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981.
+    The arguments are those of ``pseudo_values``.
     """
-    indices = torch.arange(count)
-    leave_one_out = torch.stack([statistic(indices[indices != k]) for k in range(count)])
-    squares = (leave_one_out - leave_one_out.mean(0)).square().sum(0)
-    return statistic(indices), ((count - 1) / count * squares).sqrt()
+    values = pseudo_values(statistic, count)
+    return statistic(torch.arange(count)), values.std(0) / math.sqrt(count)

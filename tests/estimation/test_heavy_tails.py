@@ -12,7 +12,7 @@ from seeds import seeds, shifted
 from toy import ToyRenderer
 
 from scenecaptum import IntegratedGradientsScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient
-from scenecaptum.attr._heavy_tails import FALSE_ALARM_RATE, _critical_fraction
+from scenecaptum.estimation._heavy_tails import FALSE_ALARM_RATE, _critical_fraction
 
 RUNS = 100
 
