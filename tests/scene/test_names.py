@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+from rooms import table
 from seeds import shifted
 
 from scenecaptum import (
@@ -23,7 +24,7 @@ from scenecaptum import (
     cli,
     metrics,
 )
-from scenecaptum.scene import SceneParameters, discover, load_scene
+from scenecaptum.scene import discover, load_scene
 from scenecaptum.scene._graph import SceneGraph
 from scenecaptum.visualization import columns, shorten
 
@@ -97,10 +98,6 @@ def write_nameless(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def nameless(mi: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_nameless(tmp_path_factory.mktemp("nameless"))
-
-
-def table(scene: Any) -> SceneParameters:
-    return discover(SceneGraph(load_scene(scene)))
 
 
 def in_a_process(code: str, *arguments: Any) -> Any:
