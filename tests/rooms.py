@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from scenecaptum.scene import SceneGraph, SceneParameters, discover, load_scene
+if TYPE_CHECKING:
+    from scenecaptum.scene import SceneParameters
+
+
+def large_scenes() -> Path:
+    """Return the folder of scenes too big for the repository; it may not exist."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
+    return Path(os.environ.get("SCENECAPTUM_SCENES", beside))
 
 
 def room(mi: Any, ball: dict[str, Any], **integrator: Any) -> dict[str, Any]:
@@ -46,4 +55,6 @@ def ball(bsdf: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 def table(scene: Any) -> SceneParameters:
     """Return the parameters of a scene."""
+    from scenecaptum.scene import SceneGraph, discover, load_scene
+
     return discover(SceneGraph(load_scene(scene)))

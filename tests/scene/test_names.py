@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from typing import Any
 
 import pytest
 import torch
-from rooms import table
+from rooms import large_scenes, table
 from seeds import shifted
 
 from scenecaptum import (
@@ -141,9 +140,9 @@ def test_names_are_still_those_of_mitsuba(mi: Any, nameless: Path) -> None:
 @pytest.fixture(scope="module")
 def rooms() -> list[Path]:
     """Published scenes with hundreds of shapes without ids, where they are available."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "scenes"
-    folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
-    return [path for room in ("kitchen", "classroom") if (path := folder / room / "scene.xml").is_file()]
+    return [
+        path for room in ("kitchen", "classroom") if (path := large_scenes() / room / "scene.xml").is_file()
+    ]
 
 
 @pytest.fixture(scope="module")
