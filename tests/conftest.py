@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from rooms import large_scenes
 from seeds import OFFSET, shift_defaults, shifted
 
 # At the end: tests/extremes comes before benchmarks/extremes.py.
@@ -109,8 +109,7 @@ def stage(stage_dict: dict[str, Any]) -> Any:
 @pytest.fixture(scope="session")
 def shared_scenes() -> Path:
     """Scenes too big for the repository: $SCENECAPTUM_SCENES, or shared/scenes beside the repository."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
-    folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
+    folder = large_scenes()
     if not folder.is_dir():
         pytest.skip(f"no large scenes: {folder} does not exist (set SCENECAPTUM_SCENES)")
     return folder

@@ -1,8 +1,19 @@
-"""A small scene that several test files render, with a material of their choice."""
+"""Small scenes that several test files load or render, and the parameters of a scene."""
 
 from __future__ import annotations
 
-from typing import Any
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from scenecaptum.scene import SceneParameters
+
+
+def large_scenes() -> Path:
+    """Return the folder of scenes too big for the repository; it may not exist."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
+    return Path(os.environ.get("SCENECAPTUM_SCENES", beside))
 
 
 def room(mi: Any, ball: dict[str, Any], **integrator: Any) -> dict[str, Any]:
@@ -26,3 +37,24 @@ def room(mi: Any, ball: dict[str, Any], **integrator: Any) -> dict[str, Any]:
             "emitter": {"type": "area", "radiance": 10.0},
         },
     }
+
+
+def small_scene(**objects: Any) -> dict[str, Any]:
+    """A camera of 8 × 8 pixels and any objects."""
+    camera = {
+        "type": "perspective",
+        "film": {"type": "hdrfilm", "width": 8, "height": 8},
+        "sampler": {"type": "independent", "sample_count": 1},
+    }
+    return {"type": "scene", "eye": camera, **objects}
+
+
+def ball(bsdf: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"type": "sphere", "bsdf": bsdf, **more}
+
+
+def table(scene: Any) -> SceneParameters:
+    """Return the parameters of a scene."""
+    from scenecaptum.scene import SceneGraph, discover, load_scene
+
+    return discover(SceneGraph(load_scene(scene)))

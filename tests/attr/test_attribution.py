@@ -76,7 +76,7 @@ def test_bias_of_a_linear_metric_is_zero():
     assert not attribution.bias["x"].any()
 
 
-def test_one_replicate_has_no_error_bars_and_says_so():
+def test_one_replicate_has_no_error_bars():
     attribution = VanillaSceneGradient(ToyRenderer(), log_mean).attribute(replicates=1)
     assert attribution.standard_error is None
     assert attribution.saliency_error() is None
@@ -182,7 +182,7 @@ def test_light_attributions_add_up_to_the_metric(cornell, cornell_attribution):
     assert abs(difference) < allowed(8) * error, f"differs by {difference:.2e}, standard error {error:.1e}"
 
 
-def test_info_says_how_it_was_computed(cornell_attribution):
+def test_info_records_how_it_was_computed(cornell_attribution):
     info = cornell_attribution.info
     assert info["method"] == "VanillaSceneGradient"
     assert info["metric"] == "MeanLuminance"

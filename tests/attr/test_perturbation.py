@@ -286,7 +286,7 @@ def test_budget_is_split_over_arms_and_replicates():
     assert len({*seeds, *others}) == 16
 
 
-def test_every_coalition_is_rendered_once_and_the_result_says_so():
+def test_every_coalition_is_rendered_once():
     renderer = PartsRenderer()
     one = share_out(renderer, log_mean, 0, n_samples=40, spp=320, replicates=5)
     assert renderer.calls == [8] * 40  # 2³ coalitions, 5 replicates, 8 samples each
@@ -674,7 +674,7 @@ def test_bad_calls_are_refused_with_the_fix(method, settings, message):
         run(method, **settings)
 
 
-def test_occlusion_without_any_texture_says_so(two_lamps):
+def test_occlusion_without_any_texture_is_refused(two_lamps):
     with pytest.raises(SceneCaptumError, match="None of the 2 inputs is a texture"):
         run(OcclusionScene, renderer=two_lamps)
 

@@ -92,7 +92,7 @@ def test_kill_at_random_moments(tmp_path: Path) -> None:
     )
     usage = resumed.info["checkpoint"]
     print(
-        f"\nkilled {killed} times, {lost} passes lost, {usage['reused']} of {usage['passes']} reused by the "
+        f"\nkilled {killed} times, {lost} renders lost, {usage['reused']} of {usage['passes']} reused by the "
         f"last run; largest relative difference from an uninterrupted run: {worst:.1e}"
     )
     assert lost <= killed

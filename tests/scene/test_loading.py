@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import message
+from rooms import ball, small_scene, table
 
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.scene import BUNDLED, SceneParameters, discover, load_scene, select
-from scenecaptum.scene._graph import SceneGraph
+from scenecaptum.scene import BUNDLED, load_scene, select
 
 Config = dict[str, Any]
 
@@ -29,27 +29,6 @@ XML = """<scene version="3.0.0">
     </shape>
     <emitter type="constant" id="sky"/>
 </scene>"""
-
-
-def table(scene: Any) -> SceneParameters:
-    return discover(SceneGraph(load_scene(scene)))
-
-
-def camera() -> Config:
-    film = {"type": "hdrfilm", "width": 8, "height": 8}
-    return {
-        "type": "perspective",
-        "film": film,
-        "sampler": {"type": "independent", "sample_count": 1},
-    }
-
-
-def ball(bsdf: Config, **more: Any) -> Config:
-    return {"type": "sphere", "bsdf": bsdf, **more}
-
-
-def small(**objects: Any) -> Config:
-    return {"type": "scene", "eye": camera(), **objects}
 
 
 @pytest.fixture
@@ -159,7 +138,7 @@ def test_placeholders_of_included_files_are_found(mi: Any, open_scene: Path) -> 
 
 
 def test_values_beside_anything_but_a_file_are_refused(mi: Any) -> None:
-    scene = small(ball=ball({"type": "diffuse"}))
+    scene = small_scene(ball=ball({"type": "diffuse"}))
     for one in (scene, mi.load_dict(scene), "office"):
         assert "parameters= gives values to the $names of an XML file" in message(
             lambda one=one: load_scene(one, {"spp": 4})
@@ -178,7 +157,7 @@ def test_a_dict_that_is_not_a_scene_is_refused(mi: Any) -> None:
 
 
 def test_a_property_that_a_plugin_does_not_know_is_named(mi: Any) -> None:
-    assert "radiuss" in message(lambda: load_scene(small(ball={"type": "sphere", "radiuss": 2.0})))
+    assert "radiuss" in message(lambda: load_scene(small_scene(ball={"type": "sphere", "radiuss": 2.0})))
 
 
 def test_a_failed_load_leaves_no_emitter_behind(mi: Any) -> None:
@@ -196,11 +175,11 @@ def test_a_failed_load_leaves_no_emitter_behind(mi: Any) -> None:
 
     before = lights()
     lamp = {"type": "sphere", "emitter": {"type": "area"}}
-    loaded = load_scene(small(lamp=lamp))
+    loaded = load_scene(small_scene(lamp=lamp))
     assert lights() - before, "the lights of a scene that lives are not found"
     del loaded
     with pytest.raises(SceneCaptumError) as held:
-        load_scene(small(lamp=lamp, ball=ball({"type": "diffuse", "gloss": 1.0})))
+        load_scene(small_scene(lamp=lamp, ball=ball({"type": "diffuse", "gloss": 1.0})))
     assert "gloss" in str(held.value)
     assert lights() <= before
 
@@ -211,7 +190,7 @@ def test_a_scene_of_another_type_is_refused_by_its_type(mi: Any, scene: Any) -> 
 
 
 def test_a_loaded_scene_is_used_as_it_is(mi: Any) -> None:
-    scene = mi.load_dict(small(ball=ball({"type": "diffuse"})))
+    scene = mi.load_dict(small_scene(ball=ball({"type": "diffuse"})))
     assert load_scene(scene) is scene
 
 
@@ -227,7 +206,7 @@ def test_textures_are_found_beside_the_file_and_the_search_path_is_left_alone(mi
 
 def test_loading_does_not_change_the_callers_dict(mi: Any, painted: Path) -> None:
     bitmap = {"type": "bitmap", "filename": str(painted.parent / "paint.png")}
-    scene = small(ball=ball({"type": "diffuse", "reflectance": bitmap}))
+    scene = small_scene(ball=ball({"type": "diffuse", "reflectance": bitmap}))
     found = copy.deepcopy(scene)
     load_scene(scene)
     assert scene == found
@@ -238,7 +217,7 @@ def test_eight_bit_pictures_become_differentiable_and_keep_their_values(mi: Any,
     bitmap = {"type": "bitmap", "filename": str(png)}
     from_file, from_dict = (
         load_scene(painted),
-        load_scene(small(b=ball({"type": "diffuse", "reflectance": bitmap}))),
+        load_scene(small_scene(b=ball({"type": "diffuse", "reflectance": bitmap}))),
     )
     encoded = np.array(mi.Bitmap(str(png)), dtype=np.float64) / 255
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from rooms import large_scenes, table
 from seeds import shifted
 
 from scenecaptum import (
@@ -23,7 +23,7 @@ from scenecaptum import (
     cli,
     metrics,
 )
-from scenecaptum.scene import SceneParameters, discover, load_scene
+from scenecaptum.scene import discover, load_scene
 from scenecaptum.scene._graph import SceneGraph
 from scenecaptum.visualization import columns, shorten
 
@@ -99,10 +99,6 @@ def nameless(mi: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_nameless(tmp_path_factory.mktemp("nameless"))
 
 
-def table(scene: Any) -> SceneParameters:
-    return discover(SceneGraph(load_scene(scene)))
-
-
 def in_a_process(code: str, *arguments: Any) -> Any:
     """Run code in another process, and return the JSON that it prints."""
     done = subprocess.run(
@@ -144,9 +140,9 @@ def test_names_are_still_those_of_mitsuba(mi: Any, nameless: Path) -> None:
 @pytest.fixture(scope="module")
 def rooms() -> list[Path]:
     """Published scenes with hundreds of shapes without ids, where they are available."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "scenes"
-    folder = Path(os.environ.get("SCENECAPTUM_SCENES", beside))
-    return [path for room in ("kitchen", "classroom") if (path := folder / room / "scene.xml").is_file()]
+    return [
+        path for room in ("kitchen", "classroom") if (path := large_scenes() / room / "scene.xml").is_file()
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -8,37 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import message
+from rooms import ball, small_scene, table
 
-from scenecaptum.scene import SceneParameters, discover, load_scene, select
-from scenecaptum.scene._graph import SceneGraph
+from scenecaptum.scene import SceneParameters, load_scene, select
 from scenecaptum.scene._selection import KINDS
 
 Config = dict[str, Any]
 
 
-def table(scene: Any) -> SceneParameters:
-    return discover(SceneGraph(load_scene(scene)))
-
-
 def rgb(*value: float) -> Config:
     return {"type": "rgb", "value": list(value)}
-
-
-def camera() -> Config:
-    film = {"type": "hdrfilm", "width": 8, "height": 8}
-    return {
-        "type": "perspective",
-        "film": film,
-        "sampler": {"type": "independent", "sample_count": 1},
-    }
-
-
-def ball(bsdf: Config, **more: Any) -> Config:
-    return {"type": "sphere", "bsdf": bsdf, **more}
-
-
-def small(**objects: Any) -> Config:
-    return {"type": "scene", "eye": camera(), **objects}
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +31,7 @@ def zoo_dict(mi: Any) -> Config:
         "sigma_t": 1.0,
         "phase": {"type": "hg", "g": 0.1},
     }
-    return small(
+    return small_scene(
         shared={"type": "diffuse", "reflectance": rgb(0.2, 0.3, 0.4)},
         inner={"type": "diffuse", "reflectance": rgb(0.4, 0.3, 0.2)},
         two_faced={"type": "twosided", "bsdf": inner},

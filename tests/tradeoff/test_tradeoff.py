@@ -126,7 +126,7 @@ def test_samples_of_the_image_and_of_the_gradient_are_separate():
         expected = renderer.noise / math.sqrt(gradient_spp)
         assert abs(row.relative_error.value / expected - 1) < 4 * relative, row
         assert 0.3 < row.relative_error.error / (relative * expected) < 2, row
-    assert set(renderer.taken) >= {(2, 2), (1, 4), (8, 2), (4, 1), (2, 8)}  # each pass of 4 or 8
+    assert set(renderer.taken) >= {(2, 2), (1, 4), (8, 2), (4, 1), (2, 8)}  # in 4 or 8 replicates
 
 
 def test_false_alarms_are_rare_under_any_noise():
@@ -134,9 +134,9 @@ def test_false_alarms_are_rare_under_any_noise():
     for shape in (torch.eye(12), torch.diag(torch.tensor([5.0] + [0.1] * 11)), torch.ones(12, 12)):
         alarms = 0
         for _ in range(400):
-            runs, passes = (torch.randn(n, 12, generator=generator) @ shape for n in (4, 16))
-            spread = (passes - passes.mean(0)) / math.sqrt(16 * 15)
-            alarms += statistics.relative_bias(runs - passes.mean(0), spread, 1.0).significant
+            runs, replicates = (torch.randn(n, 12, generator=generator) @ shape for n in (4, 16))
+            spread = (replicates - replicates.mean(0)) / math.sqrt(16 * 15)
+            alarms += statistics.relative_bias(runs - replicates.mean(0), spread, 1.0).significant
         assert alarms <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
 
 
