@@ -145,7 +145,7 @@ class ShapleyValueScene(Perturbation):
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, Residual | None]:
             return _effects(game, pseudo_values, members)
 
-        count, pairs = len(measured.budget.seeds), len(game.finished(len(measured.pseudo_values)))
+        count, pairs = measured.pseudo_values.shape[1], len(game.finished(len(measured.pseudo_values)))
         return self._results(
             measured,
             target,
