@@ -66,11 +66,6 @@ class GradientShapScene(GradientMethod):
 
         Parameters
         ----------
-        inputs
-            Values by parameter name; the renderer's own by default.
-        target
-            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
-            the same renders.
         baselines
             A baseline as for ``IntegratedGradientsScene``, or a list of baselines with equal probability.
         n_samples
@@ -79,8 +74,8 @@ class GradientShapScene(GradientMethod):
             Noise on the inputs, as in ``SmoothGradScene``.
         return_convergence_delta
             Return ``(attribution, delta)``.
-        groups, seed, spp, picture_spp, replicates, denoise, checkpoint, show_progress
-            As in ``SmoothGradScene``.
+        inputs, target, groups, seed, spp, picture_spp, replicates, denoise, checkpoint, show_progress
+            As for ``SmoothGradScene``.
 
         Returns
         -------

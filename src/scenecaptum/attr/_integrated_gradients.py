@@ -19,7 +19,7 @@ class IntegratedGradientsScene(GradientMethod):
     """Gradients averaged along the path from a baseline, times the path: ``(θ − θ₀) · ∫ ∂M(θ₀ + α(θ − θ₀)) dα``.
 
     The attributions add up to ``M(θ) − M(θ₀)``. The remaining difference is ``convergence_delta``, and
-    ``info["convergence"]`` tells whether it is within the error. All errors include the quadrature error and the
+    ``info["convergence"]`` says whether it is within the error. All errors include the quadrature error and the
     noise.
 
     Example
@@ -63,11 +63,8 @@ class IntegratedGradientsScene(GradientMethod):
 
         Parameters
         ----------
-        inputs
-            Values by parameter name; the renderer's own by default.
-        target
-            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
-            the same renders.
+        inputs, target, groups, seed, denoise, checkpoint, show_progress
+            As for ``VanillaSceneGradient``.
         baselines
             The scene to compare with: ``"dark"`` (emitters off), ``"black"`` (reflectances 0), ``"grey"`` (each
             reflectance its mean), a number, a mapping from names, globs or kinds to values, or another scene. By
@@ -81,11 +78,6 @@ class IntegratedGradientsScene(GradientMethod):
             an additional gradient there, only for the error estimate.
         return_convergence_delta
             Return ``(attribution, delta)``.
-        groups
-            ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
-            members: the result has the sum of each group. Parameters in no group stay separate.
-        seed
-            Random seed, from which the seeds of all replicates are derived.
         spp
             Total samples per pixel, split over the steps. Non-linear metrics use at least 16 at each step. Another
             eighth is used for each end of the path (``info["budget"]``).
@@ -94,14 +86,6 @@ class IntegratedGradientsScene(GradientMethod):
         replicates
             Number of steps, spread over the path, that have two replicates to estimate the noise; 1 for no error
             bars.
-        denoise
-            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
-            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
-        checkpoint
-            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
-            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
-        show_progress
-            Whether to show a progress bar.
 
         Returns
         -------

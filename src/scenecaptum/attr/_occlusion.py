@@ -78,9 +78,6 @@ class OcclusionScene(Perturbation):
         ----------
         inputs
             Textures ``(H, W, C)`` and grids ``(D, H, W, C)`` by parameter name; the renderer's own by default.
-        target
-            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
-            the same renders.
         sliding_window_shapes
             Window size ``(h, w)`` in texels, ``(d, h, w)`` for a grid, one number for all dimensions, or a mapping
             from names or globs to these. By default 8 × 8 windows cover a texture, 4 × 4 × 4 a grid.
@@ -89,22 +86,8 @@ class OcclusionScene(Perturbation):
         baselines
             Values of occluded patches: by default the mean of the texture in each channel; otherwise ``"dark"``,
             ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
-        seed
-            Random seed. All scenes are rendered with common random numbers.
-        spp
-            Total samples per pixel over the unchanged scene and all changed ones; the renderer's by default. They
-            are split evenly over scenes and replicates, rounded up to at least one each.
-        replicates
-            Number of independent replicates, whose variance gives the standard errors. With 1 there are no errors,
-            and no correction of the bias that image noise causes in a non-linear metric.
-        denoise
-            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
-            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
-        checkpoint
-            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
-            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
-        show_progress
-            Whether to show a progress bar.
+        target, seed, spp, replicates, denoise, checkpoint, show_progress
+            As for ``FeatureAblationScene``.
 
         Returns
         -------

@@ -80,11 +80,8 @@ class ShapleyValueScene(Perturbation):
 
         Parameters
         ----------
-        inputs
-            Values by parameter name; the renderer's own by default.
-        target
-            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
-            the same renders.
+        inputs, target, denoise, checkpoint, show_progress
+            As for ``VanillaSceneGradient``.
         baselines
             Values of players that have not joined: None (emitters and reflectances 0, everything else unchanged),
             ``"dark"``, ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
@@ -103,14 +100,6 @@ class ShapleyValueScene(Perturbation):
         replicates
             Number of independent replicates, whose variance gives the rendering part of the standard errors. With
             1 there are no errors, and no correction of the bias that image noise causes in a non-linear metric.
-        denoise
-            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
-            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
-        checkpoint
-            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
-            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
-        show_progress
-            Whether to show a progress bar.
 
         Returns
         -------

@@ -70,11 +70,8 @@ class SmoothGradScene(GradientMethod):
 
         Parameters
         ----------
-        inputs
-            Values by parameter name; the renderer's own by default.
-        target
-            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
-            the same renders.
+        inputs, target, groups, denoise, checkpoint, show_progress
+            As for ``VanillaSceneGradient``.
         nt_type
             ``"smoothgrad"``: the mean of the gradients; ``"smoothgrad_sq"``: of their squares; ``"vargrad"``:
             their variance. The last two are corrected for the rendering noise, so that estimates of small values
@@ -87,9 +84,6 @@ class SmoothGradScene(GradientMethod):
             reflected at the bounds.
         noise_free_last
             Whether the last scene is without noise, so that ``nt_samples=1`` gives the plain gradient.
-        groups
-            ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
-            members: the result has the sum of each group. Parameters in no group stay separate.
         seed
             Random seed, for the noise and all replicates.
         spp
@@ -99,14 +93,6 @@ class SmoothGradScene(GradientMethod):
             Samples per pixel of the metric images over all scenes, for non-linear metrics; by default the minimum.
         replicates
             Minimum number of independent replicates in total.
-        denoise
-            Whether non-linear metrics are evaluated on denoised images (Open Image Denoise). ``"auto"`` estimates
-            from two halves of the samples whether this reduces the error; ``info["picture"]`` has the outcome.
-        checkpoint
-            A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
-            again with the same arguments. ``info["checkpoint"]`` counts the reused results.
-        show_progress
-            Whether to show a progress bar.
 
         Returns
         -------
