@@ -23,7 +23,7 @@ from .errors import BackendError as BackendError
 from .errors import SceneCaptumError as SceneCaptumError
 from .rendering import SceneRenderer as SceneRenderer
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _LAZY_ROOMS = {"optimize", "report", "tradeoff", "validation", "visualization"}
 

@@ -1183,3 +1183,31 @@ def test_an_edge_along_the_grid_is_off_by_half_a_column_at_most(mi: Any) -> None
         renderer = SceneRenderer(edge_scene(mi, cover), "all")
         errors.append(abs(dense(renderer)[0, 4, renderer.surfaces.objects.index("card")] - cover))
     assert max(errors) <= 1 / 8, f"errors {errors}; allowed 1/8"
+
+
+# --------------------------------------------------------------------------------------------- as a torch module
+
+
+def test_parameters_are_the_scenes_and_a_module_without_weights(cornell: SceneRenderer) -> None:
+    assert cornell.parameters is cornell.parameters_table()
+    assert set(cornell.inputs) <= set(cornell.parameters)
+    assert list(cornell.parameters()) == list(torch.nn.Sequential(cornell).parameters()) == []
+    assert "left_wall.reflectance.value" in str(cornell.parameters)
+
+
+def test_what_does_not_change_type_or_device_is_allowed(cornell: SceneRenderer) -> None:
+    assert cornell.to("cpu") is cornell.float() is cornell.to(torch.float32) is cornell.cpu() is cornell
+
+
+@pytest.mark.parametrize("change", ["double", "half", "bfloat16"])
+def test_another_type_is_refused(cornell: SceneRenderer, change: str) -> None:
+    with pytest.raises(SceneCaptumError, match=r"renders in torch\.float32 on cpu, not in"):
+        getattr(cornell, change)()
+    with pytest.raises(SceneCaptumError, match=r"not in torch\.float64"):
+        torch.nn.Sequential(cornell).to(torch.float64)
+    assert cornell(seed=1).dtype == torch.float32
+
+
+def test_another_device_is_refused(cornell: SceneRenderer) -> None:
+    with pytest.raises(SceneCaptumError, match="on meta"):
+        cornell.to("meta")

@@ -395,9 +395,31 @@ class SceneRenderer(torch.nn.Module):
             "left_out": {name: p.fault for name, p in self._table.items() if p.fault},
         }
 
-    def parameters_table(self) -> SceneParameters:
-        """Return all parameters of the scene with kind, shape, bounds, owner and status; prints as a table."""
+    @property
+    def parameters(self) -> SceneParameters:
+        """All parameters of the scene with kind, shape, bounds, owner and status; prints as a table."""
         return self._table
+
+    def parameters_table(self) -> SceneParameters:
+        """Return ``parameters``."""
+        return self._table
+
+    def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> SceneRenderer:
+        """Refuse what ``to``, ``double``, ``half``, … cannot change; torch calls this for each of them.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the type or the device is not that of the renderer's images.
+        """
+        own = torch.zeros((), device=self._device)
+        wanted = fn(own)
+        if (wanted.dtype, wanted.device) != (own.dtype, own.device):
+            raise SceneCaptumError(
+                f"A SceneRenderer with the variant {self._variant} renders in {own.dtype} on {own.device}, not in "
+                f"{wanted.dtype} on {wanted.device}. Convert the image instead, or load it under another variant."
+            )
+        return self
 
     @property
     def surfaces(self) -> SurfaceMap | None:

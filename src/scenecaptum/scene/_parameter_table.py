@@ -6,6 +6,8 @@ import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import torch
+
 from ..errors import UnknownNameError, near_misses
 from ..visualization import (
     STYLE,
@@ -123,6 +125,10 @@ class SceneParameters(Mapping[str, Parameter]):
 
     def __len__(self) -> int:
         return len(self._by_name)
+
+    def __call__(self, recurse: bool = True) -> Iterator[torch.nn.Parameter]:
+        """Return the weights of a renderer as a torch module, of which it has none."""
+        return iter(())
 
     def __str__(self) -> str:
         """Return a table with name, kind, shape, bounds, owner and status."""
