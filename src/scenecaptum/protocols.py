@@ -112,19 +112,37 @@ class Capabilities:
 
 
 class ResultKind(str, Enum):
-    """The quantity that an attribution consists of; its value is the name in tables, figures and files."""
+    """The quantity that an attribution consists of.
 
-    GRADIENT = "gradient per unit"
-    GRADIENT_OVER_RANGE = "gradient × range"
-    GRADIENT_TIMES_VALUE = "gradient × value"
-    INPUT_X_GRADIENT = "input × gradient"
-    MEAN_GRADIENT = "mean gradient per unit"
-    MEAN_SQUARED_GRADIENT = "mean squared gradient per unit"
-    GRADIENT_VARIANCE = "variance of the gradient per unit"
-    CONTRIBUTION = "contribution"
-    ABLATION = "effect of ablation"
-    OCCLUSION = "effect of occlusion"
-    SHAPLEY_VALUE = "Shapley value"
+    Its value is the name in tables, figures and files. ``axis_label`` is for figures, with ``{}`` for the metric.
+    """
+
+    axis_label: str
+
+    def __new__(cls, name: str, axis_label: str = "") -> ResultKind:
+        """Return the kind with this name as its value."""
+        kind = str.__new__(cls, name)
+        kind._value_ = name
+        kind.axis_label = axis_label
+        return kind
+
+    GRADIENT = "gradient per unit", "change of {} per unit of the parameter"
+    GRADIENT_OVER_RANGE = "gradient × range", "change of {} over the parameter's range, at its gradient"
+    GRADIENT_TIMES_VALUE = "gradient × value", "gradient of {} × value of the parameter"
+    INPUT_X_GRADIENT = "input × gradient", "value of the parameter × gradient of {}"
+    MEAN_GRADIENT = "mean gradient per unit", "mean change of {} per unit of the parameter"
+    MEAN_SQUARED_GRADIENT = (
+        "mean squared gradient per unit",
+        "mean squared change of {} per unit of the parameter",
+    )
+    GRADIENT_VARIANCE = (
+        "variance of the gradient per unit",
+        "variance of the change of {} per unit of the parameter",
+    )
+    CONTRIBUTION = "contribution", "contribution to {}"
+    ABLATION = "effect of ablation", "change of {} by ablation"
+    OCCLUSION = "effect of occlusion", "change of {} by occlusion"
+    SHAPLEY_VALUE = "Shapley value", "Shapley value for {}"
 
     @property
     def is_gradient_per_unit(self) -> bool:

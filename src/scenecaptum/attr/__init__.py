@@ -28,6 +28,7 @@ from ._interruption import AttributionInterrupted as AttributionInterrupted
 from ._method import Result as Result
 from ._method import Targets as Targets
 from ._method import target_list as target_list
+from ._named import NamedMethod as NamedMethod
 from ._occlusion import OcclusionScene as OcclusionScene
 from ._ranges import Noise as Noise
 from ._ranges import ranges as ranges
@@ -35,3 +36,17 @@ from ._shapley_value import ShapleyValueScene as ShapleyValueScene
 from ._smooth_grad import SmoothGradScene as SmoothGradScene
 from ._values import summarize as summarize
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient
+
+# By their names on the command line.
+METHODS = {
+    "gradient": NamedMethod(VanillaSceneGradient, "change per unit of each parameter"),
+    "input-x-gradient": NamedMethod(InputXGradientScene, "value times gradient"),
+    "integrated-gradients": NamedMethod(
+        IntegratedGradientsScene, "contributions along the path from the dark scene"
+    ),
+    "smooth-grad": NamedMethod(SmoothGradScene, "mean gradient over noisy scenes"),
+    "gradient-shap": NamedMethod(GradientShapScene, "expected contributions over random points"),
+    "ablation": NamedMethod(FeatureAblationScene, "effect of setting each input to its baseline"),
+    "shapley": NamedMethod(ShapleyValueScene, "contributions that include interactions"),
+    "occlusion": NamedMethod(OcclusionScene, "effect of covering patches of each texture"),
+}

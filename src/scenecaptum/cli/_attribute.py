@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..attr import AttributionInterrupted, SceneAttribution, VanillaSceneGradient
+from ..attr import METHODS, AttributionInterrupted, SceneAttribution
+from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise
 from ..report import json_text, write_report
 from . import _arguments
@@ -37,6 +39,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command, which ``attribute`` reads."""
     _arguments.add_scene(parser)
     add_metric(parser, several=True)
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        default=next(iter(METHODS)),
+        metavar="METHOD",
+        help=f"{_arguments.describe(METHODS)} (default: %(default)s)",
+    )
     parser.add_argument(
         "--replicates",
         type=int,
@@ -96,22 +105,14 @@ def add_results(parser: argparse.ArgumentParser) -> None:
 def attribute(options: argparse.Namespace) -> int:
     """Run the command."""
     metrics = find_metrics(options.metrics or [DEFAULT], options)
+    method, arguments = METHODS[options.method].create, _method_arguments(options)
     with writable(options.out):
         renderer = _arguments.make_renderer(options)
         finished: list[SceneAttribution] = []
         for name, create in metrics.items():
             folder = options.out if len(metrics) == 1 else options.out / _folder_name(name)
             try:
-                attribution = VanillaSceneGradient(renderer, create(renderer)).attribute(
-                    target=options.target,
-                    seed=options.seed,
-                    picture_spp=options.picture_spp,
-                    replicates=options.replicates,
-                    denoise=DENOISE[options.denoise],
-                    tolerance=options.tolerance,
-                    time_limit=options.time_limit,
-                    show_progress=_arguments.shows_progress(options),
-                )
+                attribution = method(renderer, create(renderer)).attribute(**arguments)
             except AttributionInterrupted as interruption:
                 _write_result(interruption.partial, folder, options)
                 _write_report([*finished, interruption.partial], options)
@@ -123,6 +124,31 @@ def attribute(options: argparse.Namespace) -> int:
         if not options.json:
             _arguments.print_resumed(renderer)
     return 0
+
+
+def _method_arguments(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of the method's ``attribute``.
+
+    Raises
+    ------
+    SceneCaptumError
+        If an option has no effect on the method.
+    """
+    accepted = inspect.signature(METHODS[options.method].create.attribute).parameters
+    goals = {name: getattr(options, name) for name in ("picture_spp", "tolerance", "time_limit")}
+    given = {name: value for name, value in goals.items() if value is not None}
+    for name in given.keys() - accepted:
+        raise SceneCaptumError(
+            f"--{name.replace('_', '-')} has no effect on --method {options.method}: omit it."
+        )
+    return {
+        "target": options.target,
+        "seed": options.seed,
+        "replicates": options.replicates,
+        "denoise": DENOISE[options.denoise],
+        "show_progress": _arguments.shows_progress(options),
+        **given,
+    }
 
 
 def _folder_name(metric: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from ..protocols import Attribution, ResultKind
+from ..protocols import Attribution
 from ._numbers import shorten, with_error
 
 _MAX_CAUTIONS = 5
@@ -32,7 +32,7 @@ def method_name(attribution: Attribution) -> str:
 
 def axis_label(attribution: Attribution) -> str:
     """Return the axis label for saliencies."""
-    template = _AXIS_LABELS[attribution.kind]
+    template = attribution.kind.axis_label
     return f"saliency: {template.format(metric_name(attribution, METRIC_WIDTH))}"
 
 
@@ -47,21 +47,6 @@ def sign_labels(attribution: Attribution) -> tuple[str, str] | None:
     if attribution.kind.is_contribution:
         return f"adds to the {subject}", f"takes from the {subject}"
     return f"raising it raises the {subject}", f"raising it lowers the {subject}"
-
-
-_AXIS_LABELS = {
-    ResultKind.GRADIENT: "change of {} per unit of the parameter",
-    ResultKind.GRADIENT_OVER_RANGE: "change of {} over the parameter's range, at its gradient",
-    ResultKind.MEAN_GRADIENT: "mean change of {} per unit of the parameter",
-    ResultKind.MEAN_SQUARED_GRADIENT: "mean squared change of {} per unit of the parameter",
-    ResultKind.GRADIENT_VARIANCE: "variance of the change of {} per unit of the parameter",
-    ResultKind.GRADIENT_TIMES_VALUE: "gradient of {} × value of the parameter",
-    ResultKind.INPUT_X_GRADIENT: "value of the parameter × gradient of {}",
-    ResultKind.CONTRIBUTION: "contribution to {}",
-    ResultKind.ABLATION: "change of {} by ablation",
-    ResultKind.OCCLUSION: "change of {} by occlusion",
-    ResultKind.SHAPLEY_VALUE: "Shapley value for {}",
-}
 
 
 def sampling_notes(attribution: Attribution) -> list[str]:
