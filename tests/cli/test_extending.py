@@ -2,52 +2,27 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 import math
 import re
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from extending import PAGE, code, entry, section
 
 from scenecaptum import SceneRenderer, cli, metrics
+from scenecaptum.attr import METHODS, NamedMethod
 from scenecaptum.cli import _formats
 from scenecaptum.cli._files import OutputFormat
 from scenecaptum.metrics import NamedMetric
-from scenecaptum.rendering import SENSORS, SensorType
+from scenecaptum.rendering import INTEGRATORS, SENSORS, IntegratorKind, SensorType
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 REPOSITORY = Path(__file__).parents[2]
 TINY = ["cornell-box", "--resolution", "16x16", "--spp", "8", "--max-depth", "2", "--inputs", "emitters"]
 QUIET = ["--replicates", "2", "--denoise", "off", "--no-progress"]
-
-
-def section(title: str) -> str:
-    (text,) = re.findall(rf"^## {title}\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.DOTALL | re.MULTILINE)
-    return str(text)
-
-
-def code(title: str) -> types.ModuleType:
-    """Return a module with the imports and definitions of a section."""
-    module = types.ModuleType(title)
-    parser = doctest.DocTestParser()
-    kept = r"(import|from|class|def|mi) |mi\."
-    for example in parser.get_examples(
-        "".join(re.findall(r"```python\n(.*?)```", section(title), re.DOTALL))
-    ):
-        if re.match(kept, example.source):
-            exec(compile(example.source, str(PAGE), "exec"), vars(module))
-    return module
-
-
-def entry(title: str, module: types.ModuleType, **known: Any) -> dict[str, Any]:
-    """Return the line of the registry, as a dict."""
-    (line,) = re.findall(r'^    ("\w+": .*),$', section(title), re.MULTILINE)
-    found: dict[str, Any] = eval(f"{{{line}}}", {**vars(module), **known})
-    return found
 
 
 def attribute(out: Path, *options: str) -> int:
@@ -84,10 +59,36 @@ def test_a_sensor(mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert attribute(tmp_path, "--sensor", name, "--metric", "illuminance") == 0
 
 
-@pytest.mark.parametrize("title", ["A metric", "An output format", "A sensor"])
+def test_an_attribution_method(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    title = "An attribution method"
+    for name, method in entry(title, code(title), NamedMethod=NamedMethod).items():
+        monkeypatch.setitem(METHODS, name, method)
+        assert attribute(tmp_path, "--method", name, "--json") == 0
+        result = json.loads(capsys.readouterr().out)
+        assert result["info"]["method"] == "TrapezoidGradientScene"
+
+
+def test_an_integrator(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    title = "An integrator"
+    module = code(title)
+    for name, kind in entry(title, module, IntegratorKind=IntegratorKind).items():
+        monkeypatch.setitem(INTEGRATORS, name, kind)
+        monkeypatch.setitem(sys.modules, f"scenecaptum.rendering.integrators.{kind.module}", module)
+        renderer = SceneRenderer("cornell-box", resolution=(8, 8), spp=16, max_depth=5)
+        direct = renderer.replace(max_depth=2)
+        assert torch.equal(renderer.replace(integrator=name)(seed=1), direct(seed=1))
+        assert not torch.equal(renderer(seed=1), direct(seed=1))
+
+
+TITLES = re.findall(r"^## (.*)$", PAGE.read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("title", TITLES)
 def test_the_files_that_it_touches_exist(title: str) -> None:
-    new, *others = re.findall(r"`([\w/]+\.\w+)`", section(title).rpartition("\nFiles: ")[2])
+    first, *others = re.findall(r"`([\w/]+\.\w+)`", section(title).rpartition("\nFiles: ")[2])
     source = REPOSITORY / "src" / "scenecaptum"
-    assert (source / new).parent.is_dir()
+    assert (source / first).parent.is_dir()
     assert len(others) <= 3
     assert all((source / path).is_file() or (REPOSITORY / path).is_file() for path in others)

@@ -25,11 +25,14 @@ from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene
 from ._integrated_gradients import IntegratedGradientsScene as IntegratedGradientsScene
 from ._interruption import AttributionInterrupted as AttributionInterrupted
+from ._method import GradientMethod as GradientMethod
 from ._method import Result as Result
+from ._method import Settings as Settings
 from ._method import Targets as Targets
 from ._method import target_list as target_list
 from ._named import NamedMethod as NamedMethod
 from ._occlusion import OcclusionScene as OcclusionScene
+from ._perturbation import Perturbation as Perturbation
 from ._ranges import Noise as Noise
 from ._ranges import ranges as ranges
 from ._shapley_value import ShapleyValueScene as ShapleyValueScene

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from ..backend import activate
+from ..errors import SceneCaptumError
 from ..scene import SceneGraph, SceneParameters
 from ..visualization import STYLE, group_by_text, html_cells, terminal_width, wrap
 from ._derivative_routes import derivative_routes, low_roughness_names
@@ -199,14 +200,27 @@ def _unused_integrator(own: Any) -> list[tuple[str, str]]:
     return [(f"the scene's integrator {plugin!r} is not used", reason)]
 
 
-def stock_plan(plan: RenderPlan) -> RenderPlan:
-    """Return the same plan with Mitsuba's own integrator and its uncorrected derivatives."""
-    integrator = choose_integrator(media=plan.kind.media, stock=True)
+def with_integrator(plan: RenderPlan, plugin: str) -> RenderPlan:
+    """Return the same plan with another integrator.
+
+    Raises
+    ------
+    SceneCaptumError
+        If there is no such integrator, or it does not render the scene's media.
+    """
+    if plugin not in INTEGRATORS:
+        raise SceneCaptumError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {plugin!r}.")
+    kind = INTEGRATORS[plugin]
+    if kind.is_stock:
+        kind = choose_integrator(media=plan.kind.media, stock=True)
+    if plan.kind.media and not kind.media:
+        raise SceneCaptumError(f"The integrator {plugin!r} does not render the scene's participating media.")
+    # Mitsuba's own integrators have no finite differences and no light tracing.
     return dataclasses.replace(
         plan,
-        integrator=integrator.plugin,
-        reasons=((f"integrator {integrator.plugin}", integrator.reason), *plan.reasons[1:4]),
-        differences=(),
+        integrator=kind.plugin,
+        reasons=((f"integrator {kind.plugin}", kind.reason), *plan.reasons[1 : 4 if kind.is_stock else None]),
+        differences=() if kind.is_stock else plan.differences,
     )
 
 

@@ -35,7 +35,7 @@ from ..scene import (
 )
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
-from ._plan import RenderPlan, make_plan, stock_plan
+from ._plan import RenderPlan, make_plan, with_integrator
 from ._sensors import camera_of, choose_sensor, common_resolution
 
 if TYPE_CHECKING:
@@ -311,22 +311,21 @@ class SceneRenderer(torch.nn.Module):
         resolution, max_depth
             As for the constructor; this renderer's by default.
         integrator
-            ``"prb"`` for Mitsuba's own path replay (``prbvolpath`` where there is a medium) and its uncorrected
-            derivatives, for comparison.
+            The name of a Mitsuba plugin: ``"prb"`` for Mitsuba's own path replay (``prbvolpath`` where there is a
+            medium) and its uncorrected derivatives, for comparison; or an integrator of your own, see the page on
+            extending.
 
         Raises
         ------
         SceneCaptumError
             If a setting is invalid.
         """
-        if integrator not in (None, "prb"):
-            raise SceneCaptumError(f'integrator must be "prb", or left out, not {integrator!r}.')
         with exclusively(self._variant):
             size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
             plan = self.plan if max_depth is None else self._plan_for(max_depth)
-            stock = integrator is not None or self.plan.kind.is_stock
-            if stock and not plan.kind.is_stock:
-                plan = stock_plan(plan)
+            wanted = self.plan.integrator if integrator is None else integrator
+            if wanted != plan.integrator:
+                plan = with_integrator(plan, wanted)
             other = self._shallow_copy()
             other._prepare(size, plan)
         return other
