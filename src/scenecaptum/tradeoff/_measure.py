@@ -17,7 +17,7 @@ from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
 from ..protocols import Capabilities, Renderer
-from ..ranks import kendall_tau
+from ..ranks import kendall_tau, spearman
 from ._result import TOP, Tradeoff
 from ._rows import Measured, Reference
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
@@ -26,7 +26,6 @@ from ._statistics import (
     kendall_of_resolved,
     relative_bias,
     relative_error,
-    spearman,
     top_agreement,
 )
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
 from ..protocols import Renderer
+from ..ranks import spearman
 from ._randomization_result import RandomizationCheck
 
 MIN_PARAMETERS = 4  # for a meaningful rank correlation
@@ -109,7 +111,10 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
         networks: list[Metric] = [metric, *_randomized(metric, layers, ends, next(seeds))]
         attributions = [attribute(network) for network in networks]
         correlations.append(
-            [[_spearman(reference, a, values) for values in (_magnitudes, _signed)] for a in attributions]
+            [
+                [_correlation(values(reference), values(a)) for values in (_magnitudes, _signed)]
+                for a in attributions
+            ]
         )
     magnitudes, signed = torch.tensor(correlations, dtype=torch.float64).permute(2, 1, 0)
     return RandomizationCheck(
@@ -130,18 +135,10 @@ def _signed(attribution: SceneAttribution) -> torch.Tensor:
     return torch.cat([channel_totals(value) for value in attribution.values()])
 
 
-def _spearman(
-    a: SceneAttribution, b: SceneAttribution, values: Callable[[SceneAttribution], torch.Tensor]
-) -> float:
-    """Return the rank correlation of two attributions to the same parameters; 0 if all values of one are tied."""
-    ranks = torch.stack([_ranks(values(a)), _ranks(values(b))])
-    return 0.0 if bool((ranks.std(1) == 0).any()) else torch.corrcoef(ranks)[0, 1].item()
-
-
-def _ranks(values: torch.Tensor) -> torch.Tensor:
-    """Return the ranks; ties get their mean rank."""
-    below = (values[:, None] > values).sum(1)
-    return below + ((values[:, None] == values).double().sum(1) + 1) / 2
+def _correlation(a: torch.Tensor, b: torch.Tensor) -> float:
+    """Return the rank correlation; 0 if all values of one are tied."""
+    correlation = spearman(a, b)
+    return 0.0 if math.isnan(correlation) else correlation
 
 
 def _layers(metric: Metric) -> list[str]:
