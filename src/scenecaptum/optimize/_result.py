@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -16,14 +16,17 @@ from ..visualization import (
     WIDTH,
     automatic_exposure,
     display_image,
+    figure_of,
+    format_with_error,
+    grid,
     new_figure,
     shorten,
-    with_error,
+    style_axes,
+    write_at,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 _NAME_WIDTH = 36
@@ -104,37 +107,25 @@ class Optimization:
         """Whether the metric is below the goal by two standard errors."""
         return self.after.is_below(self.below)
 
-    def plot(self) -> Figure:
-        """Plot the scene before and after at the same exposure, and the metric at every step with the goal."""
-        figure = new_figure(WIDTH, 2.9)
-        panels = figure.subplot_mosaic([["before", "after", "history"]], width_ratios=[1.25, 1.25, 1])
+    def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
+        """Plot both scenes at the same exposure, and the metric at every step, into ``figure`` if given."""
+        part: Any = figure or new_figure(WIDTH, 2.9)
+        before, after, history = part.subplots(1, 3, width_ratios=[1.25, 1.25, 1])
         exposure = automatic_exposure(self.before.image)
-        for name, measured in (("before", self.before), ("after", self.after)):
-            panels[name].imshow(display_image(measured.image, exposure).numpy(force=True))
-            panels[name].set_title(
-                f"{name}: {_format_metric(measured)}", fontsize=TEXT, loc="left", parse_math=False
-            )
-            panels[name].set_axis_off()
-            panels[name].set_anchor("N")
-        self._plot_history(panels["history"])
-        figure.suptitle(self._outcome(), fontsize=TITLE, x=0.01, ha="left", parse_math=False)
-        return figure
-
-    def _plot_history(self, ax: Axes) -> None:
-        ax.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
-        ax.axhline(self.below, color="0.4", linestyle="--", linewidth=1)
-        ax.annotate(
-            "goal",
-            (0, self.below),
-            xycoords=("axes fraction", "data"),
-            xytext=(3, -9),
-            textcoords="offset points",
-            fontsize=SMALL,
+        for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
+            ax.imshow(display_image(measured.image, exposure).numpy(force=True))
+            title = f"{name}: {_format_metric(measured)}"
+            ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
+            ax.set_axis_off()
+            ax.set_anchor("N")
+        history.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
+        history.axhline(self.below, color="0.4", linestyle="--", linewidth=1)
+        write_at(
+            history, "goal", (0, self.below), (3, -9), xycoords=("axes fraction", "data"), fontsize=SMALL
         )
-        ax.set_xlabel("step", fontsize=TEXT)
-        ax.set_title(self.metric, fontsize=TEXT, loc="left", parse_math=False)
-        ax.tick_params(labelsize=SMALL)
-        ax.spines[["top", "right"]].set_visible(False)
+        style_axes(history, self.metric, x="step", size=TEXT)
+        part.suptitle(self._outcome(), fontsize=TITLE, x=0.01, ha="left", parse_math=False)
+        return figure_of(part)
 
     def __str__(self) -> str:
         """Return a text table: the value of every changed parameter before and after, and the metric."""
@@ -143,13 +134,7 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), f"{moved.fraction:.0%}")
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        head = ("moved", "before", "after", "of its range")
-        widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-            for row in (head, *cells)
-        ]
-        return "\n".join([*(line.rstrip() for line in lines), "", self._outcome()])
+        return "\n".join([*grid(("moved", "before", "after", "of its range"), cells), "", self._outcome()])
 
     __repr__ = __str__
 
@@ -159,7 +144,7 @@ class Optimization:
 
 
 def _format_metric(measured: Measured) -> str:
-    return " ± ".join(filter(None, with_error(measured.value, measured.error, digits=2)))
+    return format_with_error(measured.value, measured.error, digits=2)
 
 
 def _format_values(value: torch.Tensor) -> str:

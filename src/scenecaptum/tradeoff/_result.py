@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..visualization import WIDTH, figure_of, new_figure
-from ._figure import draw, label
+from ..visualization import WIDTH, add_footnotes, axes_or_new, figure_of, pack, write_header
+from ._figure import draw
 from ._rows import Measured, Reference
-from ._statistics import Estimate
+from ._statistics import Bias, Estimate
 from ._text import recommendation_text, reference_text, setting_text, table_lines
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 TOP = 5
 TOLERANCE = 0.05
+_NOTE_WIDTH = 96
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,25 +78,20 @@ class Tradeoff:
         """Return the recommended setting for a relative error of ``tolerance``, or why there is none."""
         return recommendation_text(self.rows, self.cheapest(tolerance), tolerance)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the relative error over the time, with one marker per setting and one style per varied option.
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the relative error over the time, into ``ax`` if given, with one marker style per varied option.
 
         The grey line is the Pareto front; the dashed line is the error of the reference itself.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
         """
-        if ax is None:
-            ax = new_figure(WIDTH, 4.6).add_subplot()
+        ax = axes_or_new(ax, WIDTH, 4.6)
         draw(ax, self.rows, self.front, self.reference)
-        remarks = [
+        write_header(ax, f"Cost and accuracy: {self.metric}", columns=5)
+        notes = [
             "grey line: Pareto front",
             f"dashed: error of the reference ({setting_text(self.reference.setting)})",
             f"error bars: one standard error, from {self.runs} runs",
         ]
-        label(ax, f"Cost and accuracy: {self.metric}", remarks)
+        add_footnotes(ax, pack(notes, _NOTE_WIDTH), below=34)
         return figure_of(ax)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
@@ -122,8 +118,7 @@ class Tradeoff:
                 "runs": self.runs,
                 "seconds": row.seconds,
                 **_value_and_error("relative_error", row.relative_error),
-                "bias": row.bias.value,
-                "bias_error": row.bias.error,
+                **_value_and_error("bias", row.bias),
                 "bias_z": row.bias.z,
                 **_value_and_error("spearman", row.spearman),
                 **_value_and_error("kendall", row.kendall),
@@ -153,5 +148,5 @@ class Tradeoff:
     __repr__ = __str__
 
 
-def _value_and_error(name: str, estimate: Estimate) -> dict[str, float]:
+def _value_and_error(name: str, estimate: Estimate | Bias) -> dict[str, float]:
     return {name: estimate.value, f"{name}_error": estimate.error}

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from ..rendering import STOCK_INTEGRATORS
+from ..visualization import grid
 from ._rows import Measured, Reference
 from ._settings import Setting
 
@@ -26,15 +27,8 @@ def table_lines(rows: Sequence[Measured], front: Sequence[Measured]) -> list[str
         )
         for row in rows
     ]
-    widths = [max(map(len, column)) for column in zip(_HEADER, *cells, strict=True)]
-    lines = [
-        "  ".join(
-            [f"{line[0]:{widths[0]}}", *(f"{c:>{w}}" for c, w in zip(line[1:], widths[1:], strict=True))]
-        )
-        for line in (_HEADER, *cells)
-    ]
     marks = ["", *("  *" if row in front else "" for row in rows)]
-    return [line + mark for line, mark in zip(lines, marks, strict=True)]
+    return list(map(str.__add__, grid(_HEADER, cells, right=True), marks))
 
 
 def reference_text(reference: Reference) -> str:
@@ -69,7 +63,7 @@ def setting_text(setting: Setting) -> str:
     primal, gradient = setting.primal_spp, setting.gradient_spp
     words = [f"{primal} spp" if primal == gradient else f"{primal} spp primal and {gradient} gradient"]
     if setting.max_depth is not None:
-        words.append(_depth(setting))
+        words.append("unlimited depth" if setting.max_depth == -1 else f"depth {setting.max_depth}")
     if setting.resolution is not None:
         words.append("×".join(map(str, setting.resolution)))
     if setting.replicates == 1:
@@ -95,10 +89,6 @@ def value_text(row: Measured) -> str:
     if row.varied == "spp":
         return str(setting.primal_spp)
     return str(getattr(setting, row.varied))
-
-
-def _depth(setting: Setting) -> str:
-    return "unlimited depth" if setting.max_depth == -1 else f"depth {setting.max_depth}"
 
 
 def _bias(row: Measured) -> str:

@@ -6,7 +6,7 @@ import itertools
 import math
 import textwrap
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -15,16 +15,17 @@ from ..ranks import kendall_tau_of_pairs
 from ..visualization import (
     LOWERS,
     RAISES,
-    SMALL,
-    TEXT,
-    TITLE,
     UNCLEAR,
     WIDTH,
     add_footnotes,
+    axes_or_new,
     figure_of,
-    new_figure,
+    format_with_error,
+    grid,
+    name_rows,
     shorten,
-    with_error,
+    style_axes,
+    write_header,
 )
 
 if TYPE_CHECKING:
@@ -149,22 +150,35 @@ class AblationTest:
             f"{tau}; {len(self.rows) - len(measurable)} below the noise"
         )
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the predicted and the measured slope of the metric for each parameter.
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the predicted and the measured slope of the metric for each parameter, into ``ax`` if given.
 
         Parameters are in order of decreasing saliency. Grey bars show the half-width of the 95 % confidence
         interval of the measurement; crosses show the slope measured with the step of the paper, 0.01 of each
         gradient.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
         """
-        return _draw(self, ax)
+        ax = axes_or_new(ax, WIDTH, 1.7 + 0.24 * len(self.rows))
+        style_axes(ax, x=f"change of {self.metric} per unit of a step along the gradient")
+        _draw(ax, self.rows)
+        name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
+        write_header(ax, "Ablation test", columns=2)
+        add_footnotes(ax, textwrap.wrap(self.verdict, _NOTE_WIDTH), below=34)
+        return figure_of(ax)
 
     def __str__(self) -> str:
-        return _text(self)
+        names = shorten([row.label for row in self.rows], _NAME_WIDTH)
+        cells = [
+            (
+                name,
+                format_with_error(row.predicted, row.predicted_error),
+                format_with_error(row.measured, row.measured_error),
+                f"{row.step:.2g}",
+            )
+            for name, row in zip(names, self.rows, strict=True)
+        ]
+        lines = grid(("moved along its gradient", "predicted", "measured", "step"), cells, right=True)
+        remarks = ["", *(_remark(row) for row in self.rows)]
+        return "\n".join([*map(str.__add__, lines, remarks), "", self.verdict])
 
     __repr__ = __str__
 
@@ -176,35 +190,8 @@ def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
     return bool(abs(getattr(a, field) - getattr(b, field)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)
 
 
-def _text(test: AblationTest) -> str:
-    names = shorten([row.label for row in test.rows], _NAME_WIDTH)
-    cells = [
-        (
-            name,
-            _pair(row.predicted, row.predicted_error),
-            _pair(row.measured, row.measured_error),
-            f"{row.step:.2g}",
-        )
-        for name, row in zip(names, test.rows, strict=True)
-    ]
-    header = ("moved along its gradient", "predicted", "measured", "step")
-    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
-    lines = [
-        f"{name:{widths[0]}}  {predicted:>{widths[1]}}  {measured:>{widths[2]}}  {step:>{widths[3]}}"
-        for name, predicted, measured, step in (header, *cells)
-    ]
-    remarks = ["", *(_remark(row) for row in test.rows)]
-    return "\n".join(
-        [*(line + remark for line, remark in zip(lines, remarks, strict=True)), "", test.verdict]
-    )
-
-
-def _draw(test: AblationTest, ax: Axes | None) -> Figure:
-    rows = test.rows
-    if ax is None:
-        ax = new_figure(WIDTH, 1.7 + 0.24 * len(rows)).add_subplot()
+def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:
     ax.set_xscale("log")
-    noise = [row.noise for row in rows]
     # Bars on a logarithmic axis start at its lower limit, so the limit is set first.
     lower = 0.5 * min(
         value
@@ -213,81 +200,28 @@ def _draw(test: AblationTest, ax: Axes | None) -> Figure:
     )
     ax.set_xlim(lower, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
     positions = range(len(rows))
-    lengths = [max(value - lower, 0) for value in noise]
+    lengths = [max(row.noise - lower, 0) for row in rows]
     ax.barh(positions, lengths, left=lower, height=0.7, color="0.88", label="noise")
+    style: dict[str, Any] = {"marker": "D", "s": 34, "facecolors": "none", "edgecolors": "black", "zorder": 3}
+    ax.scatter([row.predicted for row in rows], positions, label="predicted: the saliency", **style)
+    fixed = {y: abs(row.fixed) for y, row in enumerate(rows) if row.fixed}
+    style = {"marker": "x", "s": 26, "linewidths": 1, "color": "0.45", "zorder": 2}
     ax.scatter(
-        [row.predicted for row in rows],
-        positions,
-        marker="D",
-        s=34,
-        facecolors="none",
-        edgecolors="black",
-        label="predicted: the saliency",
-        zorder=3,
+        list(fixed.values()), list(fixed), label="measured with a step of 0.01 of the gradient", **style
     )
-    fixed = [(y, row) for y, row in enumerate(rows) if row.fixed]
-    ax.scatter(
-        [abs(row.fixed or 0) for _, row in fixed],
-        [y for y, _ in fixed],
-        marker="x",
-        s=26,
-        linewidths=1,
-        color="0.45",
-        label="measured with a step of 0.01 of the gradient",
-        zorder=2,
-    )
+    style = {"fmt": "o", "markersize": 4, "elinewidth": 1.2, "capsize": 3, "zorder": 4}
     for color, label in _OUTCOMES.items():
-        _draw_measured(ax, [(y, row) for y, row in enumerate(rows) if _color(row) == color], color, label)
-    ax.set_yticks(positions, shorten([row.label for row in rows], _NAME_WIDTH), fontsize=TEXT)
-    for tick_label in ax.get_yticklabels():
-        tick_label.set_parse_math(False)
-    ax.invert_yaxis()
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.tick_params(axis="y", length=0)
-    ax.tick_params(axis="x", labelsize=SMALL)
-    ax.set_xlabel(
-        f"change of {test.metric} per unit of a step along the gradient", fontsize=TEXT, parse_math=False
-    )
-    handles = ax.get_legend_handles_labels()[0]
-    columns = 2
-    ax.legend(
-        loc="lower left",
-        bbox_to_anchor=(0, 1),
-        ncols=columns,
-        fontsize=SMALL,
-        frameon=False,
-        borderaxespad=0.2,
-    )
-    padding = 8 + 12 * -(-len(handles) // columns)
-    ax.set_title("Ablation test", loc="left", fontsize=TITLE, pad=padding)
-    add_footnotes(ax, textwrap.wrap(test.verdict, _NOTE_WIDTH), below=34)
-    return figure_of(ax)
-
-
-def _draw_measured(ax: Axes, rows: list[tuple[int, Ablated]], color: str, label: str) -> None:
-    if rows:
-        ax.errorbar(
-            [abs(row.measured) for _, row in rows],
-            [y for y, _ in rows],
-            xerr=[row.measured_error for _, row in rows],
-            fmt="o",
-            markersize=4,
-            color=color,
-            elinewidth=1.2,
-            capsize=3,
-            label=label,
-            zorder=4,
-        )
+        shown = {y: row for y, row in enumerate(rows) if _color(row) == color}
+        if shown:
+            values = [abs(row.measured) for row in shown.values()]
+            errors = [row.measured_error for row in shown.values()]
+            ax.errorbar(values, list(shown), xerr=errors, color=color, label=label, **style)
 
 
 def _color(row: Ablated) -> str:
     if not row.above_noise:
         return UNCLEAR
     return RAISES if row.agrees else LOWERS
-
-
-def _pair(value: float, error: float) -> str:
-    return " ± ".join(filter(None, with_error(value, error)))
 
 
 def _remark(row: Ablated) -> str:

@@ -13,19 +13,20 @@ import torch
 from ..visualization import (
     RAISES,
     SMALL,
-    TEXT,
     WIDTH,
     align_decimals,
     figure_of,
+    format_with_error,
+    grid,
     new_figure,
     shorten,
+    style_axes,
     with_error,
 )
-from ._drawing import means_and_errors, style_axes, table_lines, value_with_error
 from ._scenes import mean_and_error
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 _NAME_WIDTH, _NOTE_WIDTH = 36, 110
 
@@ -102,40 +103,57 @@ class DeletionInsertion:
         distance = change * change.mean(1, keepdim=True).sign()
         return torch.trapezoid(distance, moved.double() / moved[-1], dim=0)
 
-    def plot(self, figure: Any = None) -> Figure:
-        """Plot deletion and insertion side by side, over the number of moved parameters.
+    def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
+        """Plot deletion and insertion side by side, over the number of moved parameters, into ``figure`` if given.
 
         Grey lines are random orders; error bars are standard errors of the change.
-
-        Parameters
-        ----------
-        figure
-            A matplotlib ``Figure`` or ``SubFigure`` to draw into; by default a new one.
         """
-        return _draw(self, figure)
+        part: Any = figure or new_figure(WIDTH, 3.6)
+        left, right = part.subplots(1, 2, sharey=True)
+        name = shorten([self.metric], _NAME_WIDTH)[0]
+        style_axes(
+            left,
+            "Deletion",
+            x="parameters at their baselines",
+            y=f"change of {name}\nfrom the original scene",
+        )
+        style_axes(right, "Insertion", x="parameters at their own values")
+        moved = self.moved.numpy()
+        style: dict[str, Any] = {"marker": "o", "markersize": 3, "capsize": 2, "label": self.method}
+        panels = ((left, self.deletion, moved), (right, self.insertion, moved[-1] - moved))
+        for ax, curve, random_moved in panels:
+            for index, random in enumerate((self.random - self.deletion[0]).mean(2)):
+                label = None if index else "random orders"
+                ax.plot(random_moved, random, color="0.8", linewidth=0.8, label=label)
+            means, errors = zip(*self._changes(curve), strict=True)
+            ax.errorbar(moved, means, errors, color=RAISES, **style)
+        handles, labels = left.get_legend_handles_labels()
+        part.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=SMALL, frameon=False)
+        verdict = textwrap.fill(self.verdict, _NOTE_WIDTH)
+        part.supxlabel(verdict, x=0.02, ha="left", fontsize=SMALL, alpha=0.75, parse_math=False)
+        return figure_of(part)
 
     def __str__(self) -> str:
-        return _text(self)
+        names = shorten(["", *_steps(self)], _NAME_WIDTH)
+        moved = [str(count) for count in self.moved.tolist()]
+        deletion, insertion = (
+            align_decimals([format_with_error(*point) for point in self._changes(curve)])
+            for curve in (self.deletion, self.insertion)
+        )
+        rows = list(zip(moved, names, deletion, insertion, strict=True))
+        value = format_with_error(*mean_and_error(self.deletion[0]))
+        title = (
+            f"{self.metric} = {value}, and its change with the first # parameters at their baselines (deletion)\n"
+            "or with all others at theirs (insertion)"
+        )
+        lines = grid(("#", "moved", "deletion", "insertion"), rows)
+        return "\n".join([title, "", *lines, "", *_areas(self), self.verdict])
 
     __repr__ = __str__
 
-
-def _text(curves: DeletionInsertion) -> str:
-    names = shorten(["", *_steps(curves)], _NAME_WIDTH)
-    moved = [str(count) for count in curves.moved.tolist()]
-    original = curves.deletion[0]
-    deletion, insertion = (
-        align_decimals([value_with_error(*point) for point in means_and_errors(curve - original)])
-        for curve in (curves.deletion, curves.insertion)
-    )
-    header = ("#", "moved", "deletion", "insertion")
-    grid = [header, *zip(moved, names, deletion, insertion, strict=True)]
-    value = value_with_error(*means_and_errors(original[None])[0])
-    title = (
-        f"{curves.metric} = {value}, and its change with the first # parameters at their baselines (deletion)\n"
-        "or with all others at theirs (insertion)"
-    )
-    return "\n".join([title, "", *table_lines(grid), "", *_areas(curves), curves.verdict])
+    def _changes(self, curve: torch.Tensor) -> list[tuple[float, float]]:
+        """Return the change from the original scene at each point of a curve, and its standard error."""
+        return [mean_and_error(change) for change in curve - self.deletion[0]]
 
 
 def _steps(curves: DeletionInsertion) -> list[str]:
@@ -152,33 +170,5 @@ def _areas(curves: DeletionInsertion) -> list[str]:
         mean, spread = with_error(random.mean().item(), random.std().item())
         better = "larger" if what == "deletion" else "smaller"
         others = f"random orders {mean}, standard deviation {spread}"
-        lines.append(f"mean change in {what} {value_with_error(*area)}; {others} ({better} is better)")
+        lines.append(f"mean change in {what} {format_with_error(*area)}; {others} ({better} is better)")
     return lines
-
-
-def _draw(curves: DeletionInsertion, figure: Any) -> Figure:
-    if figure is None:
-        figure = new_figure(WIDTH, 3.6)
-    axes = figure.subplots(1, 2, sharey=True)
-    moved, original = curves.moved.numpy(), curves.deletion[0]
-    panels = (
-        ("Deletion", curves.deletion, moved, "at their baselines"),
-        ("Insertion", curves.insertion, moved[-1] - moved, "at their own values"),
-    )
-    for ax, (title, curve, random_moved, where) in zip(axes, panels, strict=True):
-        for index, random in enumerate((curves.random - original).mean(2)):
-            label = None if index else "random orders"
-            ax.plot(random_moved, random, color="0.8", linewidth=0.8, label=label)
-        means, errors = zip(*means_and_errors(curve - original), strict=True)
-        ax.errorbar(
-            moved, means, errors, color=RAISES, marker="o", markersize=3, capsize=2, label=curves.method
-        )
-        ax.set_xlabel(f"parameters {where}", fontsize=TEXT)
-        style_axes(ax, title)
-    name = shorten([curves.metric], _NAME_WIDTH)[0]
-    axes[0].set_ylabel(f"change of {name}\nfrom the original scene", fontsize=TEXT, parse_math=False)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=SMALL, frameon=False)
-    verdict = textwrap.fill(curves.verdict, _NOTE_WIDTH)
-    figure.supxlabel(verdict, x=0.02, ha="left", fontsize=SMALL, alpha=0.75, parse_math=False)
-    return figure_of(axes[0])

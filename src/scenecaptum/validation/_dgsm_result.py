@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..visualization import pluralize, shorten, with_error
-from ._drawing import aligned_with_errors, table_lines
+from ..visualization import align_with_errors, format_with_error, grid, pluralize, shorten
 
 _NAME_WIDTH, _MAX_ROWS = 34, 40
 
@@ -67,29 +66,24 @@ class DGSM:
 
     def text(self, top: int | None = _MAX_ROWS) -> str:
         """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
-        return _text(self, top)
+        rows = self.rows[:top]
+        columns = {
+            "parameter": shorten([row.label for row in rows], _NAME_WIDTH),
+            "from": [f"{row.low:.3g}" for row in rows],
+            "to": [f"{row.high:.3g}" for row in rows],
+            "ν, per unit squared": align_with_errors([(row.nu, row.nu_error) for row in rows]),
+            "Sobol total at most": align_with_errors([(row.bound, row.bound_error) for row in rows]),
+        }
+        variance = format_with_error(self.variance, self.variance_error)
+        summary = (
+            f"{self.metric}: variance {variance} over the intervals, from gradients at {self.points} points "
+            f"({self.renders:g} renders and backward passes)"
+        )
+        hidden = len(self.rows) - len(rows)
+        more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
+        return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", summary])
 
     def __str__(self) -> str:
         return self.text()
 
     __repr__ = __str__
-
-
-def _text(found: DGSM, top: int | None) -> str:
-    rows = found.rows[:top]
-    names = shorten([row.label for row in rows], _NAME_WIDTH)
-    table = [
-        ("parameter", *names),
-        ("from", *(f"{row.low:.3g}" for row in rows)),
-        ("to", *(f"{row.high:.3g}" for row in rows)),
-        ("ν, per unit squared", *aligned_with_errors([(row.nu, row.nu_error) for row in rows])),
-        ("Sobol total at most", *aligned_with_errors([(row.bound, row.bound_error) for row in rows])),
-    ]
-    variance = " ± ".join(with_error(found.variance, found.variance_error))
-    summary = (
-        f"{found.metric}: variance {variance} over the intervals, from gradients at {found.points} points "
-        f"({found.renders:g} renders and backward passes)"
-    )
-    hidden = len(found.rows) - len(rows)
-    more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
-    return "\n".join([*table_lines(list(zip(*table, strict=True))), *more, "", summary])

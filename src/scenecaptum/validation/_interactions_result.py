@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Literal
 import torch
 
 from ..estimation import student_t
-from ..visualization import SMALL, TEXT, TITLE, Format, add_footnotes, figure_of, new_figure, shorten
+from ..visualization import (
+    SMALL,
+    TEXT,
+    TITLE,
+    Format,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    grid,
+    name_rows,
+    shorten,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,97 +119,73 @@ class Interactions:
             f"{symmetric} (largest difference {worst:.1f} standard errors){left_out}"
         )
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the matrix: red where parameters strengthen each other's effect, blue where they weaken it.
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the matrix, into ``ax`` if given: red where parameters strengthen each other's effect, else blue.
 
         Each cell shows its value with the error of the last digits in brackets; grey cells do not differ
         significantly from 0.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
         """
-        return _draw(self, ax)
+        count = len(self.names)
+        width = 2.6 + _CELL * max(count, 4)
+        ax = axes_or_new(ax, width, 1.7 + 0.55 * _CELL * max(count, 3))
+        matrix, significant = self.matrix, self.significant
+        largest = matrix.abs().max().item() or 1.0
+        # Masked elements show the grey background.
+        masked = matrix.masked_fill(~significant, math.nan)
+        ax.set_facecolor("0.92")
+        shown = ax.imshow(masked.numpy(), cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto")
+        for (row, column), text in self._formatted().items():
+            strong = significant[row, column] and matrix[row, column].abs() > _WHITE_TEXT_ABOVE * largest
+            color = "white" if strong else "black" if significant[row, column] else "0.45"
+            ax.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=color)
+        # Columns have numbers only: names would have to be vertical.
+        ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=TEXT)
+        name_rows(ax, [f"{name}  {k}" for k, name in enumerate(shorten(self.labels, _NAME_WIDTH), 1)])
+        ax.set_ylim(count - 0.5, -0.5)
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
+        bar.ax.tick_params(labelsize=SMALL)
+        bar.outline.set_visible(False)
+        title = textwrap.fill(f"Interactions: {self._heading}", 16 + 9 * count)
+        ax.set_title(title, loc="left", fontsize=TITLE, parse_math=False)
+        note = f"{self.verdict}. Grey: not significantly different from 0."
+        add_footnotes(ax, textwrap.wrap(note, int(width * _NOTE_WIDTH / 7.2)), below=22)
+        return figure_of(ax)
 
     def __str__(self) -> str:
-        return _text(self)
+        significant, formatted = self.significant, self._formatted()
+        numbers = [str(number) for number in range(1, len(self.names) + 1)]
+        rows = [
+            [
+                f"{number} {name}",
+                *(
+                    formatted[row, column] + ("" if significant[row, column] else "?")
+                    if column >= row
+                    else ""
+                    for column in range(len(numbers))
+                ),
+            ]
+            for row, (number, name) in enumerate(zip(numbers, shorten(self.labels, _NAME_WIDTH), strict=True))
+        ]
+        lines = grid(["", *numbers], rows, right=True)
+        return "\n".join([self._heading, "", *lines, "", _KEY, self.verdict])
 
     __repr__ = __str__
+
+    @property
+    def _heading(self) -> str:
+        unit = "per unit of either" if self.scale == "unit" else "over the range of either"
+        return f"second derivatives of {self.metric} {unit}"
+
+    def _formatted(self) -> dict[tuple[int, int], str]:
+        indices = range(len(self.names))
+        matrix, errors = self.matrix, self.standard_error
+        return {(p, q): _concise(matrix[p, q].item(), errors[p, q].item()) for p in indices for q in indices}
 
 
 def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
     return replicates.std(0) / math.sqrt(len(replicates))
-
-
-def _text(found: Interactions) -> str:
-    names = shorten(found.labels, _NAME_WIDTH)
-    cells = _cells(found)
-    numbers = [str(number) for number in range(1, len(names) + 1)]
-    rows = [[f"{number} {name}", *row] for number, name, row in zip(numbers, names, cells, strict=True)]
-    grid = [["", *numbers], *rows]
-    widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
-    lines = [
-        "  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in grid
-    ]
-    head = [f"second derivatives of {found.metric} {_unit(found)}", ""]
-    return "\n".join([*head, *lines, "", _KEY, found.verdict])
-
-
-def _draw(found: Interactions, ax: Axes | None) -> Figure:
-    count = len(found.names)
-    names = shorten(found.labels, _NAME_WIDTH)
-    if ax is None:
-        ax = new_figure(2.6 + _CELL * max(count, 4), 1.7 + 0.55 * _CELL * max(count, 3)).add_subplot()
-    matrix, significant = found.matrix, found.significant
-    largest = matrix.abs().max().item() or 1.0
-    # Masked elements show the grey background.
-    masked = matrix.masked_fill(~significant, math.nan)
-    ax.set_facecolor("0.92")
-    shown = ax.imshow(masked.numpy(), cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto")
-    for (row, column), text in _formatted(found).items():
-        strong = significant[row, column] and matrix[row, column].abs() > _WHITE_TEXT_ABOVE * largest
-        color = "white" if strong else "black" if significant[row, column] else "0.45"
-        ax.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=color)
-    # Columns have numbers only: names would have to be vertical.
-    ax.set_yticks(range(count), [f"{name}  {k}" for k, name in enumerate(names, 1)], fontsize=TEXT)
-    ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=TEXT)
-    for label in ax.get_yticklabels():
-        label.set_parse_math(False)
-    ax.tick_params(length=0)
-    ax.spines[:].set_visible(False)
-    bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
-    bar.ax.tick_params(labelsize=SMALL)
-    bar.outline.set_visible(False)
-    title = textwrap.wrap(
-        f"Interactions: second derivatives of {found.metric} {_unit(found)}", 16 + 9 * count
-    )
-    ax.set_title("\n".join(title), loc="left", fontsize=TITLE, parse_math=False)
-    width = int((2.6 + _CELL * max(count, 4)) * _NOTE_WIDTH / 7.2)
-    note = f"{found.verdict}. Grey: not significantly different from 0."
-    add_footnotes(ax, textwrap.wrap(note, width), below=22)
-    return figure_of(ax)
-
-
-def _unit(found: Interactions) -> str:
-    return "per unit of either" if found.scale == "unit" else "over the range of either"
-
-
-def _cells(found: Interactions) -> list[list[str]]:
-    significant, formatted, count = found.significant, _formatted(found), len(found.names)
-    return [
-        [
-            formatted[row, column] + ("" if significant[row, column] else "?") if column >= row else ""
-            for column in range(count)
-        ]
-        for row in range(count)
-    ]
-
-
-def _formatted(found: Interactions) -> dict[tuple[int, int], str]:
-    indices = range(len(found.names))
-    matrix, errors = found.matrix, found.standard_error
-    return {(p, q): _concise(matrix[p, q].item(), errors[p, q].item()) for p in indices for q in indices}
 
 
 def _concise(value: float, error: float) -> str:

@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from ..visualization import LOWERS, RAISES, SMALL, TEXT, TITLE, add_footnotes, figure_of, new_figure, shorten
-from ._drawing import table_lines
+from ..visualization import (
+    LOWERS,
+    RAISES,
+    SMALL,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    grid,
+    shorten,
+    style_axes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,60 +84,39 @@ class RandomizationCheck:
             f"attributions {_mean_and_range(self.signed[-1])} against {_mean_and_range(self.signed[0])}"
         )
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the rank correlations over the number of randomised layers: the mean and every draw.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
-        """
-        return _draw(self, ax)
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot mean and draws of the rank correlations over the randomised layers, into ``ax`` if given."""
+        ax = axes_or_new(ax, 5.4, 3.9)
+        # Shifted sideways, since both begin near 1.
+        shift = 0.01 * self.randomized[-1]
+        curves = ((RAISES, self.magnitudes, "magnitudes", -shift), (LOWERS, self.signed, "signed", shift))
+        for color, rows, label, offset in curves:
+            positions = [count + offset for count in self.randomized]
+            ax.plot(positions, rows.mean(1), color=color, linewidth=1.5, label=label)
+            for draw in rows.T:
+                ax.scatter(positions, draw, s=18, facecolors="none", edgecolors=color, zorder=3)
+        ax.axhline(0, color="0.75", linewidth=1, zorder=0)
+        lowest = min(self.magnitudes.min().item(), self.signed.min().item(), 0.0)
+        ax.set_ylim(lowest - 0.05, 1.05)
+        ax.set_xticks(self.randomized)
+        x = "randomised layers, from the output; 0: other seeds only"
+        style_axes(ax, "Randomisation check", x=x, y="rank correlation (Spearman)")
+        ax.legend(fontsize=SMALL, frameon=False)
+        add_footnotes(ax, textwrap.wrap(self.verdict, _NOTE_WIDTH), below=34)
+        return figure_of(ax)
 
     def __str__(self) -> str:
-        return _text(self)
+        names = shorten(["none", *(self.layers[count - 1] for count in self.randomized[1:])], _NAME_WIDTH)
+        counts = [f"{count} of {len(self.layers)}" for count in self.randomized]
+        columns = (map(_mean_and_range, values) for values in (self.magnitudes, self.signed))
+        rows = list(zip(counts, names, *columns, strict=True))
+        head = (
+            f"{self.metric}, {self.method}: rank correlation with the attribution of the unmodified network"
+        )
+        lines = grid(("random layers", "back to", "magnitudes", "signed"), rows)
+        return "\n".join([head, "", *lines, "", *textwrap.wrap(self.verdict, 100)])
 
     __repr__ = __str__
-
-
-def _text(check: RandomizationCheck) -> str:
-    names = ["none", *(check.layers[count - 1] for count in check.randomized[1:])]
-    grid = [
-        ("random layers", "back to", "magnitudes", "signed"),
-        *(
-            (f"{count} of {len(check.layers)}", name, _mean_and_range(magnitudes), _mean_and_range(signed))
-            for count, name, magnitudes, signed in zip(
-                check.randomized, shorten(names, _NAME_WIDTH), check.magnitudes, check.signed, strict=True
-            )
-        ),
-    ]
-    head = f"{check.metric}, {check.method}: rank correlation with the attribution of the unmodified network"
-    return "\n".join([head, "", *table_lines(grid), "", *textwrap.wrap(check.verdict, 100)])
-
-
-def _draw(check: RandomizationCheck, ax: Axes | None) -> Figure:
-    if ax is None:
-        ax = new_figure(5.4, 3.9).add_subplot()
-    # Shifted sideways, since both begin near 1.
-    shift = 0.01 * check.randomized[-1]
-    curves = ((RAISES, check.magnitudes, "magnitudes", -shift), (LOWERS, check.signed, "signed", shift))
-    for color, rows, label, offset in curves:
-        positions = [count + offset for count in check.randomized]
-        ax.plot(positions, rows.mean(1), color=color, linewidth=1.5, label=label)
-        for x, row in zip(positions, rows, strict=True):
-            ax.scatter([x] * len(row), row, s=18, facecolors="none", edgecolors=color, zorder=3)
-    ax.axhline(0, color="0.75", linewidth=1, zorder=0)
-    lowest = min(check.magnitudes.min().item(), check.signed.min().item(), 0.0)
-    ax.set_ylim(lowest - 0.05, 1.05)
-    ax.set_xticks(check.randomized)
-    ax.set_xlabel("randomised layers, from the output; 0: other seeds only", fontsize=TEXT)
-    ax.set_ylabel("rank correlation (Spearman)", fontsize=TEXT)
-    ax.tick_params(labelsize=SMALL)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.set_title("Randomisation check", loc="left", fontsize=TITLE)
-    ax.legend(fontsize=SMALL, frameon=False)
-    add_footnotes(ax, textwrap.wrap(check.verdict, _NOTE_WIDTH), below=34)
-    return figure_of(ax)
 
 
 def _all_below(correlations: torch.Tensor) -> bool:

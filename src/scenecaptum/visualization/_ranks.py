@@ -11,6 +11,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..ranks import kendall_tau
 from ._figures import (
+    DEFAULT_TOP,
     LOWERS,
     RAISES,
     SMALL,
@@ -19,8 +20,10 @@ from ._figures import (
     UNCLEAR,
     WIDTH,
     add_footnotes,
+    axes_or_new,
     figure_of,
-    new_figure,
+    first,
+    write_at,
 )
 from ._numbers import shorten
 from ._text import method_name, metric_name, pack, pluralize
@@ -78,7 +81,9 @@ class _Column(NamedTuple):
         )
 
 
-def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes | None = None) -> Figure:
+def plot_rank_comparison(
+    a: Attribution, b: Attribution, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None
+) -> Figure:
     """Plot two rankings of the same parameters as columns, with lines between the ranks of each parameter.
 
     Parameters among the ``top`` of either ranking appear in both columns; below the dashed line are those outside
@@ -92,7 +97,7 @@ def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes
     a, b
         The results to compare: two metrics, methods or designs. Parameters that only one of them has are omitted.
     top
-        Number of parameters of each ranking to show.
+        Number of parameters of each ranking to show; None for all.
     ax
         Axes to draw into; by default those of a new figure.
 
@@ -105,19 +110,17 @@ def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes
     ----------
     Kendall, "The treatment of ties in ranking problems", Biometrika 33, 1945 (τ-b).
     """
-    if top < 1:
-        raise SceneCaptumError(f"top must be at least 1, not {top!r}.")
     common = [name for name in a if name in b]
     if len(common) < 2:
         raise SceneCaptumError(
             f"A comparison needs at least two parameters that both attributions have; these share {len(common)}."
         )
+    count = len(first(common, top))
     columns = _Column.of(a, common), _Column.of(b, common)
-    lines = _lines({name: a.labels.get(name, name) for name in common}, columns, top)
+    lines = _lines({name: a.labels.get(name, name) for name in common}, columns, count)
     tau = kendall_tau(*([column.saliency[name] for name in common] for column in columns))
-    if ax is None:
-        ax = new_figure(WIDTH, 1.3 + 0.2 * len(lines)).add_subplot()
-    _draw_lines(ax, lines, top)
+    ax = axes_or_new(ax, WIDTH, 1.3 + 0.2 * len(lines))
+    _draw_lines(ax, lines, count)
     _draw_headers(ax, a, b, tau)
     left_out = len(set(a) ^ set(b))
     notes = [
@@ -172,38 +175,24 @@ def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
 def _write_end(ax: Axes, line: _Line, side: int, *, faint: bool) -> None:
     """Write the rank and the name at the end of a line, in separate columns."""
     sign = 1 if side else -1
+    style: dict[str, Any] = {
+        "ha": "left" if side else "right",
+        "va": "center",
+        "color": ax.xaxis.label.get_color() if line.color == UNCLEAR else line.color,
+        "alpha": 0.6 if faint else 1.0,
+    }
     for text, distance in ((str(line.ranks[side]), 7), (line.label, 9 + 2.4 * TEXT)):
-        ax.annotate(
-            text,
-            (side, line.positions[side]),
-            xytext=(sign * distance, 0),
-            textcoords="offset points",
-            ha="left" if side else "right",
-            va="center",
-            fontsize=TEXT,
-            color=ax.xaxis.label.get_color() if line.color == UNCLEAR else line.color,
-            alpha=0.6 if faint else 1.0,
-            parse_math=False,
-        )
+        write_at(ax, text, (side, line.positions[side]), (sign * distance, 0), **style)
 
 
 def _draw_headers(ax: Axes, a: Attribution, b: Attribution, tau: float) -> None:
     """Write the names of the columns, the legend and Kendall's τ."""
     from matplotlib.lines import Line2D
 
-    for x, name, align in ((0, _names(a, b)[0], "right"), (1, _names(a, b)[1], "left")):
-        ax.annotate(
-            shorten([name], _NAME_WIDTH)[0],
-            (x, 1),
-            xycoords="axes fraction",
-            xytext=(-7 if align == "right" else 7, 3),
-            textcoords="offset points",
-            ha=align,
-            va="bottom",
-            fontsize=TEXT,
-            fontweight="bold",
-            parse_math=False,
-        )
+    style: dict[str, Any] = {"xycoords": "axes fraction", "va": "bottom", "fontweight": "bold"}
+    left, right = (shorten([name], _NAME_WIDTH)[0] for name in _names(a, b))
+    write_at(ax, left, (0, 1), (-7, 3), ha="right", **style)
+    write_at(ax, right, (1, 1), (7, 3), ha="left", **style)
     entries = [
         Line2D([], [], color=color, marker="o", markersize=4, label=text) for color, text in _MEANINGS.items()
     ]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import html
 import shutil
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from ._numbers import Format, align_decimals, columns, cut, pad, shorten, with_error
+from ._layout import grid
+from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
 from ._text import (
     caution_groups,
     convergence_notes,
@@ -135,10 +136,19 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
             marks |= {name: f"{marks.get(name, '')}?" for name in names}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
     names = shorten([row.label for row in shown], _MAX_NAME_WIDTH)
-    saliency, gradients = _saliency(shown), _gradients(shown)
+    colors = any(len(row.total) == 3 for row in shown)
+    saliency = align_with_errors([(row.saliency, row.saliency_error) for row in shown])
+    gradients = _gradients(shown)
     return _Table(
-        heading=_heading(attribution),
-        columns=_Row("#", "parameter", "", "saliency", _gradient_heading(attribution, shown)),
+        heading=[
+            metric_line(attribution),
+            method_name(attribution),
+            *sampling_notes(attribution),
+            *convergence_notes(attribution),
+        ],
+        columns=_Row(
+            "#", "parameter", "", "saliency", f"{attribution.kind.value}{': R, G, B' if colors else ''}"
+        ),
         rows=[
             _Row(
                 rank=str(row.rank),
@@ -159,20 +169,6 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
     )
 
 
-def _heading(attribution: Attribution) -> list[str]:
-    return [
-        metric_line(attribution),
-        method_name(attribution),
-        *sampling_notes(attribution),
-        *convergence_notes(attribution),
-    ]
-
-
-def _gradient_heading(attribution: Attribution, rows: Iterable[RankedParameter]) -> str:
-    has_color = any(len(row.total) == 3 for row in rows)
-    return f"{attribution.kind.value}{': R, G, B' if has_color else ''}"
-
-
 def _hidden_note(ranking: Sequence[RankedParameter], shown: int) -> list[str]:
     if shown >= len(ranking):
         return []
@@ -187,13 +183,6 @@ def _caution_note(marker: str, text: str, names: Sequence[str]) -> str:
 def _untrusted_note(reason: str, names: Sequence[str], count: int) -> str:
     affected = "all parameters" if len(names) == count else pluralize(len(names), "parameter")
     return f"?  {reason} ({affected})"
-
-
-def _saliency(rows: Sequence[RankedParameter]) -> list[str]:
-    formatted = [with_error(row.saliency, row.saliency_error) for row in rows]
-    values = align_decimals([value for value, _ in formatted])
-    errors = align_decimals([error for _, error in formatted])
-    return [f"{v} ± {e}" if e.strip() else v for v, e in zip(values, errors, strict=True)]
 
 
 def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
@@ -225,9 +214,14 @@ def _grid(rows: Sequence[_Row], width: int) -> list[str]:
     if gradient and width - fixed - 2 - gradient < min(name, _MIN_NAME_WIDTH):
         rows, gradient = [row._replace(gradient="") for row in rows], 0
     name = min(name, max(width - fixed - (gradient + 2 if gradient else 0), 1))
-    lines = []
-    for row, short in zip(rows, shorten([row.name for row in rows], name), strict=True):
-        line = f"{row.rank:>{rank}}  {pad(short, name)}"
-        line += f" {row.mark:<{mark}}" if mark else ""
-        lines.append(f"{line}  {row.saliency:<{saliency}}  {row.gradient}".rstrip())
-    return lines
+    names = shorten([row.name for row in rows], name)
+    headers, *cells = (
+        (
+            row.rank.rjust(rank),
+            f"{pad(short, name)} {row.mark}" if mark else short,
+            row.saliency,
+            row.gradient,
+        )
+        for row, short in zip(rows, names, strict=True)
+    )
+    return grid(headers, cells)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from ..protocols import Attribution, ResultKind
-from ._numbers import shorten, with_error
+from ._numbers import format_with_error, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
@@ -15,8 +15,8 @@ METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
     """Return ``'MeanLuminance = 2.336942 ± 0.000533'``, with the name shortened to ``width``."""
-    value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
-    return f"{metric_name(attribution, width)} = {value}{f' ± {error}' if error else ''}"
+    value = format_with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
+    return f"{metric_name(attribution, width)} = {value}"
 
 
 def metric_name(attribution: Attribution, width: int | None = None) -> str:
@@ -104,9 +104,7 @@ def convergence_notes(attribution: Attribution) -> list[str]:
         return [unknown or f"convergence delta {delta:.2g}"]
     if abs(delta) <= _ROUNDING * abs(explained):
         delta = 0.0
-    value, half_width = with_error(delta, error)
-    note = f"{verdict}: delta {value}{f' ± {half_width}' if half_width else ''} of "
-    note += with_error(explained, error)[0]
+    note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
     quadrature = attribution.info.get("quadrature_error")
     if error and quadrature and quadrature > error / 2:
         note += ", mostly quadrature error: use more steps"
