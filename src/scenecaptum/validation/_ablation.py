@@ -106,7 +106,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(

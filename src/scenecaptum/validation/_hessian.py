@@ -78,8 +78,10 @@ def hessian_vector_product(
     rendered with common random numbers. The steps are at most a tenth of each parameter's physical range and half
     the distance to its bounds, shorter where the metric is strongly non-linear, and one-sided at a bound.
 
-    Example ------- Luminance is linear in the radiance ``L`` of a lamp, so ``L`` times the derivative of its
-    gradients with respect to ``L`` is these gradients themselves:
+    Example
+    -------
+    Luminance is linear in a lamp's radiance ``L``, so ``L`` times the derivative of its gradients with respect to
+    ``L`` is these gradients themselves:
 
     >>> from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
     >>> renderer = SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(16, 16), spp=16)
@@ -96,15 +98,8 @@ def hessian_vector_product(
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     direction
         A tensor for each parameter that moves, broadcastable to its shape.
-    seed
-        Base seed; all other seeds are derived from it.
-    spp
-        Samples per pixel of each of the four scenes, over all replicates; the renderer's by default.
-    replicates
-        Minimum number of independent replicates; their spread gives the standard errors.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
+    seed, spp, replicates, checkpoint
+        As for ``ablation_test``; ``spp`` is that of each of the four scenes.
 
     Returns
     -------
@@ -117,11 +112,12 @@ def hessian_vector_product(
     SceneCaptumError
         If the direction names no parameter, is 0 or not finite, or leads out of the bounds both ways.
 
-    Notes ----- If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the
-    noise cancels and the errors are larger.
+    Notes
+    -----
+    If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the noise cancels.
     """
     renderer = with_checkpoint(renderer, checkpoint)
-    scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
+    scenes = Scenes(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
     options = {"seed": seed, "spp": spp, "replicates": replicates}
     return product_of(scenes, direction, scenes.values, **options)
 

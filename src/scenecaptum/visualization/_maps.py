@@ -70,17 +70,15 @@ def plot_heatmap(
     """
     heat = heatmap(attribution, signed=signed, scale=scale, **options)
     title = _map_title(attribution, signed, scale, options, _width(ax, heat, 2))
+    bar = None
     if ax is None:
         render = _displayed_render(attribution)
-        _, (left, ax), bar = _panels(attribution, heat, 2, title)
+        left, ax, bar = _panels(attribution, heat, 2, title)
         left.imshow(render)
         left.set_title("render", fontsize=TEXT)
-        location: dict[str, Any] = {"cax": bar}
-    else:
-        location = {"ax": ax}
     mapped = draw_map(ax, heat, signed=signed)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
-    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), **location)
+    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
 
 
@@ -116,15 +114,13 @@ def plot_overlay(
     heat = heatmap(attribution, signed=signed, scale=scale, **options)
     grey = _displayed_render(attribution).mean(-1)
     title = _map_title(attribution, signed, scale, options, _width(ax, heat, 1))
+    bar = None
     if ax is None:
-        _, (ax,), bar = _panels(attribution, heat, 1, title)
-        location: dict[str, Any] = {"cax": bar}
-    else:
-        location = {"ax": ax}
+        ax, bar = _panels(attribution, heat, 1, title)
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
-    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), **location)
+    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
 
 
@@ -207,10 +203,8 @@ def _width(ax: Axes | None, heat: torch.Tensor, count: int) -> float:
     return min(available, _MAX_HEIGHT * width / height)
 
 
-def _panels(
-    attribution: Attribution, heat: torch.Tensor, count: int, heading: str
-) -> tuple[Figure, list[Axes], Axes]:
-    """Create axes for ``count`` images of one size and a colour bar of their height; lengths are in inches."""
+def _panels(attribution: Attribution, heat: torch.Tensor, count: int, heading: str) -> list[Axes]:
+    """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
     w = _width(None, heat, count)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
@@ -232,7 +226,7 @@ def _panels(
     images = [add_axes(_MARGIN + index * (w + _GAP), w) for index in range(count)]
     for axes in images:
         axes.set_axis_off()
-    return figure, images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)
+    return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
 
 
 def _invisible_note(attribution: Attribution) -> str:

@@ -78,10 +78,8 @@ def table_html(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
 
     Parameters
     ----------
-    attribution
-        The result to show.
-    top
-        Number of parameters; None for all.
+    attribution, top
+        As for ``table_text``.
     """
     table = _table(attribution, top)
     metric, *rest = (html.escape(part) for part in table.heading)
@@ -162,7 +160,10 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
         notes=[
             *_hidden_note(ranking, len(shown)),
             *(["Σ totals over the texels, vertices or faces"] if textures else []),
-            *(_caution_note(markers[text], text, names) for text, names in groups.items()),
+            *(
+                f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})"
+                for text, names in groups.items()
+            ),
             *(_untrusted_note(reason, names, len(attribution)) for reason, names in untrusted.items()),
             *(f"!  {text}" for text in scene_cautions(attribution)),
         ],
@@ -174,10 +175,6 @@ def _hidden_note(ranking: Sequence[RankedParameter], shown: int) -> list[str]:
         return []
     largest = with_error(ranking[shown].saliency, ranking[shown].saliency_error)[0]
     return [f"… and {len(ranking) - shown} more of at most {largest}; .ranking() lists all"]
-
-
-def _caution_note(marker: str, text: str, names: Sequence[str]) -> str:
-    return f"{marker.ljust(2)} {text} ({pluralize(len(names), 'parameter')})"
 
 
 def _untrusted_note(reason: str, names: Sequence[str], count: int) -> str:

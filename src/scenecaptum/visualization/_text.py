@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from ..protocols import Attribution, ResultKind
+from ._layout import group_by_text
 from ._numbers import format_with_error, shorten, with_error
 
 _MAX_CAUTIONS = 5
@@ -74,17 +75,14 @@ def sampling_notes(attribution: Attribution) -> list[str]:
         notes.append(f"interrupted after {counted}" if counted else "interrupted")
     elif counted:
         notes = [f"{spp} spp in {counted}" if notes else counted]
-    notes += goal_notes(attribution) + comparison_notes(attribution) + metric_image_notes(attribution)
+    notes += goal_notes(attribution) + _comparison_notes(attribution)
+    picture = attribution.info.get("picture") or {}
+    if picture.get("denoised"):
+        notes.append("denoised image" + ("" if picture.get("spp") is None else f" of {picture['spp']} spp"))
+    notes += noise_notes(attribution)
     if attribution.covariance is None:
         notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
     return notes
-
-
-def metric_image_notes(attribution: Attribution) -> list[str]:
-    """Return notes on whether the metric image is denoised, and whether it is too noisy for the metric."""
-    picture = attribution.info.get("picture") or {}
-    samples = "" if picture.get("spp") is None else f" of {picture['spp']} spp"
-    return [*([f"denoised image{samples}"] if picture.get("denoised") else []), *noise_notes(attribution)]
 
 
 def noise_notes(attribution: Attribution) -> list[str]:
@@ -111,7 +109,7 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     return [note]
 
 
-def comparison_notes(attribution: Attribution) -> list[str]:
+def _comparison_notes(attribution: Attribution) -> list[str]:
     """Return a note on the change by another renderer, if it was measured."""
     against = (attribution.info.get("planner") or {}).get("against")
     if not against or against["relative_change"] is None:
@@ -143,11 +141,7 @@ def goal_notes(attribution: Attribution) -> list[str]:
 def caution_groups(attribution: Attribution, names: Iterable[str]) -> dict[str, list[str]]:
     """Group the named parameters whose derivatives are known to be inaccurate by the reason."""
     cautions = attribution.info.get("cautions") or {}
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        if name in cautions:
-            groups.setdefault(cautions[name], []).append(name)
-    return groups
+    return group_by_text((name, cautions.get(name)) for name in names)
 
 
 def scene_cautions(attribution: Attribution) -> list[str]:
@@ -162,10 +156,7 @@ def scene_cautions(attribution: Attribution) -> list[str]:
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     """Group the parameters with unreliable error bars by the reason."""
-    groups: dict[str, list[str]] = {}
-    for name, reason in attribution.untrusted_errors().items():
-        groups.setdefault(reason, []).append(name)
-    return groups
+    return group_by_text(attribution.untrusted_errors().items())
 
 
 def pluralize(count: int, noun: str) -> str:
