@@ -71,15 +71,12 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         infinite.
     steps
         Maximum number of steps.
-    seed
-        Seed from which all others are drawn.
+    seed, show_progress
+        As for ``VanillaSceneGradient``.
     spp
         Samples per pixel of each step and each measurement; the renderer's by default.
     denoise
-        Whether a non-linear metric is evaluated on denoised images, as for ``VanillaSceneGradient``; decided once,
-        for the original scene.
-    show_progress
-        Whether to show a progress bar.
+        As for ``VanillaSceneGradient``; decided once, for the original scene.
 
     Returns
     -------
@@ -153,17 +150,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 
 
 class _BoundedAdam:
-    """Adam on offsets of the parameters, by channel and in units of their ranges, clamped to bounds.
-
-    Parameters
-    ----------
-    renderer
-        Its ``bounds`` limit the parameters.
-    start
-        Initial values.
-    change
-        Maximum offset.
-    """
+    """Adam on offsets from ``start`` by channel, in units of the ranges, up to ``change`` and within bounds."""
 
     def __init__(self, renderer: Renderer, start: Mapping[str, torch.Tensor], change: float) -> None:
         self.start = start

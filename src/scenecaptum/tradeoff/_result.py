@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..visualization import WIDTH, add_footnotes, axes_or_new, figure_of, pack, write_header
-from ._figure import draw
+from ..visualization import (
+    SMALL,
+    WIDTH,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    pack,
+    style_axes,
+    write_at,
+    write_header,
+)
 from ._rows import Measured, Reference
 from ._statistics import Bias, Estimate
-from ._text import recommendation_text, reference_text, setting_text, table_lines
+from ._text import recommendation_text, reference_text, setting_text, table_lines, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +32,18 @@ if TYPE_CHECKING:
 TOP = 5
 TOLERANCE = 0.05
 _NOTE_WIDTH = 96
+
+# Label, marker and colour (Okabe and Ito's) of each varied option in the figure, and the offset of its annotations
+# in points, chosen so that those of neighbouring settings do not overlap.
+_STYLES = {
+    "spp": ("spp", "o", "#0072B2", (0, 6)),
+    "primal_spp": ("spp of the primal", "^", "#56B4E9", (-6, 4)),
+    "gradient_spp": ("spp of the gradient", "v", "#009E73", (6, -9)),
+    "max_depth": ("depth", "s", "#D55E00", (6, 4)),
+    "resolution": ("resolution", "D", "#CC79A7", (-6, -10)),
+    "replicates": ("replicates", "P", "#E69F00", (0, -13)),
+    "integrator": ("integrator", "X", "#000000", (-6, 5)),
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,7 +105,7 @@ class Tradeoff:
         The grey line is the Pareto front; the dashed line is the error of the reference itself.
         """
         ax = axes_or_new(ax, WIDTH, 4.6)
-        draw(ax, self.rows, self.front, self.reference)
+        _draw(ax, self.rows, self.front, self.reference)
         write_header(ax, f"Cost and accuracy: {self.metric}", columns=5)
         notes = [
             "grey line: Pareto front",
@@ -150,3 +171,48 @@ class Tradeoff:
 
 def _value_and_error(name: str, estimate: Estimate | Bias) -> dict[str, float]:
     return {name: estimate.value, f"{name}_error": estimate.error}
+
+
+def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], reference: Reference) -> None:
+    """Draw the error over the time: a star for the first row, a marker for every other, and the Pareto front."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    style: dict[str, Any] = {"color": "0.7", "linewidth": 1.2, "drawstyle": "steps-post", "zorder": 1}
+    ax.plot(*zip(*((row.seconds, row.relative_error.value) for row in front), strict=True), **style)
+    _draw_points(ax, rows[:1], "*", "0.35", f"own: {setting_text(rows[0].setting)}", size=11)
+    for key, (name, marker, color, offset) in _STYLES.items():
+        varied = [row for row in rows if row.varied == key]
+        if varied:
+            _draw_points(ax, varied, marker, color, name)
+        for row in varied:
+            align = "right" if offset[0] < 0 else "left" if offset[0] > 0 else "center"
+            at = (row.seconds, row.relative_error.value)
+            style = {"ha": align, "fontsize": SMALL - 0.5, "color": color, "zorder": 4}
+            write_at(ax, value_text(row), at, offset, **style)
+    if reference.relative_error > 0:
+        ax.axhline(reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
+    ax.margins(x=0.12, y=0.1)
+    for axis, format_tick in ((ax.xaxis, lambda x, _: f"{x:g}"), (ax.yaxis, lambda y, _: f"{100 * y:g} %")):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(format_tick))
+        axis.set_minor_formatter(NullFormatter())
+    style_axes(ax, x="seconds", y="relative error of the gradient")
+
+
+def _draw_points(
+    ax: Axes, rows: Sequence[Measured], marker: str, color: str, name: str, *, size: float = 5.5
+) -> None:
+    errors = [row.relative_error for row in rows]
+    ax.errorbar(
+        [row.seconds for row in rows],
+        [error.value for error in errors],
+        yerr=[min(error.error, 0.9 * error.value) for error in errors],
+        fmt=marker,
+        markersize=size,
+        color=color,
+        elinewidth=1,
+        label=name,
+        zorder=3,
+    )

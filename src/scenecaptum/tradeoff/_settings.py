@@ -45,6 +45,11 @@ class Setting:
         return math.prod(self.resolution) if self.resolution else 0
 
     @property
+    def renderer_options(self) -> tuple[Any, ...]:
+        """The options that belong to the renderer."""
+        return self.max_depth, self.resolution, self.integrator
+
+    @property
     def depth(self) -> float:
         """The maximum depth, infinite if unlimited."""
         return math.inf if self.max_depth == -1 else self.max_depth or 0
@@ -77,7 +82,7 @@ def default_values(renderer: Renderer, base: Setting, *, vary_resolution: bool) 
     """Return the options to vary by default and their values, as far as the renderer supports them."""
     spps = [max(base.primal_spp // 4, 1), 4 * base.primal_spp]
     vary: dict[str, list[Any]] = {"spp": spps}
-    if _has_gradient_spp(renderer):
+    if Capabilities(renderer).with_spp_grad is not None:
         vary |= {"primal_spp": spps, "gradient_spp": spps}
     vary["replicates"] = [1, 4 * DEFAULT_REPLICATES]
     if Capabilities(renderer).replace is not None:
@@ -97,7 +102,9 @@ def settings_of(
     settings = [("", base)]
     for key, values in vary.items():
         _check_key(renderer, key)
-        for value in _check_list(key, values):
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise SceneCaptumError(f"vary[{key!r}] must be a list of values, not {values!r}.")
+        for value in values:
             setting = base.changed(key, _check_value(key, value))
             if setting not in [known for _, known in settings]:
                 settings.append((key, setting))
@@ -118,10 +125,6 @@ def reference_setting(settings: Sequence[Setting], spp: int, replicates: int) ->
     )
 
 
-def _has_gradient_spp(renderer: Renderer) -> bool:
-    return Capabilities(renderer).with_spp_grad is not None
-
-
 def _check_key(renderer: Renderer, key: str) -> None:
     if key not in KEYS:
         raise SceneCaptumError(
@@ -131,17 +134,11 @@ def _check_key(renderer: Renderer, key: str) -> None:
         raise SceneCaptumError(
             f"Varying {key!r} needs a SceneRenderer: {type(renderer).__name__} has no replace()."
         )
-    if key in ("primal_spp", "gradient_spp") and not _has_gradient_spp(renderer):
+    if key in ("primal_spp", "gradient_spp") and Capabilities(renderer).with_spp_grad is None:
         raise SceneCaptumError(
             f"Varying {key!r} needs a renderer with spp_grad=, the samples per pixel of the backward pass: "
             f"{type(renderer).__name__} has none."
         )
-
-
-def _check_list(key: str, values: Any) -> list[Any]:
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise SceneCaptumError(f"vary[{key!r}] must be a list of values, not {values!r}.")
-    return list(values)
 
 
 def _check_value(key: str, value: Any) -> Any:

@@ -1,8 +1,8 @@
 """Checks of attributions: change the scene, render it again, and compare the metric with the prediction."""
 
+from ._ablation import Ablated as Ablated
+from ._ablation import AblationTest as AblationTest
 from ._ablation import ablation_test as ablation_test
-from ._ablation_result import Ablated as Ablated
-from ._ablation_result import AblationTest as AblationTest
 from ._deletion import DeletionInsertion as DeletionInsertion
 from ._deletion import deletion_insertion as deletion_insertion
 from ._dgsm import DGSM as DGSM

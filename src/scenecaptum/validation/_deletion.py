@@ -236,8 +236,10 @@ class DeletionInsertion:
         return figure_of(part)
 
     def __str__(self) -> str:
-        names = shorten(["", *_steps(self)], _NAME_WIDTH)
         moved = [str(count) for count in self.moved.tolist()]
+        steps = (self.labels[start:end] for start, end in itertools.pairwise(self.moved.tolist()))
+        more = (f"{first} + {len(others)} more" if others else first for first, *others in steps)
+        names = shorten(["", *more], _NAME_WIDTH)
         deletion, insertion = (
             align_decimals([format_with_error(*point) for point in self._changes(curve)])
             for curve in (self.deletion, self.insertion)
@@ -256,13 +258,6 @@ class DeletionInsertion:
     def _changes(self, curve: torch.Tensor) -> list[tuple[float, float]]:
         """Return the change from the original scene at each point of a curve, and its standard error."""
         return [mean_and_error(change) for change in curve - self.deletion[0]]
-
-
-def _steps(curves: DeletionInsertion) -> list[str]:
-    """Return a description of the parameters that move before each point but the first."""
-    ends = curves.moved.tolist()
-    steps = [curves.labels[start:end] for start, end in itertools.pairwise(ends)]
-    return [labels[0] if len(labels) == 1 else f"{labels[0]} + {len(labels) - 1} more" for labels in steps]
 
 
 def _areas(curves: DeletionInsertion) -> list[str]:

@@ -119,21 +119,14 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
 class Derivatives:
     """Values and derivatives of a metric at sampled points, in float64.
 
-    Attributes
-    ----------
-    squares
-        ``(points, parameters)``: unbiased estimates of the squared derivative with respect to the position in the
-        interval; single estimates may be negative.
-    values, noise
-        ``(points,)``: the metric, and its variance from rendering.
-    renders
-        Renders and backward passes per point.
+    ``squares`` are unbiased estimates of the squared derivative with respect to the position in the interval; a
+    single one may be negative.
     """
 
-    squares: torch.Tensor
-    values: torch.Tensor
-    noise: torch.Tensor
-    renders: float
+    squares: torch.Tensor  # (points, parameters)
+    values: torch.Tensor  # (points,): the metric
+    noise: torch.Tensor  # (points,): its variance from rendering
+    renders: float  # and backward passes per point
     seconds: float
 
 
@@ -150,7 +143,9 @@ def sample_derivatives(
 ) -> list[Derivatives]:
     """Compute the derivatives of each metric at points of a Sobol sequence."""
     count = whole_number("points", points, 3)  # the jackknife needs a variance of one point less
-    positions = sobol_points(count, len(scalars), seed)
+    state = int(np.random.SeedSequence([seed, 5]).generate_state(1)[0])
+    sequence = torch.quasirandom.SobolEngine(len(scalars), scramble=True, seed=state)
+    positions = sequence.draw(count, dtype=torch.float64).numpy()
     watch = Stopwatch(renderer)
     total = None if spp is None else spp * count
     budget = Budget.split(total, _REPLICATES_PER_POINT * count, seed, count)
@@ -186,16 +181,7 @@ def interval_gradients(
 
 def render_count(adjoints: Adjoints) -> float:
     """Return the number of renders and backward passes of a gradient, weighted by their samples."""
-    bias_correction = 0.0 if adjoints.bias_adjoint is None else 1 / len(adjoints.per_replicate)
-    return 2.0 + bias_correction
-
-
-def sobol_points(count: int, dimensions: int, seed: int) -> np.ndarray:
-    """Return ``(count, dimensions)`` points of a scrambled Sobol sequence in the unit cube."""
-    state = int(np.random.SeedSequence([seed, 5]).generate_state(1)[0])
-    engine = torch.quasirandom.SobolEngine(dimensions, scramble=True, seed=state)
-    points: np.ndarray = engine.draw(count, dtype=torch.float64).numpy()
-    return points
+    return 2.0 if adjoints.bias_adjoint is None else 2.0 + 1 / len(adjoints.per_replicate)
 
 
 def _derivatives(
@@ -215,9 +201,20 @@ def _derivatives(
 def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], metric: str) -> DGSM:
     """Average over the points, with jackknife standard errors."""
     count = len(derivatives.values)
-    nu, nu_error = delete_one_jackknife(lambda kept: derivatives.squares[kept].mean(0), count)
-    bound, bound_error = _total_bound(derivatives)
-    variance, variance_error = delete_one_jackknife(lambda kept: _variance(derivatives, kept), count)
+
+    def mean_square(kept: torch.Tensor) -> torch.Tensor:
+        return derivatives.squares[kept].mean(0)
+
+    def metric_variance(kept: torch.Tensor) -> torch.Tensor:
+        return derivatives.values[kept].var() - derivatives.noise[kept].mean()
+
+    def upper_bound(kept: torch.Tensor) -> torch.Tensor:
+        variance = metric_variance(kept)
+        return torch.where(variance > 0, mean_square(kept) / (math.pi**2 * variance), torch.nan)
+
+    nu, nu_error = delete_one_jackknife(mean_square, count)
+    bound, bound_error = delete_one_jackknife(upper_bound, count)
+    variance, variance_error = delete_one_jackknife(metric_variance, count)
     rows = [
         GlobalDerivative(
             name=scalar.name,
@@ -240,21 +237,6 @@ def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], m
         renders=derivatives.renders * count,
         seconds=derivatives.seconds,
     )
-
-
-def _total_bound(derivatives: Derivatives) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return upper bounds of the total Sobol indices and their errors; NaN if the variance is below the noise."""
-
-    def bound(kept: torch.Tensor) -> torch.Tensor:
-        variance = _variance(derivatives, kept)
-        mean = derivatives.squares[kept].mean(0)
-        return torch.where(variance > 0, mean / (math.pi**2 * variance), torch.nan)
-
-    return delete_one_jackknife(bound, len(derivatives.values))
-
-
-def _variance(derivatives: Derivatives, kept: torch.Tensor) -> torch.Tensor:
-    return derivatives.values[kept].var() - derivatives.noise[kept].mean()
 
 
 @dataclass(frozen=True)

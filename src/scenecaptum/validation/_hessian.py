@@ -28,19 +28,12 @@ Direction = Mapping[str, torch.Tensor]
 class Stencil:
     """A finite-difference stencil for the slope of a function along a direction, at 0.
 
-    Attributes
-    ----------
-    offsets
-        Where the function is evaluated, in units of the direction.
-    weights
-        Weights of these values in the slope.
-    lower_order
-        Weights of a formula of lower order; the difference of both slopes estimates the truncation error.
+    The difference from the slope by a formula of lower order estimates the truncation error.
     """
 
-    offsets: tuple[float, ...]
-    weights: tuple[float, ...]
-    lower_order: tuple[float, ...]
+    offsets: tuple[float, ...]  # where the function is evaluated, in units of the direction
+    weights: tuple[float, ...]  # of these values in the slope
+    lower_order: tuple[float, ...]  # weights of the formula of lower order
 
     @property
     def length(self) -> float:
@@ -205,40 +198,36 @@ def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:
             measured.new_tensor(weights) @ measured for weights in (stencil.weights, stencil.lower_order)
         )
         truncation, error = mean_and_error(slope - lower_order)
-        tolerance = MAX_TRUNCATION_ERROR * abs(slope.mean().item())
-        if abs(truncation) <= max(tolerance, 2 * error, _rounding_error(scenes, stencil)):
+        # Single precision; pseudo-values multiply its error by their number.
+        size = scenes.unmodified.mean().abs().item() * len(scenes.seeds)
+        rounding = size * torch.finfo(torch.float32).eps * sum(map(abs, stencil.weights))
+        if abs(truncation) <= max(MAX_TRUNCATION_ERROR * abs(slope.mean().item()), 2 * error, rounding):
             break
         step /= STEP_REDUCTION
     return stencil
 
 
 def max_steps(scenes: Scenes, direction: Direction) -> tuple[float, float]:
-    """Return the longest steps along and against a direction; 0 if a parameter is at its bound."""
-    return _max_step(scenes, direction, 1), _max_step(scenes, direction, -1)
+    """Return the longest steps along and against a direction; 0 if a parameter is at its bound.
 
-
-def _rounding_error(scenes: Scenes, stencil: Stencil) -> float:
-    """Return the error of a slope from single precision, which pseudo-values multiply by their number."""
-    size = scenes.unmodified.mean().abs().item() * len(scenes.seeds)
-    return size * torch.finfo(torch.float32).eps * sum(map(abs, stencil.weights))
+    A step is a tenth of the smallest range, at most half the distance to a bound, which may be unphysical.
+    """
+    lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
+    bounds = Capabilities(scenes.renderer).bounds or {}
+    longest = {1: math.inf, -1: math.inf}
+    for name, tangent in direction.items():
+        low, high = bounds.get(name, (-math.inf, math.inf))
+        length = MAX_STEP * lengths[name].item() / tangent.abs().max().item()
+        for sign, step in longest.items():
+            distance = distances_to_bounds(scenes.values[name], sign * tangent, low, high).min().item()
+            longest[sign] = min(step, length, max(0.0, 0.5 * distance))
+    return longest[1], longest[-1]
 
 
 def _moved(
     values: Mapping[str, torch.Tensor], direction: Direction, offset: float
 ) -> dict[str, torch.Tensor]:
     return {name: values[name] + offset * tangent for name, tangent in direction.items()}
-
-
-def _max_step(scenes: Scenes, direction: Direction, sign: int) -> float:
-    """Return a tenth of the smallest range, at most half the distance to a bound, which may be unphysical."""
-    lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
-    bounds = Capabilities(scenes.renderer).bounds or {}
-    steps = []
-    for name, tangent in direction.items():
-        low, high = bounds.get(name, (-math.inf, math.inf))
-        distance = distances_to_bounds(scenes.values[name], sign * tangent, low, high).min().item()
-        steps += [MAX_STEP * lengths[name].item() / tangent.abs().max().item(), 0.5 * distance]
-    return max(0.0, min(steps))
 
 
 def _check_direction(direction: Direction, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

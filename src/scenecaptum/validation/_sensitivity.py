@@ -124,11 +124,11 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
     morris = _morris(black_box, whole_number("trajectories", trajectories, _MIN_SAMPLES), top)
     sobol, sampled = _sobol(black_box, base_samples, top)
     bounded = [_dgsm(*pair, scalars, top) for pair in zip(derivatives, sampled, strict=True)]
-    methods = zip(local, bounded, morris, sobol, strict=True)
-    results = [
-        _comparison(scalars, of_metric, TargetedMetric(metric, m.target).name)
-        for of_metric, m in zip(methods, metrics, strict=True)
-    ]
+    results = []
+    for k, one in enumerate(metrics):
+        order = np.argsort([-value for value in sobol[k].values.values()], kind="stable")
+        ordered, name = tuple(scalars[i] for i in order), TargetedMetric(metric, one.target).name
+        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], name))
     return results if isinstance(target, list) else results[0]
 
 
@@ -331,14 +331,6 @@ def _samples_until_stable(running: np.ndarray, top: int) -> int:
     while count > _MIN_SAMPLES and sets[count - 2] == sets[-1]:
         count -= 1
     return count
-
-
-def _comparison(
-    scalars: Sequence[Scalar], methods: tuple[SensitivityIndex, ...], metric: str
-) -> SensitivityComparison:
-    local, derivatives, morris, sobol = methods
-    ordered = tuple(sorted(scalars, key=lambda scalar: -sobol.values[scalar.name]))
-    return SensitivityComparison(ordered, local, derivatives, morris, sobol, metric)
 
 
 def _power_of_two(count: int) -> int:

@@ -56,29 +56,25 @@ class _Line(NamedTuple):
         return not self.significant and self.color != UNCLEAR
 
 
-class _Column(NamedTuple):
-    """One ranking: saliency, rank and interval of possible ranks of each parameter."""
+class _Rank(NamedTuple):
+    """The rank of a parameter, and the first and last rank that are possible within the noise."""
 
-    saliency: dict[str, float]
-    rank: dict[str, int]
-    possible: dict[str, tuple[int, int]]
+    rank: int
+    first: int
+    last: int
 
-    @classmethod
-    def of(cls, attribution: Attribution, names: Sequence[str]) -> _Column:
-        saliencies, errors = attribution.saliency(), attribution.saliency_error() or {}
-        saliency = {name: saliencies[name] for name in names}
-        order = sorted(names, key=lambda name: -saliency[name])
-        value = torch.tensor([saliency[name] for name in names], dtype=torch.float64)
-        error = torch.tensor([errors.get(name, 0.0) for name in names], dtype=torch.float64)
-        difference = value[None, :] - value[:, None]
-        noise = 2 * torch.hypot(error[None, :], error[:, None])
-        first = 1 + (difference > noise).sum(1)
-        last = len(names) - (difference < -noise).sum(1)
-        return cls(
-            saliency,
-            {name: rank for rank, name in enumerate(order, start=1)},
-            dict(zip(names, zip(first.tolist(), last.tolist(), strict=True), strict=True)),
-        )
+
+def _ranks(attribution: Attribution, names: Sequence[str]) -> dict[str, _Rank]:
+    """Return the ranks of the named parameters, in order."""
+    saliencies, errors = attribution.saliency(), attribution.saliency_error() or {}
+    value = torch.tensor([saliencies[name] for name in names], dtype=torch.float64)
+    error = torch.tensor([errors.get(name, 0.0) for name in names], dtype=torch.float64)
+    difference = value[None, :] - value[:, None]
+    noise = 2 * torch.hypot(error[None, :], error[:, None])
+    first = (1 + (difference > noise).sum(1)).tolist()
+    last = (len(names) - (difference < -noise).sum(1)).tolist()
+    order = value.argsort(descending=True, stable=True).tolist()
+    return {names[k]: _Rank(rank, first[k], last[k]) for rank, k in enumerate(order, start=1)}
 
 
 def plot_rank_comparison(
@@ -116,9 +112,8 @@ def plot_rank_comparison(
             f"A comparison needs at least two parameters that both attributions have; these share {len(common)}."
         )
     count = len(first(common, top))
-    columns = _Column.of(a, common), _Column.of(b, common)
-    lines = _lines({name: a.labels.get(name, name) for name in common}, columns, count)
-    tau = kendall_tau(*([column.saliency[name] for name in common] for column in columns))
+    lines = _lines(a.labels, _ranks(a, common), _ranks(b, common), count)
+    tau = kendall_tau(*([saliency[name] for name in common] for saliency in (a.saliency(), b.saliency())))
     ax = axes_or_new(ax, WIDTH, 1.3 + 0.2 * len(lines))
     _draw_lines(ax, lines, count)
     _draw_headers(ax, a, b, tau)
@@ -133,28 +128,19 @@ def plot_rank_comparison(
     return figure_of(ax)
 
 
-def _lines(labels: Mapping[str, str], columns: tuple[_Column, _Column], top: int) -> list[_Line]:
-    orders = [sorted(labels, key=column.rank.__getitem__) for column in columns]
-    shown = set(orders[0][:top]) | set(orders[1][:top])
+def _lines(
+    labels: Mapping[str, str], left: dict[str, _Rank], right: dict[str, _Rank], top: int
+) -> list[_Line]:
+    shown = {*list(left)[:top], *list(right)[:top]}
     # The position of a top parameter is its rank; the others follow in order.
-    left, right = (
-        {name: position for position, name in enumerate((n for n in order if n in shown), start=1)}
-        for order in orders
-    )
-    short = shorten([labels[name] for name in left], _NAME_WIDTH)
-    return [
-        _Line(
-            label,
-            (columns[0].rank[name], columns[1].rank[name]),
-            (left[name], right[name]),
-            significant=_disjoint(columns[0].possible[name], columns[1].possible[name]),
-        )
-        for name, label in zip(left, short, strict=True)
-    ]
-
-
-def _disjoint(a: tuple[int, int], b: tuple[int, int]) -> bool:
-    return a[1] < b[0] or b[1] < a[0]
+    names, others = ([name for name in column if name in shown] for column in (left, right))
+    short = shorten([labels.get(name, name) for name in names], _NAME_WIDTH)
+    lines = []
+    for position, (name, label) in enumerate(zip(names, short, strict=True), start=1):
+        one, other = left[name], right[name]
+        significant = one.last < other.first or other.last < one.first
+        lines.append(_Line(label, (one.rank, other.rank), (position, 1 + others.index(name)), significant))
+    return lines
 
 
 def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
