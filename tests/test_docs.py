@@ -38,7 +38,7 @@ MODULES = sorted(
 )
 
 # Modules that are imported by their names; what a package re-exports is public beside it.
-NAMED = ("scenecaptum.denoising",)
+NAMED = ("scenecaptum.denoising", "scenecaptum.optimize")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:

@@ -18,8 +18,7 @@ from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau, spearman
-from ._result import TOP, Tradeoff
-from ._rows import Measured, Reference
+from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
 from ._statistics import (
     Estimate,

@@ -11,6 +11,7 @@ from typing import Any
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES
 from ..protocols import Capabilities, Renderer
+from ..rendering import STOCK_INTEGRATORS
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
 
@@ -53,6 +54,20 @@ class Setting:
     def depth(self) -> float:
         """The maximum depth, infinite if unlimited."""
         return math.inf if self.max_depth == -1 else self.max_depth or 0
+
+    def __str__(self) -> str:
+        """Return ``'64 spp, depth 6, 320×180'``."""
+        primal, gradient = self.primal_spp, self.gradient_spp
+        words = [f"{primal} spp" if primal == gradient else f"{primal} spp primal and {gradient} gradient"]
+        if self.max_depth is not None:
+            words.append("unlimited depth" if self.max_depth == -1 else f"depth {self.max_depth}")
+        if self.resolution is not None:
+            words.append("×".join(map(str, self.resolution)))
+        if self.replicates == 1:
+            words.append("1 replicate")
+        if self.integrator in STOCK_INTEGRATORS:
+            words.append(str(self.integrator))
+        return ", ".join(words)
 
     def changed(self, key: str, value: Any) -> Setting:
         """Return the setting with another ``value`` of ``key``; ``"spp"`` changes both primal and gradient."""
