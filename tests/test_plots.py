@@ -123,8 +123,8 @@ SEVERAL_PANELS = {
 def public_plots() -> dict[str, Any]:
     """Return every plot function and method of the library by qualified name."""
     found = {}
-    for module in pkgutil.walk_packages(scenecaptum.__path__, "scenecaptum."):
-        if "._" not in module.name and ".cli" not in module.name:
+    for module in pkgutil.iter_modules(scenecaptum.__path__, "scenecaptum."):
+        if "._" not in module.name and module.name != "scenecaptum.cli":
             for thing in vars(importlib.import_module(module.name)).values():
                 members = vars(thing).values() if inspect.isclass(thing) else [thing]
                 found |= {f.__qualname__: f for f in members if getattr(f, "__name__", "").startswith("plot")}
