@@ -14,7 +14,7 @@ import torch
 
 from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
-from ..errors import SceneCaptumError, check_seed, whole_number
+from ..errors import check_seed, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target
 from ..protocols import Renderer
 from ..visualization import (
@@ -101,11 +101,7 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     scenes = Scenes(renderer, metric, target, **options)
-    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, **options)
-    if len(deleted) < 2:
-        raise SceneCaptumError(
-            f"deletion_insertion needs at least 2 parameters that differ from their baselines, not {len(deleted)}."
-        )
+    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 2, **options)
     names = list(deleted)
     moved = np.linspace(0, len(names), min(whole_number("steps", steps), len(names)) + 1).round().astype(int)
     generator = np.random.default_rng([check_seed("seed", seed), 7])

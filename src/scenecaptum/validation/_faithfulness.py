@@ -176,11 +176,7 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     whole_number("replicates", replicates, 3)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     scenes = Scenes(renderer, metric, target, **options)
-    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, **options)
-    if len(deleted) < 3:
-        raise SceneCaptumError(
-            f"sensitivity_n needs at least 3 parameters that differ from their baselines, not {len(deleted)}."
-        )
+    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 3, **options)
     sizes = _check_sizes(sizes, len(deleted))
     generator = np.random.default_rng([check_seed("seed", seed), 6])
     totals = {name: attribution[name].double().sum().item() for name in deleted}
@@ -207,6 +203,7 @@ def contributions(
     attribution: SceneAttribution | None,
     target: Target,
     baselines: Baselines,
+    at_least: int,
     **options: Any,
 ) -> tuple[SceneAttribution, dict[str, torch.Tensor]]:
     """Return an attribution of contributions, and the baselines of the parameters that differ from them."""
@@ -220,7 +217,12 @@ def contributions(
         )
     resolved = resolve_baselines(scenes.renderer, scenes.values, baselines)
     names = parameters_of(attribution, scenes.values)
-    return attribution, {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
+    deleted = {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
+    if len(deleted) < at_least:
+        raise SceneCaptumError(
+            f"At least {at_least} parameters must differ from their baselines, not {len(deleted)}."
+        )
+    return attribution, deleted
 
 
 def measure_without(scenes: Scenes, baselines: Tensors, names: Sequence[str]) -> torch.Tensor:

@@ -110,16 +110,9 @@ STYLE = """<style>
 
 
 def _cells(row: _Row, tag: str) -> str:
-    def cell(text: str, kind: str) -> str:
-        return f'<{tag} class="{kind}">{html.escape(text)}</{tag}>'
-
     name = f"{row.name} {row.mark}".rstrip()
-    return (
-        cell(row.rank, "rank")
-        + cell(name, "name")
-        + cell(row.saliency, "number")
-        + cell(row.gradient, "number")
-    )
+    kinds = (("rank", row.rank), ("name", name), ("number", row.saliency), ("number", row.gradient))
+    return "".join(f'<{tag} class="{kind}">{html.escape(text)}</{tag}>' for kind, text in kinds)
 
 
 def _table(attribution: Attribution, top: int | None) -> _Table:
@@ -133,53 +126,34 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
         if len(names) < len(attribution):  # no marks if all rows would have one
             marks |= {name: f"{marks.get(name, '')}?" for name in names}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
-    names = shorten([row.label for row in shown], _MAX_NAME_WIDTH)
-    colors = any(len(row.total) == 3 for row in shown)
-    saliency = align_with_errors([(row.saliency, row.saliency_error) for row in shown])
-    gradients = _gradients(shown)
-    return _Table(
-        heading=[
-            metric_line(attribution),
-            method_name(attribution),
-            *sampling_notes(attribution),
-            *convergence_notes(attribution),
-        ],
-        columns=_Row(
-            "#", "parameter", "", "saliency", f"{attribution.kind.value}{': R, G, B' if colors else ''}"
-        ),
-        rows=[
-            _Row(
-                rank=str(row.rank),
-                name=names[index],
-                mark=f"{'Σ' if row.name in textures else ''}{marks.get(row.name, '')}",
-                saliency=saliency[index],
-                gradient=gradients[index],
-            )
-            for index, row in enumerate(shown)
-        ],
-        notes=[
-            *_hidden_note(ranking, len(shown)),
-            *(["Σ totals over the texels, vertices or faces"] if textures else []),
-            *(
-                f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})"
-                for text, names in groups.items()
-            ),
-            *(_untrusted_note(reason, names, len(attribution)) for reason, names in untrusted.items()),
-            *(f"!  {text}" for text in scene_cautions(attribution)),
-        ],
+    columns = (
+        [str(row.rank) for row in shown],
+        shorten([row.label for row in shown], _MAX_NAME_WIDTH),
+        [f"{'Σ' if row.name in textures else ''}{marks.get(row.name, '')}" for row in shown],
+        align_with_errors([(row.saliency, row.saliency_error) for row in shown]),
+        _gradients(shown),
     )
-
-
-def _hidden_note(ranking: Sequence[RankedParameter], shown: int) -> list[str]:
-    if shown >= len(ranking):
-        return []
-    largest = with_error(ranking[shown].saliency, ranking[shown].saliency_error)[0]
-    return [f"… and {len(ranking) - shown} more of at most {largest}; .ranking() lists all"]
-
-
-def _untrusted_note(reason: str, names: Sequence[str], count: int) -> str:
-    affected = "all parameters" if len(names) == count else pluralize(len(names), "parameter")
-    return f"?  {reason} ({affected})"
+    channels = ": R, G, B" if any(len(row.total) == 3 for row in shown) else ""
+    heading = [metric_line(attribution), method_name(attribution)]
+    notes = []
+    if len(shown) < len(ranking):
+        largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
+        notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
+    notes += ["Σ totals over the texels, vertices or faces"] if textures else []
+    for text, names in groups.items():
+        notes.append(f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})")
+    for reason, names in untrusted.items():
+        all_of_them = len(names) == len(attribution)
+        notes.append(
+            f"?  {reason} ({'all parameters' if all_of_them else pluralize(len(names), 'parameter')})"
+        )
+    notes += [f"!  {text}" for text in scene_cautions(attribution)]
+    return _Table(
+        heading=[*heading, *sampling_notes(attribution), *convergence_notes(attribution)],
+        columns=_Row("#", "parameter", "", "saliency", f"{attribution.kind.value}{channels}"),
+        rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
+        notes=notes,
+    )
 
 
 def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
