@@ -177,8 +177,6 @@ def export(
       objects are a Cryptomatte, with which compositing software selects them; a map is in Y.
     - ``.npy``: the array, for ``numpy.load``.
 
-    The map has the default scale of ``heatmap``, as in figures; for numbers in proportion pass ``scale="linear"``.
-
     Parameters
     ----------
     what
@@ -207,20 +205,19 @@ def export(
     else:
         values = _to_array(what)
     path = Path(path)
+    if path.suffix not in (".npy", ".png", ".exr"):
+        raise SceneCaptumError(f"{path} must end in .png, .exr or .npy.")
     with atomic_write(path) as partial:
-        match path.suffix:
-            case ".npy":
-                # numpy.save to a path does not report why writing failed.
-                content = io.BytesIO()
-                np.save(content, values)
-                partial.write_bytes(content.getbuffer())
-            case ".png":
-                signed = options.get("signed", values.min() < 0)
-                _write_png(values, partial, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
-            case ".exr":
-                partial.write_bytes(_exr(values, attribution, options.get("surfaces")))
-            case _:
-                raise SceneCaptumError(f"{path} must end in .png, .exr or .npy.")
+        if path.suffix == ".npy":
+            # numpy.save to a path does not report why writing failed.
+            content = io.BytesIO()
+            np.save(content, values)
+            partial.write_bytes(content.getbuffer())
+        elif path.suffix == ".png":
+            signed = options.get("signed", values.min() < 0)
+            _write_png(values, partial, colours, limits or ((-1.0, 1.0) if signed else (0.0, 1.0)))
+        else:
+            partial.write_bytes(_exr(values, attribution, options.get("surfaces")))
 
 
 def _to_array(values: Any) -> NDArray[np.float32]:
