@@ -13,7 +13,7 @@ from _rooms import TURNED, Room, Size, load
 from _section import Section, table
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient, metrics, tradeoff
-from scenecaptum.tradeoff._statistics import spearman
+from scenecaptum.ranks import spearman
 from scenecaptum.validation import ablation_test
 from scenecaptum.visualization import plot_specificity
 

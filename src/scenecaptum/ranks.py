@@ -1,4 +1,4 @@
-"""Rank correlations: Kendall's τ of all pairs, and of chosen pairs."""
+"""Ranks, and rank correlations: Spearman's, and Kendall's τ of all pairs and of chosen pairs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,20 @@ from typing import TypeAlias
 import torch
 
 Values: TypeAlias = "Sequence[float] | torch.Tensor"
+
+
+def mean_ranks(values: Values) -> torch.Tensor:
+    """Return the ranks from 1 in float64, the smallest value first; ties get their mean rank."""
+    tensor = torch.as_tensor(values, dtype=torch.float64)
+    below = (tensor[:, None] > tensor).sum(1)
+    return below + ((tensor[:, None] == tensor).double().sum(1) + 1) / 2
+
+
+def spearman(a: Values, b: Values) -> float:
+    """Return Spearman's rank correlation, with mean ranks for ties; NaN if all values of one are tied."""
+    centred_a, centred_b = (mean_ranks(values) - (len(values) + 1) / 2 for values in (a, b))
+    size = float(centred_a.norm() * centred_b.norm())
+    return float(centred_a @ centred_b) / size if size else math.nan
 
 
 def kendall_tau(a: Values, b: Values) -> float:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from PIL import Image
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
 from scenecaptum.projection._cryptomatte import identifier, murmur3
+
+relative = partial(heatmap, scale="linear")  # in proportion to the saliencies
 
 
 def attribution(parameters: tuple[tuple[str, ...], ...], **saliency: float) -> SceneAttribution:
@@ -30,38 +33,38 @@ def attribution(parameters: tuple[tuple[str, ...], ...], **saliency: float) -> S
 
 
 def test_pixels_average_objects_by_coverage():
-    painted = heatmap(attribution((("a",), ("b",)), a=2.0, b=-1.0))
+    painted = relative(attribution((("a",), ("b",)), a=2.0, b=-1.0))
     torch.testing.assert_close(painted, torch.tensor([[1.0, 0.75]]))
 
 
 def test_an_object_with_several_parameters_shows_their_norm():
-    painted = heatmap(attribution((("a", "b"), ("c",)), a=3.0, b=4.0, c=5.0))
+    painted = relative(attribution((("a", "b"), ("c",)), a=3.0, b=4.0, c=5.0))
     torch.testing.assert_close(painted, torch.tensor([[1.0, 1.0]]))
 
 
 def test_a_shared_parameter_paints_every_object_that_uses_it():
-    painted = heatmap(attribution((("a",), ("a",)), a=0.5))
+    painted = relative(attribution((("a",), ("a",)), a=0.5))
     torch.testing.assert_close(painted, torch.ones(1, 2))
 
 
 def test_invisible_objects_count_for_scale_and_ranking():
     result = attribution((("a",), ("b",), ("hidden",)), a=1.0, b=2.0, hidden=4.0)
-    torch.testing.assert_close(heatmap(result), torch.tensor([[0.25, 0.375]]))
+    torch.testing.assert_close(relative(result), torch.tensor([[0.25, 0.375]]))
     assert result.ranking()[0].name == "hidden"
 
 
 def test_a_parameter_of_no_object_sets_the_scale_too():
-    painted = heatmap(attribution((("a",), ("b",)), a=1.0, b=1.0, point_light=2.0))
+    painted = relative(attribution((("a",), ("b",)), a=1.0, b=1.0, point_light=2.0))
     torch.testing.assert_close(painted, torch.full((1, 2), 0.5))
 
 
 def test_parameters_that_were_not_attributed_are_not_painted():
-    painted = heatmap(attribution((("a",), ("not an input",)), a=1.0))
+    painted = relative(attribution((("a",), ("not an input",)), a=1.0))
     torch.testing.assert_close(painted, torch.tensor([[1.0, 0.5]]))
 
 
 def test_attributions_of_zero_give_a_black_map():
-    assert not heatmap(attribution((("a",), ("b",)), a=0.0, b=0.0)).any()
+    assert not relative(attribution((("a",), ("b",)), a=0.0, b=0.0)).any()
 
 
 def test_without_a_scene_there_is_no_map():
@@ -71,7 +74,7 @@ def test_without_a_scene_there_is_no_map():
 
 def test_map_of_a_real_scene_equals_the_saliency_of_the_object_at_each_pixel(cornell):
     result = VanillaSceneGradient(cornell, metrics.MeanLuminance()).attribute(replicates=1)
-    painted, surfaces = result.heatmap(), cornell.surfaces
+    painted, surfaces = result.heatmap(scale="linear"), cornell.surfaces
     assert painted.shape == (32, 32)
     assert 0 <= painted.min() < painted.max() <= 1
     saliency = result.saliency()
@@ -87,54 +90,54 @@ def test_map_of_a_real_scene_equals_the_saliency_of_the_object_at_each_pixel(cor
 
 def test_a_name_or_a_glob_chooses_what_is_painted_and_sets_the_scale():
     result = attribution((("a", "b"), ("c",)), a=3.0, b=4.0, c=2.0)
-    torch.testing.assert_close(heatmap(result, parameter="b"), torch.tensor([[1.0, 0.5]]))
-    torch.testing.assert_close(heatmap(result, parameter=["a", "c"]), torch.tensor([[1.0, 5 / 6]]))
-    torch.testing.assert_close(heatmap(result, parameter="[ab]"), torch.tensor([[1.0, 0.5]]))
+    torch.testing.assert_close(relative(result, parameter="b"), torch.tensor([[1.0, 0.5]]))
+    torch.testing.assert_close(relative(result, parameter=["a", "c"]), torch.tensor([[1.0, 5 / 6]]))
+    torch.testing.assert_close(relative(result, parameter="[ab]"), torch.tensor([[1.0, 0.5]]))
     with pytest.raises(SceneCaptumError, match="matches none of the 3 parameters"):
-        heatmap(result, parameter="d*")
+        relative(result, parameter="d*")
 
 
 def test_a_signed_map_has_the_sign_of_the_summed_effects():
     result = attribution((("a", "b"), ("c",)), a=3.0, b=-4.0, c=5.0)
-    torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, 0.0]]))
+    torch.testing.assert_close(relative(result, signed=True), torch.tensor([[-1.0, 0.0]]))
     colours = {"a": torch.tensor([0.0, 3.0, -4.0]), "b": torch.zeros(3), "c": torch.tensor([0.0, 0.0, 2.5])}
     result = dataclasses.replace(result, attributions=colours)
-    torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, -0.25]]))
-    assert torch.equal(heatmap(result), heatmap(result).abs())
+    torch.testing.assert_close(relative(result, signed=True), torch.tensor([[-1.0, -0.25]]))
+    assert torch.equal(relative(result), relative(result).abs())
 
 
 def test_a_logarithmic_map_shows_the_decades_below_its_maximum():
     result = attribution((("a",), ("b",), ("hidden",)), a=1.0, b=-0.98, hidden=100.0)
     expected = torch.tensor([[1 / 3, 0.0]])
     torch.testing.assert_close(
-        heatmap(result, scale="log", signed=True, decades=3), expected, atol=1e-5, rtol=0
+        relative(result, scale="log", signed=True, decades=3), expected, atol=1e-5, rtol=0
     )
-    torch.testing.assert_close(heatmap(result, scale="log", decades=4)[0, 0], torch.tensor(0.5))
+    torch.testing.assert_close(relative(result, scale="log", decades=4)[0, 0], torch.tensor(0.5))
     minus = dataclasses.replace(result, attributions={n: -v for n, v in result.items()})
     torch.testing.assert_close(
-        heatmap(minus, scale="log", signed=True), -heatmap(result, scale="log", signed=True)
+        relative(minus, scale="log", signed=True), -relative(result, scale="log", signed=True)
     )
     nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
-    assert not heatmap(nothing, scale="log", signed=True).any()
+    assert not relative(nothing, scale="log", signed=True).any()
 
 
 def test_maps_with_a_shared_maximum_can_be_compared():
     before, after = (attribution((("a",), ("b",)), a=a, b=1.0) for a in (2.0, 8.0))
     top = shared_maximum([before, after])
     assert top == 8.0
-    torch.testing.assert_close(heatmap(before, maximum=top), torch.tensor([[0.25, 0.1875]]))
-    torch.testing.assert_close(heatmap(after, maximum=top), heatmap(after))
-    torch.testing.assert_close(heatmap(after, maximum=4.0)[0, 0], torch.tensor(1.0))  # and nothing else
+    torch.testing.assert_close(relative(before, maximum=top), torch.tensor([[0.25, 0.1875]]))
+    torch.testing.assert_close(relative(after, maximum=top), relative(after))
+    torch.testing.assert_close(relative(after, maximum=4.0)[0, 0], torch.tensor(1.0))  # and nothing else
     assert shared_maximum([before, after], parameter="b") == 1.0
     assert shared_maximum([]) == 0.0
     nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
-    assert not heatmap(nothing, maximum=shared_maximum([nothing, nothing])).any()
+    assert not relative(nothing, maximum=shared_maximum([nothing, nothing])).any()
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scale": "cubic"}, 'scale must be "linear" or "log"'),
+        ({"scale": "cubic"}, "scale must be one of 'sqrt', 'linear', 'log', not 'cubic'"),
         ({"scale": "log", "decades": 0}, "decades must be positive"),
         ({"maximum": -1.0}, "maximum must be finite and not negative"),
         ({"maximum": float("nan")}, "maximum must be finite and not negative"),
@@ -142,14 +145,14 @@ def test_maps_with_a_shared_maximum_can_be_compared():
 )
 def test_an_unknown_scale_is_refused(options: dict[str, Any], message: str):
     with pytest.raises(SceneCaptumError, match=message):
-        heatmap(attribution((("a",), ("b",)), a=1.0, b=2.0), **options)
+        relative(attribution((("a",), ("b",)), a=1.0, b=2.0), **options)
 
 
 def test_groups_are_chosen_and_signed_like_parameters():
     result = attribution((("a", "b"), ("c",)), pair=-2.0, c=1.0)
     result = dataclasses.replace(result, info={"groups": {"pair": ["a", "b"], "c": ["c"]}})
-    torch.testing.assert_close(heatmap(result, signed=True), torch.tensor([[-1.0, -0.25]]))
-    torch.testing.assert_close(heatmap(result, parameter="pair"), torch.tensor([[1.0, 0.5]]))
+    torch.testing.assert_close(relative(result, signed=True), torch.tensor([[-1.0, -0.25]]))
+    torch.testing.assert_close(relative(result, parameter="pair"), torch.tensor([[1.0, 0.5]]))
 
 
 # --- Texels ----------------------------------------------------------------------------------------
@@ -172,8 +175,8 @@ def test_texels_paint_the_gradient_per_unit_of_texture():
     result = textured()
     # Mean gradients per unit of texture: (2, 2) on the left, 2 × (-1, 2) on the right.
     left, right = 8**0.5, 20**0.5
-    torch.testing.assert_close(heatmap(result, texels=True), torch.tensor([[left / right, 0.5]]))
-    torch.testing.assert_close(heatmap(result), torch.tensor([[1.0, 0.5]]))
+    torch.testing.assert_close(relative(result, texels=True), torch.tensor([[left / right, 0.5]]))
+    torch.testing.assert_close(relative(result), torch.tensor([[1.0, 0.5]]))
     assert shared_maximum([result], texels=True) == pytest.approx(right)
     assert shared_maximum([result]) == pytest.approx(left)
 
@@ -183,15 +186,15 @@ def test_texels_join_the_other_parameters_of_their_object():
     result = dataclasses.replace(result, attributions={**result.attributions, "a": torch.tensor(-12.0)})
     right = (20 + 144) ** 0.5
     expected = -torch.tensor([[(8 + 144) ** 0.5 / right, 0.5]])
-    torch.testing.assert_close(heatmap(result, texels=True, signed=True), expected)
+    torch.testing.assert_close(relative(result, texels=True, signed=True), expected)
 
 
 def test_a_texture_without_texel_map_is_refused():
     result = textured()
     bare = dataclasses.replace(result, surfaces=dataclasses.replace(result.surfaces, texels={}))
     with pytest.raises(SceneCaptumError, match="not known which texels the pixels show"):
-        heatmap(bare, texels=True)
-    torch.testing.assert_close(heatmap(bare, texels=True, parameter="a"), heatmap(bare, parameter="a"))
+        relative(bare, texels=True)
+    torch.testing.assert_close(relative(bare, texels=True, parameter="a"), relative(bare, parameter="a"))
 
 
 def test_texels_are_saved_and_loaded(tmp_path: Path):
@@ -213,9 +216,9 @@ def test_an_exported_array_holds_the_numbers(tmp_path: Path):
 def test_an_exported_picture_has_eight_bits(tmp_path: Path):
     result = attribution((("a",), ("b",)), a=2.0, b=-1.0)
     export(result, tmp_path / "map.png")
-    assert np.array(Image.open(tmp_path / "map.png")).tolist() == [[255, 191]]
+    assert np.array(Image.open(tmp_path / "map.png")).tolist() == [[255, 221]]
     export(result, tmp_path / "signed.png", signed=True)
-    assert np.array(Image.open(tmp_path / "signed.png")).tolist() == [[255, 159]]
+    assert np.array(Image.open(tmp_path / "signed.png")).tolist() == [[255, 191]]
     export(result, tmp_path / "colours.png", colours="gray_r")
     assert np.array(Image.open(tmp_path / "colours.png"))[0, 0].tolist() == [0, 0, 0]
     export(torch.tensor([[0.0, 3.0]]), tmp_path / "limits.png", limits=(0, 4))

@@ -19,13 +19,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from seeds import shifted
 
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
-from scenecaptum.projection import SurfaceMap, TexelMap, heatmap, shared_maximum
+from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
 from scenecaptum.report import write_report
 from scenecaptum.report._pixels import LAYERS, encode_surfaces
+from scenecaptum.visualization import plot_heatmap
 
 NASTY = '</script><img src=x onerror="window.hacked=1">&lt;\'`${1}'
 OBJECTS = ("floor", "lamp", "chair", NASTY, "sky")  # no pixel shows the sky
@@ -136,7 +138,7 @@ def test_objects_are_coloured_as_in_the_heatmap(tmp_path):
     write_report(attribution, tmp_path / "report.html")
     (result,) = data_of(tmp_path / "report.html")["results"]
     painted = torch.tensor([one["magnitude"] for one in result["objects"]]) / result["largest"]
-    shown = heatmap(attribution)
+    shown = heatmap(attribution, scale="linear")
     for index, (line, column) in enumerate([(8, 0), (0, 0), (0, 10), (0, 15)]):
         assert float(painted[index]) == pytest.approx(float(shown[line, column]), rel=1e-5)
     # Raising all parameters of the chair raises the metric, although one of them lowers it.
@@ -172,7 +174,7 @@ def test_texels_are_coloured_as_in_the_heatmap(tmp_path):
     for name, zero, top in (("magnitude", 0, 255), ("signed", 128, 127)):
         roots = np.frombuffer(zlib.decompress(base64.b64decode(texels[name])), np.uint8).astype(float) - zero
         painted = np.sign(roots) * (roots / top) ** 4
-        expected = attribution.heatmap(texels=True, signed=name == "signed").numpy().ravel()
+        expected = attribution.heatmap(texels=True, signed=name == "signed", scale="linear").numpy().ravel()
         # Rounding error: half a step of the square root.
         np.testing.assert_allclose(
             np.abs(painted) ** 0.25 * np.sign(painted),
@@ -518,6 +520,22 @@ def test_switches_and_slider_repaint_the_picture(report):
     report.page.keyboard.press("Home")
     assert report.page.locator("#overlay").evaluate("canvas => getComputedStyle(canvas).opacity") == "0"
     assert report.page.locator("#opacity-value").inner_text() == "0 %"
+
+
+def test_report_figure_and_exported_picture_show_the_same_map(browser, tmp_path):
+    attribution = make()
+    write_report(attribution, tmp_path / "report.html")
+    export(attribution, tmp_path / "map.png", colours="inferno")
+    exported = np.array(Image.open(tmp_path / "map.png"))
+    drawn = plot_heatmap(attribution).axes[1].images[0]
+    in_figure = drawn.to_rgba(drawn.get_array(), bytes=True)[..., :3]
+    assert np.abs(in_figure.astype(int) - exported).max() <= 1
+    page = Page(browser, tmp_path / "report.html")
+    for line, column in ((1, 2), (1, 11), (7, 4), (5, 15)):
+        painted = page.colour("overlay", column, line)[:3]
+        # The canvas rounds to the next of 256 colours, where matplotlib rounds down.
+        assert np.abs(np.array(painted) - exported[line, column]).max() <= 6
+    page.context.close()
 
 
 def test_texels_are_painted_while_they_are_switched_on(browser, tmp_path):

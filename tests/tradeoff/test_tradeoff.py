@@ -17,7 +17,7 @@ from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.ranks import kendall_tau
+from scenecaptum.ranks import kendall_tau, spearman
 from scenecaptum.tradeoff import Setting, measure
 from scenecaptum.tradeoff import _statistics as statistics
 
@@ -171,8 +171,8 @@ def test_rank_correlations_are_those_of_pandas():
         one, other = (torch.randint(0, 6, (12,), generator=generator).double() for _ in range(2))
         frame = pandas.DataFrame({"one": one.numpy(), "other": other.numpy()})
         expected = frame.corr(method="spearman").loc["one", "other"]
-        assert statistics.spearman(one, other) == pytest.approx(expected)
-    assert math.isnan(statistics.spearman(torch.ones(3).double(), torch.arange(3).double()))
+        assert spearman(one, other) == pytest.approx(expected)
+    assert math.isnan(spearman(torch.ones(3).double(), torch.arange(3).double()))
 
 
 def test_ranks_that_the_reference_does_not_resolve_do_not_count():

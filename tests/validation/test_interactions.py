@@ -162,7 +162,7 @@ def test_the_matrix_is_symmetric_and_agrees_with_finite_differences(box, metric)
     found = interactions(box, metric, gradient, replicates=PASSES)
     assert found.is_symmetric, str(found)
     assert found.significant.sum() > 4, f"too noisy to show anything:\n{found}"
-    scenes = Scenes.split(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
+    scenes = Scenes(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
     ways = {name: unit_gradient(gradient[name], box.inputs[name]) for name in found.names}
     for (p, one), (q, two) in itertools.combinations_with_replacement(enumerate(found.names), 2):
         steps = {one: found.steps[p] / 2 * ways[one]}, {two: found.steps[q] / 2 * ways[two]}

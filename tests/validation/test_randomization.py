@@ -12,8 +12,9 @@ from toy import ToyRenderer
 
 from scenecaptum import InputXGradientScene, metrics
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.ranks import mean_ranks
 from scenecaptum.validation import randomization_check
-from scenecaptum.validation._randomization import _ranks, _reset
+from scenecaptum.validation._randomization import _reset
 
 
 class Lamps(ToyRenderer):
@@ -127,7 +128,7 @@ def test_weights_without_a_reset_keep_their_scale():
 
 
 def test_ranks_of_ties_are_their_mean():
-    assert _ranks(torch.tensor([3.0, 1.0, 3.0, 2.0])).tolist() == [3.5, 1.0, 3.5, 2.0]
+    assert mean_ranks(torch.tensor([3.0, 1.0, 3.0, 2.0])).tolist() == [3.5, 1.0, 3.5, 2.0]
 
 
 def test_other_methods_can_be_checked():

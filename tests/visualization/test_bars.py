@@ -77,7 +77,7 @@ def test_bars_draw_into_given_axes_and_names_are_not_formulas() -> None:
 
 
 def test_bars_refuse_a_count_of_zero() -> None:
-    with pytest.raises(SceneCaptumError, match="top must be at least 1"):
+    with pytest.raises(SceneCaptumError, match="top must be a whole number of at least 1"):
         plot_bars(make(), top=0)
 
 

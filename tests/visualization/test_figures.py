@@ -166,16 +166,17 @@ def test_invalid_overlays_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "places"),
-    [("sqrt", (0.0, 0.1, 1.0)), ("linear", (0.0, 0.01, 1.0)), ("log", (0.0, 1 / 3, 1.0))],
+    ("scale", "place_of"),
+    [("sqrt", np.sqrt), ("linear", np.asarray), ("log", lambda x: 1 + np.log10(np.maximum(x, 1e-3)) / 3)],
 )
-def test_scales_map_values_and_label_the_legend(scale: Any, places: tuple[float, ...]) -> None:
+def test_scales_map_values_and_label_the_legend(scale: Any, place_of: Any) -> None:
     figure = plot_heatmap(make(), scale=scale)
-    norm = figure.axes[1].images[0].norm
-    np.testing.assert_allclose(norm([0.0, 0.01, 1.0]), places, atol=1e-9)
-    ticks = figure.axes[2].get_yticks()
-    assert ticks.max() == 1
-    assert ticks.min() == (0.001 if scale == "log" else 0)
+    relative = make().heatmap(scale="linear").numpy()
+    np.testing.assert_allclose(figure.axes[1].images[0].get_array(), place_of(relative), rtol=1e-5)
+    assert figure.axes[1].images[0].get_clim() == (0, 1)
+    labels = [float(label.get_text()) for label in figure.axes[2].get_yticklabels()]
+    np.testing.assert_allclose(figure.axes[2].get_yticks(), place_of(np.array(labels)), atol=1e-9)
+    assert (min(labels), max(labels)) == (0.001 if scale == "log" else 0, 1)
 
 
 def test_maps_draw_into_given_axes() -> None:
@@ -224,7 +225,7 @@ def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
     mapped = figure.axes[1].images[0]
     np.testing.assert_allclose(mapped.get_array(), attribution.heatmap(signed=True))
     assert mapped.get_array().min() < 0
-    np.testing.assert_allclose(mapped.norm([-1, -0.25, 0, 0.25, 1]), [0, 0.25, 0.5, 0.75, 1])
+    np.testing.assert_allclose(mapped.norm([-1, -0.5, 0, 0.5, 1]), [0, 0.25, 0.5, 0.75, 1])
     low, middle, high = (np.array(mapped.cmap(x)[:3]) for x in (1 / 6, 0.5, 5 / 6))
     assert middle.min() > 0.95
     # The map has 256 colours, and the nearest to a sixth is not exactly there.
@@ -443,7 +444,7 @@ def test_columns_are_named_by_what_differs() -> None:
 def test_comparisons_need_parameters_in_common() -> None:
     with pytest.raises(SceneCaptumError, match=r"at least two parameters .* share 1"):
         plot_rank_comparison(ranked("ab"), ranked("bc"))
-    with pytest.raises(SceneCaptumError, match="top must be at least 1"):
+    with pytest.raises(SceneCaptumError, match="top must be a whole number of at least 1"):
         plot_rank_comparison(ranked("ab"), ranked("ba"), top=0)
     assert "2 parameters that only one" in all_text(plot_rank_comparison(ranked("abc"), ranked("bcd")))
 
@@ -497,7 +498,7 @@ def test_maps_can_share_a_scale() -> None:
     weak = dataclasses.replace(make(), attributions={n: v / 4 for n, v in make().items()})
     figure = plot_specificity([make(), weak], shared=True)
     strong_map, weak_map = (axes.images[0].get_array() for axes in figure.axes[2:4])
-    np.testing.assert_allclose(weak_map, strong_map / 4, rtol=1e-5)
+    np.testing.assert_allclose(weak_map, strong_map / 2, rtol=1e-5)  # the square root of a quarter
     assert "of all" in all_text(figure)
 
 

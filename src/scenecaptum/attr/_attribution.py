@@ -15,6 +15,7 @@ from ..errors import SceneCaptumError
 from ..estimation import Adjoints
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
+from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Tensors, covariances
 from ._difference import subtract
 from ._storage import read_file, write_file
@@ -165,26 +166,26 @@ class SceneAttribution(AttributionData):
     def heatmap(self, **options: Any) -> torch.Tensor:
         """Return an ``(H, W)`` tensor in [0, 1]: the saliency of the parameters visible in each pixel.
 
-        The ``options`` are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale``, ``decades``,
-        ``maximum``, ``texels``, ``surfaces``.
+        The ``options`` are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale`` (by default
+        ``"sqrt"``), ``decades``, ``maximum``, ``texels``, ``surfaces``.
         """
         from ..projection import heatmap
 
         return heatmap(self, **options)
 
-    def plot_heatmap(self, ax: Axes | None = None, **options: Any) -> Figure:
+    def plot_heatmap(self, *, ax: Axes | None = None, **options: Any) -> Figure:
         """Draw the heatmap and the render, with the ``ax`` and ``options`` of ``visualization.plot_heatmap``."""
         from ..visualization import plot_heatmap
 
-        return plot_heatmap(self, ax, **options)
+        return plot_heatmap(self, ax=ax, **options)
 
-    def plot_overlay(self, ax: Axes | None = None, **options: Any) -> Figure:
+    def plot_overlay(self, *, ax: Axes | None = None, **options: Any) -> Figure:
         """Draw the heatmap over the render, with the ``ax`` and ``options`` of ``visualization.plot_overlay``."""
         from ..visualization import plot_overlay
 
-        return plot_overlay(self, ax, **options)
+        return plot_overlay(self, ax=ax, **options)
 
-    def plot_bars(self, top: int | None = 15, ax: Axes | None = None) -> Figure:
+    def plot_bars(self, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None) -> Figure:
         """Draw the first ``top`` parameters, or all, as bars with standard errors, into ``ax`` if given."""
         from ..visualization import plot_bars
 

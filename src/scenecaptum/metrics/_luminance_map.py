@@ -31,8 +31,8 @@ _MASKED_COLOR, _UNDER_COLOR = "#B0B0B0", "#1A0A24"
 def plot_luminance(
     image: torch.Tensor,
     view: GlareRating | Camera | None = None,
-    ax: Axes | None = None,
     *,
+    ax: Axes | None = None,
     efficacy: float | None = None,
     limits: tuple[float, float] | None = None,
 ) -> Figure:

@@ -1,7 +1,14 @@
 """What each pixel shows, and the projection of attributions from parameters to pixels."""
 
+# What users see; the other names are for the rooms above.
+__all__ = ["SurfaceMap", "TexelMap", "export", "heatmap", "shared_maximum"]
+
 from ._export import export as export
+from ._projection import DECADES as DECADES
+from ._projection import DEFAULT_SCALE as DEFAULT_SCALE
+from ._projection import MapScale as MapScale
 from ._projection import heatmap as heatmap
+from ._projection import scaled as scaled
 from ._projection import shared_maximum as shared_maximum
 from ._surfaces import SurfaceMap as SurfaceMap
 from ._surfaces import TexelMap as TexelMap

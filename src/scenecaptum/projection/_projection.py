@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
-MapScale: TypeAlias = Literal["linear", "log"]
+MapScale: TypeAlias = Literal["sqrt", "linear", "log"]
+
+# Saliencies span orders of magnitude: on a linear scale all but a few lamps are nearly black.
+DEFAULT_SCALE: MapScale = "sqrt"
+DECADES = 3.0  # of a logarithmic map
 
 IMAGE = 3  # number of axes
 
@@ -31,8 +35,8 @@ def heatmap(
     *,
     parameter: Names = None,
     signed: bool = False,
-    scale: MapScale = "linear",
-    decades: float = 3.0,
+    scale: MapScale = DEFAULT_SCALE,
+    decades: float = DECADES,
     maximum: float | None = None,
     texels: bool = False,
     surfaces: SurfaceMap | None = None,
@@ -48,7 +52,7 @@ def heatmap(
     The saliency of an object is the ℓ2 norm over the parameters of all its materials, emitters and media; for an
     attribution to groups, over the groups that contain any of these. The map is normalized by the largest saliency
     of any object, parameter or group, visible or not. It never exceeds 1, and its maximum is below 1 if the most
-    salient object is not visible.
+    salient object is not visible. Figures, ``export`` and the report show this map, on the same default scale.
 
     Parameters
     ----------
@@ -61,8 +65,9 @@ def heatmap(
         Whether to give an object's saliency the sign of the sum over all its channels and parameters: positive if
         increasing all of them equally would increase the metric. Objects of opposite sign cancel within a pixel.
     scale
-        ``"linear"``, or ``"log"``: 1 at the maximum, and 0 at and below the maximum divided by 10 to the power
-        of ``decades``; the sign is kept.
+        ``"sqrt"``: the square root, which keeps faint objects visible. ``"linear"``: in proportion to saliency.
+        ``"log"``: in proportion to its logarithm, with 0 at and below the maximum divided by 10 to the power of
+        ``decades``. The sign is kept.
     decades
         Number of powers of ten that a logarithmic map covers.
     maximum
@@ -70,9 +75,8 @@ def heatmap(
     texels
         Whether to map bitmaps and environment maps per texel, and mesh attributes per vertex or face, instead of
         uniformly over their objects. A pixel then gets the norm of the mean gradient per unit of texture over its
-        texels: for a uniform gradient this is the saliency of the whole texture, and a region that matters ten
-        times as much per area is ten times as bright. Gradients of single texels are noisy, and the largest
-        determines the scale; use more samples or set ``maximum``.
+        texels: for a uniform gradient this is the saliency of the whole texture. Gradients of single texels are
+        noisy, and the largest determines the scale; use more samples or set ``maximum``.
     surfaces
         The surface map to use instead of the directly visible objects: ``renderer.see_through()``.
 
@@ -87,10 +91,6 @@ def heatmap(
         If the attribution has no surface map, a name matches nothing, no texels are available, or a scale option
         is invalid.
     """
-    if scale not in ("linear", "log"):
-        raise SceneCaptumError(f'scale must be "linear" or "log", not {scale!r}.')
-    if not decades > 0:
-        raise SceneCaptumError(f"decades must be positive, not {decades!r}.")
     surfaces = surfaces_of(attribution, surfaces)
     magnitude, sign, largest = _entries(attribution, surfaces, parameter, texels)
     if maximum is not None:
@@ -108,8 +108,22 @@ def heatmap(
             torch.from_numpy(surfaces.fraction) * torch.from_numpy(values).float() / largest,
         )
     # The fractions of a pixel sum to 1 up to rounding.
-    result = result.clamp(-1, 1).reshape(height, width)
-    return _log_scale(result, decades) if scale == "log" else result
+    return scaled(result.clamp(-1, 1).reshape(height, width), scale, decades)
+
+
+def scaled(values: torch.Tensor, scale: MapScale = DEFAULT_SCALE, decades: float = DECADES) -> torch.Tensor:
+    """Return relative saliencies from -1 to 1 on a scale; ``scale`` and ``decades`` as for ``heatmap``."""
+    if scale not in get_args(MapScale):
+        raise SceneCaptumError(
+            f"scale must be one of {', '.join(map(repr, get_args(MapScale)))}, not {scale!r}."
+        )
+    if not decades > 0:
+        raise SceneCaptumError(f"decades must be positive, not {decades!r}.")
+    if scale == "linear":
+        return values
+    magnitude = values.abs()
+    along = magnitude.sqrt() if scale == "sqrt" else (1 + magnitude.log10() / decades).clamp(0, 1)
+    return along * values.sign()
 
 
 def shared_maximum(
@@ -216,8 +230,3 @@ def _params_by_object(
     groups = attribution.info.get("groups") or {name: [name] for name in saliency}
     group_of = {name: group for group, members in groups.items() for name in members if group in saliency}
     return [{group_of[name] for name in used if name in group_of} for used in surfaces.parameters]
-
-
-def _log_scale(values: torch.Tensor, decades: float) -> torch.Tensor:
-    magnitude = (1 + values.abs().log10() / decades).clamp(0, 1)
-    return magnitude * values.sign()

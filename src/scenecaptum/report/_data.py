@@ -129,7 +129,7 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
     return {
         "largest": _number(shared_maximum([attribution], texels=True)),
         **{
-            name: encode_map(heatmap(attribution, texels=True, signed=signed), signed=signed)
+            name: encode_map(heatmap(attribution, texels=True, signed=signed, scale="linear"), signed=signed)
             for name, signed in maps.items()
         },
     }

@@ -44,29 +44,40 @@ async function readTexels(texels) {
 
 const colours = Object.fromEntries(Object.entries(data.maps).map(([scale, text]) => [scale, bytesOf(text)]));
 
-/** Return how many powers of ten a logarithmic scale spans: as many as the objects do, 2 to 5. */
-function decadesOf(values, largest) {
-  const smallest = Math.min(...values.map(Math.abs).filter((value) => value > 0));
-  return Math.max(2, Math.min(5, Math.log10(largest / smallest) * 1.05)) || 2;
-}
+const DECADES = 3; // powers of ten that a logarithmic scale spans, as in figures
+
+/** Return a share of the largest value, from 0 to 1, on the scales of figures and exported maps. */
+const SCALES = {
+  sqrt: Math.sqrt,
+  linear: (share) => share,
+  log: (share) => (share > 0 ? Math.max(0, 1 + Math.log10(share) / DECADES) : 0),
+};
 
 /** Return where on a scale from 0 to 1 a value lies; a signed scale has its zero in the middle. */
-function placeOf(value, { largest, decades, ...scale }) {
-  const share = largest > 0 ? Math.abs(value) / largest : 0;
-  const along = scale.log ? (share > 0 ? Math.max(0, 1 + Math.log10(share) / decades) : 0) : share;
-  return scale.signed ? (1 + Math.sign(value) * Math.min(along, 1)) / 2 : Math.min(along, 1);
+function placeOf(value, { largest, signed, kind }) {
+  const along = SCALES[kind](largest > 0 ? Math.min(Math.abs(value) / largest, 1) : 0);
+  return signed ? (1 + Math.sign(value) * along) / 2 : along;
 }
 
 /** Return the values at which a scale is labelled: round ones. */
 function tickValues(scale) {
-  const { largest, decades } = scale;
+  const { largest } = scale;
   if (!(largest > 0)) return [0];
   const top = Math.floor(Math.log10(largest));
   const ones = [];
-  if (scale.log) {
-    const every = scale.signed && decades > 3 ? 2 : 1;
-    for (let power = top; power > Math.log10(largest) - decades + 0.1; power -= every) ones.push(10 ** power);
+  if (scale.kind === "log") {
+    for (let power = top; power > Math.log10(largest) - DECADES + 0.1; power -= 1) ones.push(10 ** power);
     if (!scale.signed && Math.log10(largest) - top > 0.35) ones.push(largest);
+  } else if (scale.kind === "sqrt") {
+    const gap = scale.signed ? 0.3 : 0.15;
+    let last = 1 + gap;
+    for (const value of [top, top - 1, top - 2].flatMap((power) => [5, 2, 1].map((digit) => digit * 10 ** power))) {
+      const along = Math.sqrt(value / largest);
+      if (along > 1.001 || along > last - gap || along < gap) continue;
+      ones.push(value);
+      last = along;
+    }
+    if (!scale.signed) ones.push(0);
   } else {
     const step = 10 ** top * (largest / 10 ** top >= 5 ? 2 : largest / 10 ** top >= 2 ? 1 : 0.5);
     const wide = scale.signed && largest / step > 2.99 ? 2 * step : step;

@@ -21,11 +21,11 @@ const isAlike = (one) => one.metric === result().metric && one.quantity === resu
 /** The scale of this picture, or of all whose metric is the same. */
 function scaleNow() {
   const scale = {
-    signed: chosen("quantity") === "signed" && Boolean(result().signs), log: chosen("scale") === "log", texels: byId("texels").checked,
+    signed: chosen("quantity") === "signed" && Boolean(result().signs), kind: chosen("scale"), texels: byId("texels").checked,
   };
   const alike = byId("shared").checked ? results.filter(isAlike) : [result()];
   const largest = Math.max(...alike.map((one) => ((scale.texels && texelsOf(one)) || one).largest ?? 0));
-  return { ...scale, largest, decades: decadesOf(alike.flatMap((one) => valuesOf(one, scale)), largest) };
+  return { ...scale, largest };
 }
 
 // ------------------------------------------------------------------------------------------------- drawing

@@ -17,16 +17,14 @@ from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
 from ..protocols import Capabilities, Renderer
-from ..ranks import kendall_tau
-from ._result import TOP, Tradeoff
-from ._rows import Measured, Reference
+from ..ranks import kendall_tau, spearman
+from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
 from ._statistics import (
     Estimate,
     kendall_of_resolved,
     relative_bias,
     relative_error,
-    spearman,
     top_agreement,
 )
 
@@ -88,11 +86,8 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     denoise
         As for ``VanillaSceneGradient``. The image of a non-linear metric has only the samples of the forward
         passes.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
-    show_progress
-        Whether to show progress bars.
+    checkpoint, show_progress
+        As for ``validation.ablation_test``.
 
     Returns
     -------
@@ -119,9 +114,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     runner = SettingRunner(
         with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise
     )
-    every = [best, *(setting for _, setting in settings)]
-    runner.check(every)
-    runner.require_memory(every)
+    runner.check([best, *(setting for _, setting in settings)])
     seeds = np.random.SeedSequence([seed, 5]).generate_state(1 + runs * len(settings)).tolist()
     reference = ReferenceGradient.of(runner.run(best, seeds.pop(), show_progress=show_progress))
     rows = []
@@ -143,15 +136,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
 
 
 class SettingRunner:
-    """Runs attributions of one scene and metric at different settings; caches the renderers.
-
-    Parameters
-    ----------
-    renderer, target, denoise
-        As for ``measure``.
-    metric_for
-        Creates the metric for a renderer.
-    """
+    """Runs attributions of one scene and metric at different settings; caches the renderers."""
 
     def __init__(
         self,
@@ -187,32 +172,28 @@ class SettingRunner:
         return attribution
 
     def check(self, settings: Sequence[Setting]) -> None:
-        """Run every renderer with one sample, to report errors before the long runs."""
+        """Run every renderer with one sample, to report errors, and lack of memory, before the long runs."""
         for setting in settings:
-            if _renderer_options(setting) in self._cache:
+            if setting.renderer_options in self._cache:
                 continue
             try:
-                self.run(Setting(1, 1, 1, *_renderer_options(setting)), seed=0)
+                self.run(Setting(1, 1, 1, *setting.renderer_options), seed=0)
             except SceneCaptumError as error:
                 if setting.resolution == self._own.resolution:
                     raise
                 raise SceneCaptumError(
                     f"{error} To vary the resolution, pass metric_for=, which creates the metric for a renderer."
                 ) from error
-
-    def require_memory(self, settings: Sequence[Setting]) -> None:
-        """Raise for settings that will not fit into memory, before the first run."""
         for setting in settings:
-            samples = max(setting.primal_spp, setting.gradient_spp)
-            spp = math.ceil(samples / setting.replicates)
+            spp = math.ceil(max(setting.primal_spp, setting.gradient_spp) / setting.replicates)
             require_memory(self._renderer_and_metric(setting)[0], [spp], setting.replicates)
 
     def _renderer_and_metric(self, setting: Setting) -> tuple[Any, Metric]:
-        key = _renderer_options(setting)
+        key, own = setting.renderer_options, self._own
         if key not in self._cache:
-            renderer, own = self._renderer, self._own
+            renderer = self._renderer
             replace = Capabilities(renderer).replace
-            if replace is not None and key != _renderer_options(own):
+            if replace is not None and key != own.renderer_options:
                 renderer = replace(
                     max_depth=setting.max_depth,
                     resolution=setting.resolution if setting.resolution != own.resolution else None,
@@ -221,10 +202,6 @@ class SettingRunner:
                 renderer = with_checkpoint(renderer, Capabilities(self._renderer).checkpoint)
             self._cache[key] = renderer, self._metric_for(renderer)
         return self._cache[key]
-
-
-def _renderer_options(setting: Setting) -> tuple[Any, ...]:
-    return setting.max_depth, setting.resolution, setting.integrator
 
 
 class SplitSamples:
@@ -249,25 +226,16 @@ class SplitSamples:
 
 @dataclass(frozen=True)
 class ReferenceGradient:
-    """The reference gradient to which runs are compared.
+    """The reference gradient to which runs are compared, in float64.
 
-    Attributes
-    ----------
-    attribution
-        The attribution of the reference.
-    gradient
-        ``(P,)``: the channel totals of all parameters, in float64.
-    noise
-        ``(rows, P)``: factor of the covariance of ``gradient``, which is ``noise.T @ noise``. A bias correction is
-        one of its rows: its whole size counts as error.
-    saliency, saliency_error
-        One value per parameter.
+    The covariance of the gradient is ``noise.T @ noise``. A bias correction is a row of ``noise``: its whole size
+    counts as error.
     """
 
     attribution: SceneAttribution
-    gradient: torch.Tensor
-    noise: torch.Tensor
-    saliency: torch.Tensor
+    gradient: torch.Tensor  # (P,): the channel totals of all parameters
+    noise: torch.Tensor  # (rows, P)
+    saliency: torch.Tensor  # one value per parameter
     saliency_error: torch.Tensor
 
     @classmethod

@@ -1,20 +1,30 @@
-"""``Tradeoff``: the result of ``measure``."""
+"""The result of ``measure``: cost and accuracy of settings, with their table, figure and recommendation."""
 
 from __future__ import annotations
 
 import csv
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..visualization import WIDTH, figure_of, new_figure
-from ._figure import draw, label
-from ._rows import Measured, Reference
-from ._statistics import Estimate
-from ._text import recommendation_text, reference_text, setting_text, table_lines
+from ..visualization import (
+    SMALL,
+    WIDTH,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    grid,
+    pack,
+    style_axes,
+    write_at,
+    write_header,
+)
+from ._settings import Setting
+from ._statistics import Bias, Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +32,87 @@ if TYPE_CHECKING:
 
 TOP = 5
 TOLERANCE = 0.05
+_NOTE_WIDTH = 96
+
+# Label, marker and colour (Okabe and Ito's) of each varied option in the figure, and the offset of its annotations
+# in points, chosen so that those of neighbouring settings do not overlap.
+_STYLES = {
+    "spp": ("spp", "o", "#0072B2", (0, 6)),
+    "primal_spp": ("spp of the primal", "^", "#56B4E9", (-6, 4)),
+    "gradient_spp": ("spp of the gradient", "v", "#009E73", (6, -9)),
+    "max_depth": ("depth", "s", "#D55E00", (6, 4)),
+    "resolution": ("resolution", "D", "#CC79A7", (-6, -10)),
+    "replicates": ("replicates", "P", "#E69F00", (0, -13)),
+    "integrator": ("integrator", "X", "#000000", (-6, 5)),
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Cost and accuracy of one setting.
+
+    Attributes
+    ----------
+    varied
+        The option that differs from the renderer's own setting; empty for the own setting.
+    setting
+        The complete setting.
+    seconds
+        Median time of one attribution.
+    relative_error
+        Root mean square over the runs of ``‖g − g_ref‖ / ‖g_ref‖``.
+    bias
+        ``‖mean(g) − g_ref‖ / ‖g_ref‖``, corrected for the noise of both.
+    spearman, kendall
+        Mean rank correlation with the reference over all parameters; Kendall's is τ-b.
+    kendall_resolved
+        Kendall's τ over the pairs that differ by more than two standard errors in the reference; NaN if none does.
+    top
+        Fraction of the reference's top five parameters that are among the top five.
+    """
+
+    varied: str
+    setting: Setting
+    seconds: float
+    relative_error: Estimate
+    bias: Bias
+    spearman: Estimate
+    kendall: Estimate
+    kendall_resolved: Estimate
+    top: Estimate
+
+    @property
+    def value_text(self) -> str:
+        """The value of the varied option; for the own setting, the setting."""
+        if not self.varied:
+            return str(self.setting)
+        value: Any = self.setting.primal_spp if self.varied == "spp" else getattr(self.setting, self.varied)
+        if self.varied == "max_depth" and value == -1:
+            return "unlimited"
+        return "×".join(map(str, value)) if self.varied == "resolution" else str(value)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Cost and accuracy of the reference.
+
+    Attributes
+    ----------
+    setting
+        Its setting.
+    seconds
+        Its time.
+    relative_error
+        Its standard error, relative to ``‖g_ref‖``.
+    kendall_of_halves
+        Kendall's τ-b between the rankings of the two halves of its replicates: higher correlations are not
+        meaningful.
+    """
+
+    setting: Setting
+    seconds: float
+    relative_error: float
+    kendall_of_halves: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,27 +166,37 @@ class Tradeoff:
 
     def recommendation(self, tolerance: float = TOLERANCE) -> str:
         """Return the recommended setting for a relative error of ``tolerance``, or why there is none."""
-        return recommendation_text(self.rows, self.cheapest(tolerance), tolerance)
+        best = self.cheapest(tolerance)
+        if best is not None:
+            return (
+                f"For an error of {_percent_of(tolerance)}: {best.setting} ({best.seconds:.2g} s), "
+                f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct."
+            )
+        closest = min(self.rows, key=lambda row: row.relative_error.value)
+        error, bias = closest.relative_error.value, closest.bias.value if closest.bias.significant else 0.0
+        start = f"No setting is within {_percent_of(tolerance)}: the best, {closest.setting},"
+        if bias >= tolerance:
+            return f"{start} has a bias of {_percent_of(bias)}, which more samples do not reduce."
+        # The error without bias is proportional to 1/√spp.
+        factor = ((error + closest.relative_error.error) ** 2 - bias**2) / (tolerance**2 - bias**2)
+        spp = math.ceil(factor * max(closest.setting.primal_spp, closest.setting.gradient_spp))
+        start += f" has an error of {_percent(*closest.relative_error)}"
+        return f"{start}; about {_round_up(spp)} spp should suffice."
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the relative error over the time, with one marker per setting and one style per varied option.
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the relative error over the time, into ``ax`` if given, with one marker style per varied option.
 
         The grey line is the Pareto front; the dashed line is the error of the reference itself.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
         """
-        if ax is None:
-            ax = new_figure(WIDTH, 4.6).add_subplot()
-        draw(ax, self.rows, self.front, self.reference)
-        remarks = [
+        ax = axes_or_new(ax, WIDTH, 4.6)
+        _draw(ax, self.rows, self.front, self.reference)
+        write_header(ax, f"Cost and accuracy: {self.metric}", columns=5)
+        notes = [
             "grey line: Pareto front",
-            f"dashed: error of the reference ({setting_text(self.reference.setting)})",
+            f"dashed: error of the reference ({self.reference.setting})",
             f"error bars: one standard error, from {self.runs} runs",
         ]
-        label(ax, f"Cost and accuracy: {self.metric}", remarks)
+        add_footnotes(ax, pack(notes, _NOTE_WIDTH), below=34)
         return figure_of(ax)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
@@ -122,8 +223,7 @@ class Tradeoff:
                 "runs": self.runs,
                 "seconds": row.seconds,
                 **_value_and_error("relative_error", row.relative_error),
-                "bias": row.bias.value,
-                "bias_error": row.bias.error,
+                **_value_and_error("bias", row.bias),
                 "bias_z": row.bias.z,
                 **_value_and_error("spearman", row.spearman),
                 **_value_and_error("kendall", row.kendall),
@@ -135,14 +235,33 @@ class Tradeoff:
 
     def text(self, tolerance: float = TOLERANCE) -> str:
         """Return the table, and the recommendation for a relative error of ``tolerance``."""
+        cells = [
+            (
+                f"  {row.varied.replace('_', ' ')} {row.value_text}" if row.varied else row.value_text,
+                f"{row.seconds:.3g}",
+                _percent(*row.relative_error),
+                _percent(row.bias.value, row.bias.error)
+                if row.bias.significant
+                else f"≤ {_percent_of(row.bias.upper_limit)}",
+                _correlation(row.spearman.value),
+                _correlation(row.kendall.value),
+                f"{100 * row.top.value:.0f} %",
+            )
+            for row in self.rows
+        ]
+        lines = grid(("", "seconds", "error", "bias", "Spearman", "Kendall", "top 5"), cells, right=True)
+        front = self.front
+        marks = ["", *("  *" if row in front else "" for row in self.rows)]
+        reference = self.reference
         return "\n".join(
             [
                 f"{self.scene}, {self.metric}: {self.parameters} parameters, {self.runs} runs of each setting",
                 "",
-                *table_lines(self.rows, self.front),
+                *map(str.__add__, lines, marks),
                 "",
                 "* on the Pareto front of time and error;  bias: ≤ upper limit where not significant",
-                reference_text(self.reference),
+                f"reference: {reference.setting}, relative error {_percent_of(reference.relative_error)}; "
+                f"rankings of its halves have Kendall's τ {_correlation(reference.kendall_of_halves)}",
                 self.recommendation(tolerance),
             ]
         )
@@ -153,5 +272,73 @@ class Tradeoff:
     __repr__ = __str__
 
 
-def _value_and_error(name: str, estimate: Estimate) -> dict[str, float]:
+def _value_and_error(name: str, estimate: Estimate | Bias) -> dict[str, float]:
     return {name: estimate.value, f"{name}_error": estimate.error}
+
+
+def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], reference: Reference) -> None:
+    """Draw the error over the time: a star for the first row, a marker for every other, and the Pareto front."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    style: dict[str, Any] = {"color": "0.7", "linewidth": 1.2, "drawstyle": "steps-post", "zorder": 1}
+    ax.plot(*zip(*((row.seconds, row.relative_error.value) for row in front), strict=True), **style)
+    _draw_points(ax, rows[:1], "*", "0.35", f"own: {rows[0].setting}", size=11)
+    for key, (name, marker, color, offset) in _STYLES.items():
+        varied = [row for row in rows if row.varied == key]
+        if varied:
+            _draw_points(ax, varied, marker, color, name)
+        for row in varied:
+            align = "right" if offset[0] < 0 else "left" if offset[0] > 0 else "center"
+            at = (row.seconds, row.relative_error.value)
+            style = {"ha": align, "fontsize": SMALL - 0.5, "color": color, "zorder": 4}
+            write_at(ax, row.value_text, at, offset, **style)
+    if reference.relative_error > 0:
+        ax.axhline(reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
+    ax.margins(x=0.12, y=0.1)
+    for axis, format_tick in ((ax.xaxis, lambda x, _: f"{x:g}"), (ax.yaxis, lambda y, _: f"{100 * y:g} %")):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(format_tick))
+        axis.set_minor_formatter(NullFormatter())
+    style_axes(ax, x="seconds", y="relative error of the gradient")
+
+
+def _draw_points(
+    ax: Axes, rows: Sequence[Measured], marker: str, color: str, name: str, *, size: float = 5.5
+) -> None:
+    errors = [row.relative_error for row in rows]
+    ax.errorbar(
+        [row.seconds for row in rows],
+        [error.value for error in errors],
+        yerr=[min(error.error, 0.9 * error.value) for error in errors],
+        fmt=marker,
+        markersize=size,
+        color=color,
+        elinewidth=1,
+        label=name,
+        zorder=3,
+    )
+
+
+def _percent(value: float, error: float) -> str:
+    """``'4.1 ± 0.3 %'``, with one digit of the error."""
+    value, error = 100 * value, 100 * error
+    if error == 0 or not math.isfinite(error):
+        return f"{value:.3g} %"
+    places = min(max(-math.floor(math.log10(error)), 0), 4)
+    return f"{value:.{places}f} ± {error:.{places}f} %"
+
+
+def _percent_of(value: float) -> str:
+    return f"{100 * value:.2g} %" if value < 0.995 else f"{100 * value:.0f} %"
+
+
+def _correlation(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.3f}"
+
+
+def _round_up(number: int) -> str:
+    """Round up to two significant digits."""
+    unit: int = 10 ** max(len(str(number)) - 2, 0)
+    return str(-(-number // unit) * unit)

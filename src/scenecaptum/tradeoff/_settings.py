@@ -11,6 +11,7 @@ from typing import Any
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES
 from ..protocols import Capabilities, Renderer
+from ..rendering import STOCK_INTEGRATORS
 
 KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
 
@@ -45,9 +46,28 @@ class Setting:
         return math.prod(self.resolution) if self.resolution else 0
 
     @property
+    def renderer_options(self) -> tuple[Any, ...]:
+        """The options that belong to the renderer."""
+        return self.max_depth, self.resolution, self.integrator
+
+    @property
     def depth(self) -> float:
         """The maximum depth, infinite if unlimited."""
         return math.inf if self.max_depth == -1 else self.max_depth or 0
+
+    def __str__(self) -> str:
+        """Return ``'64 spp, depth 6, 320×180'``."""
+        primal, gradient = self.primal_spp, self.gradient_spp
+        words = [f"{primal} spp" if primal == gradient else f"{primal} spp primal and {gradient} gradient"]
+        if self.max_depth is not None:
+            words.append("unlimited depth" if self.max_depth == -1 else f"depth {self.max_depth}")
+        if self.resolution is not None:
+            words.append("×".join(map(str, self.resolution)))
+        if self.replicates == 1:
+            words.append("1 replicate")
+        if self.integrator in STOCK_INTEGRATORS:
+            words.append(str(self.integrator))
+        return ", ".join(words)
 
     def changed(self, key: str, value: Any) -> Setting:
         """Return the setting with another ``value`` of ``key``; ``"spp"`` changes both primal and gradient."""
@@ -77,7 +97,7 @@ def default_values(renderer: Renderer, base: Setting, *, vary_resolution: bool) 
     """Return the options to vary by default and their values, as far as the renderer supports them."""
     spps = [max(base.primal_spp // 4, 1), 4 * base.primal_spp]
     vary: dict[str, list[Any]] = {"spp": spps}
-    if _has_gradient_spp(renderer):
+    if Capabilities(renderer).with_spp_grad is not None:
         vary |= {"primal_spp": spps, "gradient_spp": spps}
     vary["replicates"] = [1, 4 * DEFAULT_REPLICATES]
     if Capabilities(renderer).replace is not None:
@@ -97,7 +117,9 @@ def settings_of(
     settings = [("", base)]
     for key, values in vary.items():
         _check_key(renderer, key)
-        for value in _check_list(key, values):
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise SceneCaptumError(f"vary[{key!r}] must be a list of values, not {values!r}.")
+        for value in values:
             setting = base.changed(key, _check_value(key, value))
             if setting not in [known for _, known in settings]:
                 settings.append((key, setting))
@@ -118,10 +140,6 @@ def reference_setting(settings: Sequence[Setting], spp: int, replicates: int) ->
     )
 
 
-def _has_gradient_spp(renderer: Renderer) -> bool:
-    return Capabilities(renderer).with_spp_grad is not None
-
-
 def _check_key(renderer: Renderer, key: str) -> None:
     if key not in KEYS:
         raise SceneCaptumError(
@@ -131,17 +149,11 @@ def _check_key(renderer: Renderer, key: str) -> None:
         raise SceneCaptumError(
             f"Varying {key!r} needs a SceneRenderer: {type(renderer).__name__} has no replace()."
         )
-    if key in ("primal_spp", "gradient_spp") and not _has_gradient_spp(renderer):
+    if key in ("primal_spp", "gradient_spp") and Capabilities(renderer).with_spp_grad is None:
         raise SceneCaptumError(
             f"Varying {key!r} needs a renderer with spp_grad=, the samples per pixel of the backward pass: "
             f"{type(renderer).__name__} has none."
         )
-
-
-def _check_list(key: str, values: Any) -> list[Any]:
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise SceneCaptumError(f"vary[{key!r}] must be a list of values, not {values!r}.")
-    return list(values)
 
 
 def _check_value(key: str, value: Any) -> Any:

@@ -113,13 +113,6 @@ def _normal_deviate(ratio: float, numerator: float, denominator: float) -> float
     return z * (1 + 0.08 * z**4 / denominator**3)
 
 
-def spearman(a: torch.Tensor, b: torch.Tensor) -> float:
-    """Return Spearman's rank correlation, with mean ranks for ties; NaN if all values of one are tied."""
-    centred_a, centred_b = (_ranks(values) - (len(values) - 1) / 2 for values in (a, b))
-    size = float(centred_a.norm() * centred_b.norm())
-    return float(centred_a @ centred_b) / size if size else math.nan
-
-
 def kendall_of_resolved(values: torch.Tensor, reference: torch.Tensor, error: torch.Tensor) -> float:
     """Return Kendall's τ over the pairs that differ by over two standard errors in the reference; NaN for none."""
     differences = reference[:, None] - reference[None, :]
@@ -131,9 +124,3 @@ def top_agreement(a: torch.Tensor, b: torch.Tensor, count: int) -> float:
     """Return the fraction of the ``count`` largest elements that both rankings have in common."""
     top_a, top_b = (set(values.argsort(descending=True, stable=True)[:count].tolist()) for values in (a, b))
     return len(top_a & top_b) / count
-
-
-def _ranks(values: torch.Tensor) -> torch.Tensor:
-    below = (values[:, None] > values[None, :]).sum(1)
-    tied = (values[:, None] == values[None, :]).sum(1) - 1
-    return below.double() + tied.double() / 2

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import textwrap
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tqdm import tqdm
@@ -12,9 +14,24 @@ from tqdm import tqdm
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, student_t
 from ..protocols import Capabilities, Renderer
-from ._ablation_result import Ablated, AblationTest
+from ..ranks import kendall_tau_of_pairs
+from ..visualization import (
+    LOWERS,
+    RAISES,
+    UNCLEAR,
+    WIDTH,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    format_with_error,
+    grid,
+    name_rows,
+    shorten,
+    style_axes,
+    write_header,
+)
 from ._scenes import (
     MAX_STEP,
     MIN_STEP,
@@ -25,11 +42,24 @@ from ._scenes import (
     unit_gradient,
 )
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 # Reduce a step until the second-order term is at most this fraction of the slope.
 MAX_NONLINEARITY, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.2, 4.0, 6
-
 FIXED_STEP = 0.01  # of the gradient: the step of Beresna and Fiume
 MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself may be unphysical
+AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
+SIGNIFICANCE_LEVEL = 0.95  # confidence that a measurement differs from 0 or from another one
+DISAGREEMENT_LEVEL = 0.997  # confidence that prediction and measurement differ
+MIN_KENDALL_TAU = 0.95
+_NAME_WIDTH, _NOTE_WIDTH = 36, 90
+_OUTCOMES = {
+    RAISES: "measured: as predicted",
+    LOWERS: "measured: not as predicted",
+    UNCLEAR: "measured: below the noise",
+}
 
 
 def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its own
@@ -106,7 +136,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(
@@ -117,21 +147,11 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of a parameter along its gradient.
+    """A step of a parameter along its gradient."""
 
-    Attributes
-    ----------
-    direction
-        Gradient direction, of unit length over the channels; 0 for elements that stay.
-    length
-        Signed length, negative down the gradient.
-    share
-        Fraction of the saliency that belongs to the moving elements.
-    """
-
-    direction: torch.Tensor
-    length: float
-    share: float = 1.0
+    direction: torch.Tensor  # of unit length over the channels; 0 for elements that stay
+    length: float  # negative down the gradient
+    share: float = 1.0  # of the saliency that belongs to the moving elements
 
 
 def _choose_step(value: torch.Tensor, gradient: torch.Tensor, low: float, high: float) -> _Step:
@@ -186,3 +206,188 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
         fixed=fixed,
         fixed_error=fixed_error,
     )
+
+
+@dataclass(frozen=True)
+class Ablated:
+    """The effect of moving one parameter along its gradient.
+
+    Attributes
+    ----------
+    name, label
+        The parameter's name in the scene, and a readable one.
+    predicted, predicted_error
+        The saliency ``‖g‖``: the predicted slope of the metric along the gradient.
+    measured, measured_error
+        The measured slope, from renders at 0, half a step and a full step, with the second-order term removed.
+    step
+        Signed length of the step, negative down the gradient; in the parameter's unit, over its channels.
+    curvature
+        Second derivative along the gradient.
+    degrees_of_freedom
+        Of the standard errors.
+    fixed, fixed_error
+        Slope measured with the step of the paper, one hundredth of the gradient, down the gradient and inside the
+        bounds, including the second-order term; None where the parameter is at its bound.
+    """
+
+    name: str
+    label: str
+    predicted: float
+    predicted_error: float
+    measured: float
+    measured_error: float
+    step: float
+    curvature: float
+    degrees_of_freedom: int
+    fixed: float | None = None
+    fixed_error: float | None = None
+
+    @property
+    def noise(self) -> float:
+        """Half-width of the 95 % confidence interval of the measurement."""
+        return student_t(SIGNIFICANCE_LEVEL, self.degrees_of_freedom) * self.measured_error
+
+    @property
+    def above_noise(self) -> bool:
+        """Whether the measurement differs significantly from 0."""
+        return abs(self.measured) > self.noise
+
+    @property
+    def agrees(self) -> bool:
+        """Whether prediction and measurement agree within 10 % or within their errors (99.7 % confidence)."""
+        error = math.hypot(self.predicted_error, self.measured_error)
+        half_width = student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
+        allowed = max(AGREEMENT_TOLERANCE * self.predicted, half_width)
+        return abs(self.measured - self.predicted) <= allowed
+
+
+@dataclass(frozen=True, repr=False)
+class AblationTest:
+    """Result of ``ablation_test``; prints as a table.
+
+    Attributes
+    ----------
+    rows
+        One per parameter, in order of decreasing saliency.
+    metric
+        Name of the metric.
+    """
+
+    rows: tuple[Ablated, ...]
+    metric: str
+
+    @property
+    def kendall_tau(self) -> float | None:
+        """Rank correlation of predictions and measurements, from −1 to 1; None if no pair is resolved.
+
+        Only rows above the noise count, and of these only pairs whose predictions and measurements both differ
+        significantly.
+        """
+        rows = [row for row in self.rows if row.above_noise]
+        pairs = torch.zeros(len(rows), len(rows), dtype=torch.bool)
+        for a, b in itertools.combinations(range(len(rows)), 2):
+            pairs[a, b] = all(_is_resolved(rows[a], rows[b], field) for field in ("measured", "predicted"))
+        predicted, measured = [row.predicted for row in rows], [row.measured for row in rows]
+        tau = kendall_tau_of_pairs(predicted, measured, pairs)
+        return None if math.isnan(tau) else tau
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether all rows above the noise agree with their predictions, in size and in order."""
+        tau = self.kendall_tau
+        ordered = tau is None or tau >= MIN_KENDALL_TAU
+        return ordered and all(row.agrees for row in self.rows if row.above_noise)
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        measurable = [row for row in self.rows if row.above_noise]
+        agreeing = sum(row.agrees for row in measurable)
+        tau = (
+            "no resolved pair to rank" if self.kendall_tau is None else f"Kendall's τ {self.kendall_tau:.2f}"
+        )
+        return (
+            f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
+            f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
+            f"{tau}; {len(self.rows) - len(measurable)} below the noise"
+        )
+
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the predicted and the measured slope of the metric for each parameter, into ``ax`` if given.
+
+        Parameters are in order of decreasing saliency. Grey bars show the half-width of the 95 % confidence
+        interval of the measurement; crosses show the slope measured with the step of the paper, 0.01 of each
+        gradient.
+        """
+        ax = axes_or_new(ax, WIDTH, 1.7 + 0.24 * len(self.rows))
+        style_axes(ax, x=f"change of {self.metric} per unit of a step along the gradient")
+        _draw(ax, self.rows)
+        name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
+        write_header(ax, "Ablation test", columns=2)
+        add_footnotes(ax, textwrap.wrap(self.verdict, _NOTE_WIDTH), below=34)
+        return figure_of(ax)
+
+    def __str__(self) -> str:
+        names = shorten([row.label for row in self.rows], _NAME_WIDTH)
+        cells = [
+            (
+                name,
+                format_with_error(row.predicted, row.predicted_error),
+                format_with_error(row.measured, row.measured_error),
+                f"{row.step:.2g}",
+            )
+            for name, row in zip(names, self.rows, strict=True)
+        ]
+        lines = grid(("moved along its gradient", "predicted", "measured", "step"), cells, right=True)
+        remarks = ["", *(_remark(row) for row in self.rows)]
+        return "\n".join([*map(str.__add__, lines, remarks), "", self.verdict])
+
+    __repr__ = __str__
+
+
+def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
+    """Return whether a field of two rows differs significantly."""
+    error = math.hypot(getattr(a, f"{field}_error"), getattr(b, f"{field}_error"))
+    degrees = min(a.degrees_of_freedom, b.degrees_of_freedom)
+    return bool(abs(getattr(a, field) - getattr(b, field)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)
+
+
+def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:
+    ax.set_xscale("log")
+    # Bars on a logarithmic axis start at its lower limit, so the limit is set first.
+    lower = 0.5 * min(
+        value
+        for row in rows
+        for value in (row.predicted, row.noise or row.predicted, abs(row.fixed or row.predicted))
+    )
+    ax.set_xlim(lower, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
+    positions = range(len(rows))
+    lengths = [max(row.noise - lower, 0) for row in rows]
+    ax.barh(positions, lengths, left=lower, height=0.7, color="0.88", label="noise")
+    style: dict[str, Any] = {"marker": "D", "s": 34, "facecolors": "none", "edgecolors": "black", "zorder": 3}
+    ax.scatter([row.predicted for row in rows], positions, label="predicted: the saliency", **style)
+    fixed = {y: abs(row.fixed) for y, row in enumerate(rows) if row.fixed}
+    style = {"marker": "x", "s": 26, "linewidths": 1, "color": "0.45", "zorder": 2}
+    ax.scatter(
+        list(fixed.values()), list(fixed), label="measured with a step of 0.01 of the gradient", **style
+    )
+    style = {"fmt": "o", "markersize": 4, "elinewidth": 1.2, "capsize": 3, "zorder": 4}
+    for color, label in _OUTCOMES.items():
+        shown = {y: row for y, row in enumerate(rows) if _color(row) == color}
+        if shown:
+            values = [abs(row.measured) for row in shown.values()]
+            errors = [row.measured_error for row in shown.values()]
+            ax.errorbar(values, list(shown), xerr=errors, color=color, label=label, **style)
+
+
+def _color(row: Ablated) -> str:
+    if not row.above_noise:
+        return UNCLEAR
+    return RAISES if row.agrees else LOWERS
+
+
+def _remark(row: Ablated) -> str:
+    if not row.above_noise:
+        return "  below the noise"
+    return "" if row.agrees else "  not as predicted"

@@ -26,13 +26,14 @@ from ..estimation import (
     input_values,
 )
 from ..protocols import Capabilities, Renderer
-from ._dgsm_result import DGSM, GlobalDerivative
+from ..visualization import align_with_errors, format_with_error, grid, pluralize, shorten
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
 if TYPE_CHECKING:
     from ..attr import Result, Targets
 
 _REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
+_NAME_WIDTH, _MAX_ROWS = 34, 40
 
 
 def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
@@ -74,16 +75,11 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
         radiance of a lamp, an index of refraction), from 0.5 to 1.5 times the value.
     points
         Number of scenes to sample, from a scrambled Sobol sequence.
-    seed
-        Base seed; all other seeds are derived from it.
+    seed, checkpoint, show_progress
+        As for ``ablation_test``.
     spp
         Samples per pixel at each point, split over two replicates. Their difference estimates the noise, which is
         subtracted from the squared derivatives. The renderer's by default.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
-    show_progress
-        Whether to show a progress bar.
 
     Returns
     -------
@@ -123,21 +119,14 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
 class Derivatives:
     """Values and derivatives of a metric at sampled points, in float64.
 
-    Attributes
-    ----------
-    squares
-        ``(points, parameters)``: unbiased estimates of the squared derivative with respect to the position in the
-        interval; single estimates may be negative.
-    values, noise
-        ``(points,)``: the metric, and its variance from rendering.
-    renders
-        Renders and backward passes per point.
+    ``squares`` are unbiased estimates of the squared derivative with respect to the position in the interval; a
+    single one may be negative.
     """
 
-    squares: torch.Tensor
-    values: torch.Tensor
-    noise: torch.Tensor
-    renders: float
+    squares: torch.Tensor  # (points, parameters)
+    values: torch.Tensor  # (points,): the metric
+    noise: torch.Tensor  # (points,): its variance from rendering
+    renders: float  # and backward passes per point
     seconds: float
 
 
@@ -154,7 +143,9 @@ def sample_derivatives(
 ) -> list[Derivatives]:
     """Compute the derivatives of each metric at points of a Sobol sequence."""
     count = whole_number("points", points, 3)  # the jackknife needs a variance of one point less
-    positions = sobol_points(count, len(scalars), seed)
+    state = int(np.random.SeedSequence([seed, 5]).generate_state(1)[0])
+    sequence = torch.quasirandom.SobolEngine(len(scalars), scramble=True, seed=state)
+    positions = sequence.draw(count, dtype=torch.float64).numpy()
     watch = Stopwatch(renderer)
     total = None if spp is None else spp * count
     budget = Budget.split(total, _REPLICATES_PER_POINT * count, seed, count)
@@ -190,16 +181,7 @@ def interval_gradients(
 
 def render_count(adjoints: Adjoints) -> float:
     """Return the number of renders and backward passes of a gradient, weighted by their samples."""
-    bias_correction = 0.0 if adjoints.bias_adjoint is None else 1 / len(adjoints.per_replicate)
-    return 2.0 + bias_correction
-
-
-def sobol_points(count: int, dimensions: int, seed: int) -> np.ndarray:
-    """Return ``(count, dimensions)`` points of a scrambled Sobol sequence in the unit cube."""
-    state = int(np.random.SeedSequence([seed, 5]).generate_state(1)[0])
-    engine = torch.quasirandom.SobolEngine(dimensions, scramble=True, seed=state)
-    points: np.ndarray = engine.draw(count, dtype=torch.float64).numpy()
-    return points
+    return 2.0 if adjoints.bias_adjoint is None else 2.0 + 1 / len(adjoints.per_replicate)
 
 
 def _derivatives(
@@ -219,9 +201,20 @@ def _derivatives(
 def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], metric: str) -> DGSM:
     """Average over the points, with jackknife standard errors."""
     count = len(derivatives.values)
-    nu, nu_error = delete_one_jackknife(lambda kept: derivatives.squares[kept].mean(0), count)
-    bound, bound_error = _total_bound(derivatives)
-    variance, variance_error = delete_one_jackknife(lambda kept: _variance(derivatives, kept), count)
+
+    def mean_square(kept: torch.Tensor) -> torch.Tensor:
+        return derivatives.squares[kept].mean(0)
+
+    def metric_variance(kept: torch.Tensor) -> torch.Tensor:
+        return derivatives.values[kept].var() - derivatives.noise[kept].mean()
+
+    def upper_bound(kept: torch.Tensor) -> torch.Tensor:
+        variance = metric_variance(kept)
+        return torch.where(variance > 0, mean_square(kept) / (math.pi**2 * variance), torch.nan)
+
+    nu, nu_error = delete_one_jackknife(mean_square, count)
+    bound, bound_error = delete_one_jackknife(upper_bound, count)
+    variance, variance_error = delete_one_jackknife(metric_variance, count)
     rows = [
         GlobalDerivative(
             name=scalar.name,
@@ -246,16 +239,81 @@ def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], m
     )
 
 
-def _total_bound(derivatives: Derivatives) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return upper bounds of the total Sobol indices and their errors; NaN if the variance is below the noise."""
+@dataclass(frozen=True)
+class GlobalDerivative:
+    """Mean squared derivative with respect to one parameter.
 
-    def bound(kept: torch.Tensor) -> torch.Tensor:
-        variance = _variance(derivatives, kept)
-        mean = derivatives.squares[kept].mean(0)
-        return torch.where(variance > 0, mean / (math.pi**2 * variance), torch.nan)
+    Attributes
+    ----------
+    name, label
+        The parameter's name in the scene, and a readable one.
+    low, high
+        The interval in which the parameter was varied, in its unit.
+    nu, nu_error
+        ``ν = E[(∂M/∂θ)²]`` per unit of the parameter, squared.
+    bound, bound_error
+        ``(high − low)² ν / (π² Var M)``: upper bound of the total Sobol index. NaN if the variance of the metric
+        is below the noise.
+    """
 
-    return delete_one_jackknife(bound, len(derivatives.values))
+    name: str
+    label: str
+    low: float
+    high: float
+    nu: float
+    nu_error: float
+    bound: float
+    bound_error: float
 
 
-def _variance(derivatives: Derivatives, kept: torch.Tensor) -> torch.Tensor:
-    return derivatives.values[kept].var() - derivatives.noise[kept].mean()
+@dataclass(frozen=True, repr=False)
+class DGSM:
+    """Derivative-based global sensitivity of every parameter; prints as a table.
+
+    Attributes
+    ----------
+    rows
+        One per parameter, the largest first.
+    metric
+        Name of the metric.
+    variance, variance_error
+        Variance of the metric over the intervals.
+    points
+        Number of sampled scenes.
+    renders
+        Total number of renders and backward passes, in units of ``spp`` samples per pixel.
+    seconds
+        Wall-clock time.
+    """
+
+    rows: tuple[GlobalDerivative, ...]
+    metric: str
+    variance: float
+    variance_error: float
+    points: int
+    renders: float
+    seconds: float
+
+    def text(self, top: int | None = _MAX_ROWS) -> str:
+        """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
+        rows = self.rows[:top]
+        columns = {
+            "parameter": shorten([row.label for row in rows], _NAME_WIDTH),
+            "from": [f"{row.low:.3g}" for row in rows],
+            "to": [f"{row.high:.3g}" for row in rows],
+            "ν, per unit squared": align_with_errors([(row.nu, row.nu_error) for row in rows]),
+            "Sobol total at most": align_with_errors([(row.bound, row.bound_error) for row in rows]),
+        }
+        variance = format_with_error(self.variance, self.variance_error)
+        summary = (
+            f"{self.metric}: variance {variance} over the intervals, from gradients at {self.points} points "
+            f"({self.renders:g} renders and backward passes)"
+        )
+        hidden = len(self.rows) - len(rows)
+        more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
+        return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", summary])
+
+    def __str__(self) -> str:
+        return self.text()
+
+    __repr__ = __str__

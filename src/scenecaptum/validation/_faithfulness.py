@@ -27,14 +27,6 @@ from ._scenes import Scenes, denoise_of
 
 Tensors = Mapping[str, torch.Tensor]
 
-_GRADIENTS = ("gradient per unit", "mean gradient per unit")
-_NOT_CONTRIBUTIONS = (
-    *_GRADIENTS,
-    "gradient × range",
-    "mean squared gradient per unit",
-    "variance of the gradient per unit",
-)
-
 
 def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     renderer: Renderer,
@@ -72,15 +64,8 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
         from names, globs or kinds. Perturbed values are reflected at the bounds.
     n_perturb_samples
         Number of perturbed scenes.
-    seed
-        Base seed; all other seeds are derived from it.
-    spp
-        Samples per pixel of each scene, over all replicates; the renderer's by default.
-    replicates
-        Number of independent renders of each scene, at least 3.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
+    seed, spp, replicates, checkpoint
+        As for ``ablation_test``; at least 3 replicates.
 
     Returns
     -------
@@ -97,20 +82,17 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     Yeh et al., "On the (In)fidelity and Sensitivity of Explanations", NeurIPS 2019.
     """
     renderer = with_checkpoint(renderer, checkpoint)
-    options: dict[str, Any] = {
-        "seed": seed,
-        "spp": spp,
-        "replicates": whole_number("replicates", replicates, 3),
-    }
+    whole_number("replicates", replicates, 3)
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     if attribution is None:
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
-    if attribution.info.get("quantity") not in _GRADIENTS:
+    if "quantity" not in attribution.info or not attribution.kind.is_gradient_per_unit:
         raise SceneCaptumError(
             "infidelity needs gradients per unit, from VanillaSceneGradient or SmoothGradScene, not "
             f"{attribution.info.get('method', 'this')}'s attributions. Use sensitivity_n for those."
         )
     count = whole_number("n_perturb_samples", n_perturb_samples, 3)
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     values = {name: scenes.values[name] for name in parameters_of(attribution, scenes.values)}
     predicted, measured = [], []
     for perturbed in perturbations(renderer, values, stdevs, count, seed):
@@ -171,15 +153,8 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
         Numbers of parameters to delete together; by default up to six sizes from 1 to all but one.
     subsets
         Number of distinct subsets of each size; all subsets if there are fewer.
-    seed
-        Base seed; all other seeds are derived from it. All scenes are rendered with common random numbers.
-    spp
-        Samples per pixel of each scene, over all replicates; the renderer's by default.
-    replicates
-        Number of independent renders of each scene, at least 3.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
+    seed, spp, replicates, checkpoint
+        As for ``ablation_test``; at least 3 replicates.
 
     Returns
     -------
@@ -198,17 +173,10 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     ICLR 2018.
     """
     renderer = with_checkpoint(renderer, checkpoint)
-    options: dict[str, Any] = {
-        "seed": seed,
-        "spp": spp,
-        "replicates": whole_number("replicates", replicates, 3),
-    }
-    scenes = Scenes.split(renderer, metric, target, **options)
-    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, **options)
-    if len(deleted) < 3:
-        raise SceneCaptumError(
-            f"sensitivity_n needs at least 3 parameters that differ from their baselines, not {len(deleted)}."
-        )
+    whole_number("replicates", replicates, 3)
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
+    scenes = Scenes(renderer, metric, target, **options)
+    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 3, **options)
     sizes = _check_sizes(sizes, len(deleted))
     generator = np.random.default_rng([check_seed("seed", seed), 6])
     totals = {name: attribution[name].double().sum().item() for name in deleted}
@@ -235,20 +203,26 @@ def contributions(
     attribution: SceneAttribution | None,
     target: Target,
     baselines: Baselines,
+    at_least: int,
     **options: Any,
 ) -> tuple[SceneAttribution, dict[str, torch.Tensor]]:
     """Return an attribution of contributions, and the baselines of the parameters that differ from them."""
     if attribution is None:
         method = IntegratedGradientsScene(scenes.renderer, metric)
         attribution = method.attribute(target=target, baselines=baselines, **options)
-    if attribution.info.get("quantity", "contribution") in _NOT_CONTRIBUTIONS:
+    if "quantity" in attribution.info and not attribution.kind.is_contribution:
         raise SceneCaptumError(
-            f"{attribution.info['quantity'].capitalize()} has no baselines. Pass contributions, from "
+            f"{attribution.kind.value.capitalize()} has no baselines. Pass contributions, from "
             "IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene or InputXGradientScene."
         )
     resolved = resolve_baselines(scenes.renderer, scenes.values, baselines)
     names = parameters_of(attribution, scenes.values)
-    return attribution, {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
+    deleted = {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
+    if len(deleted) < at_least:
+        raise SceneCaptumError(
+            f"At least {at_least} parameters must differ from their baselines, not {len(deleted)}."
+        )
+    return attribution, deleted
 
 
 def measure_without(scenes: Scenes, baselines: Tensors, names: Sequence[str]) -> torch.Tensor:

@@ -6,13 +6,23 @@ import math
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from ..estimation import delete_one_jackknife
-from ..visualization import RAISES, TEXT, UNCLEAR, add_footnotes, figure_of, new_figure, shorten
-from ._drawing import means_and_errors, style_axes, table_lines, value_with_error
+from ..visualization import (
+    RAISES,
+    UNCLEAR,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    format_with_error,
+    grid,
+    shorten,
+    style_axes,
+)
+from ._scenes import mean_and_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,18 +75,36 @@ class Infidelity:
     def _with_error(self, statistic: Statistic) -> tuple[float, float]:
         return statistic_with_error(statistic, self.predicted, self.measured)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the measured against the predicted change of every perturbation, with the identity line.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
-        """
-        return _draw_infidelity(self, ax)
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the measured against the predicted change of every perturbation, into ``ax`` if given."""
+        ax = axes_or_new(ax, 4.2, 4.2)
+        ax.axline((0, 0), slope=1, color="0.75", linewidth=1, zorder=0)
+        means, errors = zip(*map(mean_and_error, self.measured), strict=True)
+        style: dict[str, Any] = {"fmt": "o", "markersize": 3, "elinewidth": 0.8, "alpha": 0.8}
+        ax.errorbar(self.predicted.tolist(), means, errors, color=RAISES, **style)
+        style_axes(
+            ax,
+            f"Infidelity {format_with_error(self.value, self.standard_error)}",
+            x="predicted change: perturbation × attribution",
+            y=f"measured change of {shorten([self.metric], _NAME_WIDTH)[0]}",
+        )
+        relative = format_with_error(100 * self.normalized, 100 * self.normalized_error)
+        add_footnotes(ax, [f"relative to the mean square change: {relative} %"], below=34)
+        return figure_of(ax)
 
     def __str__(self) -> str:
-        return _infidelity_text(self)
+        count, replicates = self.measured.shape
+        size = self.predicted.square().mean().sqrt().item()
+        relative = format_with_error(self.normalized, self.normalized_error)
+        lines = grid(
+            (f"infidelity of {self.method}", format_with_error(self.value, self.standard_error)),
+            [
+                ("relative to the mean square change", relative),
+                ("root mean square of the predicted changes", f"{size:.4g}"),
+            ],
+        )
+        header = f"{self.metric} under {count} perturbations, each in {replicates} replicates"
+        return "\n".join([header, "", *lines])
 
     __repr__ = __str__
 
@@ -122,18 +150,36 @@ class SensitivityN:
             for size, *pair in zip(self.sizes, self.predicted, self.measured, strict=True)
         ]
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Plot the correlation over the number of parameters deleted together.
-
-        Parameters
-        ----------
-        ax
-            Axes to draw into; by default those of a new figure.
-        """
-        return _draw_sensitivity_n(self, ax)
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the correlation over the number of parameters deleted together, into ``ax`` if given."""
+        ax = axes_or_new(ax, 4.6, 3.3)
+        for level in (0, 1):
+            ax.axhline(level, color="0.75", linewidth=1, zorder=0)
+        style: dict[str, Any] = {
+            "marker": "o",
+            "markersize": 4,
+            "capsize": 3,
+            "color": RAISES,
+            "ecolor": UNCLEAR,
+        }
+        ax.errorbar(self.sizes, self.correlations, self.standard_errors, **style)
+        lowest = min((value for value in self.correlations if not math.isnan(value)), default=0.0)
+        ax.set_ylim(-1.05 if lowest < 0 else -0.05, 1.08)
+        ax.set_xticks(self.sizes)
+        y = "Pearson correlation of\nsums and changes"
+        style_axes(ax, "Sensitivity-n", x="parameters deleted together", y=y)
+        add_footnotes(ax, textwrap.wrap(f"{self.method} for {self.metric}", 60), below=34)
+        return figure_of(ax)
 
     def __str__(self) -> str:
-        return _sensitivity_n_text(self)
+        written = [
+            "-" if math.isnan(value) else format_with_error(value, error)
+            for value, error in zip(self.correlations, self.standard_errors, strict=True)
+        ]
+        counts = [str(len(sums)) for sums in self.predicted]
+        rows = list(zip(map(str, self.sizes), counts, written, strict=True))
+        header = f"sensitivity-n of {self.method} for {self.metric}"
+        return "\n".join([header, "", *grid(("n", "subsets", "correlation"), rows)])
 
     __repr__ = __str__
 
@@ -176,72 +222,3 @@ def _pearson(predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
     both = torch.stack([predicted, measured.mean(1)])
     constant = (both.std(1) <= 1e-6 * both.abs().amax(1)).any()  # up to rounding
     return torch.where(constant, math.nan, torch.corrcoef(both)[0, 1])
-
-
-def _infidelity_text(found: Infidelity) -> str:
-    count, replicates = found.measured.shape
-    root_mean_square = found.predicted.square().mean().sqrt().item()
-    grid = [
-        (f"infidelity of {found.method}", value_with_error(found.value, found.standard_error)),
-        ("relative to the mean square change", value_with_error(found.normalized, found.normalized_error)),
-        ("root mean square of the predicted changes", f"{root_mean_square:.4g}"),
-    ]
-    header = f"{found.metric} under {count} perturbations, each in {replicates} replicates"
-    return "\n".join([header, "", *table_lines(grid)])
-
-
-def _draw_infidelity(found: Infidelity, ax: Axes | None) -> Figure:
-    if ax is None:
-        ax = new_figure(4.2, 4.2).add_subplot()
-    means, errors = zip(*means_and_errors(found.measured), strict=True)
-    predicted = found.predicted.tolist()
-    ax.axline((0, 0), slope=1, color="0.75", linewidth=1, zorder=0)
-    ax.errorbar(predicted, means, errors, fmt="o", markersize=3, color=RAISES, elinewidth=0.8, alpha=0.8)
-    ax.set_xlabel("predicted change: perturbation × attribution", fontsize=TEXT)
-    metric = shorten([found.metric], _NAME_WIDTH)[0]
-    ax.set_ylabel(f"measured change of {metric}", fontsize=TEXT, parse_math=False)
-    style_axes(ax, f"Infidelity {value_with_error(found.value, found.standard_error)}")
-    relative = value_with_error(100 * found.normalized, 100 * found.normalized_error)
-    note = f"relative to the mean square change: {relative} %"
-    add_footnotes(ax, [note], below=34)
-    return figure_of(ax)
-
-
-def _sensitivity_n_text(found: SensitivityN) -> str:
-    rows = zip(found.sizes, found.predicted, found.correlations, found.standard_errors, strict=True)
-    grid = [
-        ("n", "subsets", "correlation"),
-        *((str(size), str(len(sums)), _correlation(*pair)) for size, sums, *pair in rows),
-    ]
-    header = f"sensitivity-n of {found.method} for {found.metric}"
-    return "\n".join([header, "", *table_lines(grid)])
-
-
-def _draw_sensitivity_n(found: SensitivityN, ax: Axes | None) -> Figure:
-    if ax is None:
-        ax = new_figure(4.6, 3.3).add_subplot()
-    ax.axhline(1, color="0.75", linewidth=1, zorder=0)
-    ax.axhline(0, color="0.75", linewidth=1, zorder=0)
-    ax.errorbar(
-        found.sizes,
-        found.correlations,
-        found.standard_errors,
-        marker="o",
-        markersize=4,
-        capsize=3,
-        color=RAISES,
-        ecolor=UNCLEAR,
-    )
-    lowest = min((value for value in found.correlations if not math.isnan(value)), default=0.0)
-    ax.set_ylim(-1.05 if lowest < 0 else -0.05, 1.08)
-    ax.set_xticks(found.sizes)
-    ax.set_xlabel("parameters deleted together", fontsize=TEXT)
-    ax.set_ylabel("Pearson correlation of\nsums and changes", fontsize=TEXT)
-    style_axes(ax, "Sensitivity-n")
-    note = f"{found.method} for {found.metric}"
-    add_footnotes(ax, textwrap.wrap(note, 60), below=34)
-    return figure_of(ax)
-
-
-def _correlation(value: float, error: float) -> str:
-    return "-" if math.isnan(value) else value_with_error(value, error)

@@ -28,19 +28,12 @@ Direction = Mapping[str, torch.Tensor]
 class Stencil:
     """A finite-difference stencil for the slope of a function along a direction, at 0.
 
-    Attributes
-    ----------
-    offsets
-        Where the function is evaluated, in units of the direction.
-    weights
-        Weights of these values in the slope.
-    lower_order
-        Weights of a formula of lower order; the difference of both slopes estimates the truncation error.
+    The difference from the slope by a formula of lower order estimates the truncation error.
     """
 
-    offsets: tuple[float, ...]
-    weights: tuple[float, ...]
-    lower_order: tuple[float, ...]
+    offsets: tuple[float, ...]  # where the function is evaluated, in units of the direction
+    weights: tuple[float, ...]  # of these values in the slope
+    lower_order: tuple[float, ...]  # weights of the formula of lower order
 
     @property
     def length(self) -> float:
@@ -78,8 +71,10 @@ def hessian_vector_product(
     rendered with common random numbers. The steps are at most a tenth of each parameter's physical range and half
     the distance to its bounds, shorter where the metric is strongly non-linear, and one-sided at a bound.
 
-    Example ------- Luminance is linear in the radiance ``L`` of a lamp, so ``L`` times the derivative of its
-    gradients with respect to ``L`` is these gradients themselves:
+    Example
+    -------
+    Luminance is linear in a lamp's radiance ``L``, so ``L`` times the derivative of its gradients with respect to
+    ``L`` is these gradients themselves:
 
     >>> from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
     >>> renderer = SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(16, 16), spp=16)
@@ -96,15 +91,8 @@ def hessian_vector_product(
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     direction
         A tensor for each parameter that moves, broadcastable to its shape.
-    seed
-        Base seed; all other seeds are derived from it.
-    spp
-        Samples per pixel of each of the four scenes, over all replicates; the renderer's by default.
-    replicates
-        Minimum number of independent replicates; their spread gives the standard errors.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
+    seed, spp, replicates, checkpoint
+        As for ``ablation_test``; ``spp`` is that of each of the four scenes.
 
     Returns
     -------
@@ -117,11 +105,12 @@ def hessian_vector_product(
     SceneCaptumError
         If the direction names no parameter, is 0 or not finite, or leads out of the bounds both ways.
 
-    Notes ----- If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the
-    noise cancels and the errors are larger.
+    Notes
+    -----
+    If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the noise cancels.
     """
     renderer = with_checkpoint(renderer, checkpoint)
-    scenes = Scenes.split(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
+    scenes = Scenes(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
     options = {"seed": seed, "spp": spp, "replicates": replicates}
     return product_of(scenes, direction, scenes.values, **options)
 
@@ -209,40 +198,36 @@ def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:
             measured.new_tensor(weights) @ measured for weights in (stencil.weights, stencil.lower_order)
         )
         truncation, error = mean_and_error(slope - lower_order)
-        tolerance = MAX_TRUNCATION_ERROR * abs(slope.mean().item())
-        if abs(truncation) <= max(tolerance, 2 * error, _rounding_error(scenes, stencil)):
+        # Single precision; pseudo-values multiply its error by their number.
+        size = scenes.unmodified.mean().abs().item() * len(scenes.seeds)
+        rounding = size * torch.finfo(torch.float32).eps * sum(map(abs, stencil.weights))
+        if abs(truncation) <= max(MAX_TRUNCATION_ERROR * abs(slope.mean().item()), 2 * error, rounding):
             break
         step /= STEP_REDUCTION
     return stencil
 
 
 def max_steps(scenes: Scenes, direction: Direction) -> tuple[float, float]:
-    """Return the longest steps along and against a direction; 0 if a parameter is at its bound."""
-    return _max_step(scenes, direction, 1), _max_step(scenes, direction, -1)
+    """Return the longest steps along and against a direction; 0 if a parameter is at its bound.
 
-
-def _rounding_error(scenes: Scenes, stencil: Stencil) -> float:
-    """Return the error of a slope from single precision, which pseudo-values multiply by their number."""
-    size = scenes.unmodified.mean().abs().item() * len(scenes.seeds)
-    return size * torch.finfo(torch.float32).eps * sum(map(abs, stencil.weights))
+    A step is a tenth of the smallest range, at most half the distance to a bound, which may be unphysical.
+    """
+    lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
+    bounds = Capabilities(scenes.renderer).bounds or {}
+    longest = {1: math.inf, -1: math.inf}
+    for name, tangent in direction.items():
+        low, high = bounds.get(name, (-math.inf, math.inf))
+        length = MAX_STEP * lengths[name].item() / tangent.abs().max().item()
+        for sign, step in longest.items():
+            distance = distances_to_bounds(scenes.values[name], sign * tangent, low, high).min().item()
+            longest[sign] = min(step, length, max(0.0, 0.5 * distance))
+    return longest[1], longest[-1]
 
 
 def _moved(
     values: Mapping[str, torch.Tensor], direction: Direction, offset: float
 ) -> dict[str, torch.Tensor]:
     return {name: values[name] + offset * tangent for name, tangent in direction.items()}
-
-
-def _max_step(scenes: Scenes, direction: Direction, sign: int) -> float:
-    """Return a tenth of the smallest range, at most half the distance to a bound, which may be unphysical."""
-    lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
-    bounds = Capabilities(scenes.renderer).bounds or {}
-    steps = []
-    for name, tangent in direction.items():
-        low, high = bounds.get(name, (-math.inf, math.inf))
-        distance = distances_to_bounds(scenes.values[name], sign * tangent, low, high).min().item()
-        steps += [MAX_STEP * lengths[name].item() / tangent.abs().max().item(), 0.5 * distance]
-    return max(0.0, min(steps))
 
 
 def _check_direction(direction: Direction, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
+import math
+import textwrap
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient, ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, student_t
 from ..protocols import Renderer
+from ..visualization import (
+    SMALL,
+    TEXT,
+    TITLE,
+    Format,
+    add_footnotes,
+    axes_or_new,
+    figure_of,
+    grid,
+    name_rows,
+    shorten,
+)
 from ._hessian import max_steps, product_of
-from ._interactions_result import HessianScale, Interactions
 from ._scenes import Scenes, denoise_of, unit_gradient
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIGNIFICANCE_LEVEL = 0.95  # of the confidence interval of each interaction
+SYMMETRY_LEVEL = 0.99  # of the simultaneous confidence intervals of all pairs
+HessianScale = Literal["unit", "range"]
+_NAME_WIDTH, _NOTE_WIDTH = 28, 90
+_CELL = 0.72  # inches
+_WHITE_TEXT_ABOVE = 0.6  # of the largest value
+_KEY = "0.0123(4) is 0.0123 ± 0.0004; ? marks values that are not significantly different from 0"
 
 
 def interactions(  # noqa: PLR0913 -- the options of every check, and its own
@@ -58,15 +84,8 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     scale
         ``"unit"``: per unit of both parameters. ``"range"``: times the physical ranges of both, which makes an
         albedo and a radiance comparable; an infinite range is replaced by the parameter's largest value.
-    seed
-        Base seed; all other seeds are derived from it. All scenes are rendered with common random numbers.
-    spp
-        Samples per pixel of each scene, over all replicates; the renderer's by default.
-    replicates
-        Minimum number of independent replicates; their spread gives the standard errors.
-    checkpoint
-        Folder that stores every finished replicate. A killed job resumes from it when it is started again with
-        the same arguments.
+    seed, spp, replicates, checkpoint
+        As for ``ablation_test``.
 
     Returns
     -------
@@ -87,7 +106,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
     if attribution.info.get("scale") != "unit":
         raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
-    scenes = Scenes.split(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     uphill = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
     directions = {name: u for name, u in uphill.items() if max(max_steps(scenes, {name: u})) > 0}
@@ -127,3 +146,164 @@ def _shared_error(
         return rounding
     bias = _slopes({name: channel_totals(product.bias[name])[None] for name in directions}, directions)[0]
     return torch.hypot(bias, rounding)
+
+
+@dataclass(frozen=True, repr=False)
+class Interactions:
+    """Second derivatives between parameters, each along its own gradient; prints as a table.
+
+    Attributes
+    ----------
+    names, labels
+        The parameters, in order of decreasing saliency.
+    replicates
+        ``(replicates, P, P)`` float64. Row ``p``, column ``q``: derivative of the slope along ``q`` with respect
+        to a step of ``p``.
+    shared_error
+        ``(P, P)``: the error that all replicates share, from the bias correction and from rounding.
+    steps
+        The largest step of each parameter, in its own unit.
+    metric, scale
+        Name of the metric, and ``"unit"`` or ``"range"``.
+    left_out
+        Labels of salient parameters that cannot move either way: textures with texels at both bounds.
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    replicates: torch.Tensor
+    shared_error: torch.Tensor
+    steps: tuple[float, ...]
+    metric: str
+    scale: HessianScale
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> torch.Tensor:
+        """``(P, P)``: rows are moved, columns are differentiated; symmetric up to errors."""
+        return self.replicates.mean(0)
+
+    @property
+    def matrix(self) -> torch.Tensor:
+        """``(P, P)``, symmetric: the mean of both orders."""
+        return (self.measured + self.measured.T) / 2
+
+    @property
+    def standard_error(self) -> torch.Tensor:
+        """Standard error of ``matrix``, ``(P, P)``."""
+        both = (self.replicates + self.replicates.mT) / 2
+        return torch.hypot(_standard_error(both), (self.shared_error + self.shared_error.T) / 2)
+
+    @property
+    def asymmetry(self) -> torch.Tensor:
+        """``(P, P)``: ``measured`` minus its transpose, in standard errors."""
+        difference = self.replicates - self.replicates.mT
+        shared = torch.hypot(self.shared_error, self.shared_error.T)
+        error = torch.hypot(_standard_error(difference), shared)
+        return torch.nan_to_num(difference.mean(0) / error)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether no pair is significantly asymmetric, by simultaneous 99 % confidence intervals."""
+        pairs = max(1, math.comb(len(self.names), 2))
+        limit = student_t(1 - (1 - SYMMETRY_LEVEL) / pairs, len(self.replicates) - 1)
+        return bool(self.asymmetry.abs().max() <= limit)
+
+    @property
+    def significant(self) -> torch.Tensor:
+        """``(P, P)`` bool: whether the 95 % confidence interval of an element of ``matrix`` excludes 0."""
+        limit = student_t(SIGNIFICANCE_LEVEL, len(self.replicates) - 1)
+        return self.matrix.abs() > limit * self.standard_error
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        count = len(self.names)
+        upper = torch.triu_indices(count, count)
+        significant = int(self.significant[upper[0], upper[1]].sum())
+        worst = self.asymmetry.abs().max().item()
+        symmetric = "symmetric within its errors" if self.is_symmetric else "not symmetric within its errors"
+        left_out = f"; left out, being at both bounds: {', '.join(self.left_out)}" if self.left_out else ""
+        return (
+            f"{significant} of {upper.shape[1]} second derivatives of {self.metric} differ from 0; the matrix is "
+            f"{symmetric} (largest difference {worst:.1f} standard errors){left_out}"
+        )
+
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Plot the matrix, into ``ax`` if given: red where parameters strengthen each other's effect, else blue.
+
+        Each cell shows its value with the error of the last digits in brackets; grey cells do not differ
+        significantly from 0.
+        """
+        count = len(self.names)
+        width = 2.6 + _CELL * max(count, 4)
+        ax = axes_or_new(ax, width, 1.7 + 0.55 * _CELL * max(count, 3))
+        matrix, significant = self.matrix, self.significant
+        largest = matrix.abs().max().item() or 1.0
+        # Masked elements show the grey background.
+        masked = matrix.masked_fill(~significant, math.nan)
+        ax.set_facecolor("0.92")
+        shown = ax.imshow(masked.numpy(), cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto")
+        for (row, column), text in self._formatted().items():
+            strong = significant[row, column] and matrix[row, column].abs() > _WHITE_TEXT_ABOVE * largest
+            color = "white" if strong else "black" if significant[row, column] else "0.45"
+            ax.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=color)
+        # Columns have numbers only: names would have to be vertical.
+        ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=TEXT)
+        name_rows(ax, [f"{name}  {k}" for k, name in enumerate(shorten(self.labels, _NAME_WIDTH), 1)])
+        ax.set_ylim(count - 0.5, -0.5)
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
+        bar.ax.tick_params(labelsize=SMALL)
+        bar.outline.set_visible(False)
+        title = textwrap.fill(f"Interactions: {self._heading}", 16 + 9 * count)
+        ax.set_title(title, loc="left", fontsize=TITLE, parse_math=False)
+        note = f"{self.verdict}. Grey: not significantly different from 0."
+        add_footnotes(ax, textwrap.wrap(note, int(width * _NOTE_WIDTH / 7.2)), below=22)
+        return figure_of(ax)
+
+    def __str__(self) -> str:
+        significant, formatted = self.significant, self._formatted()
+        numbers = [str(number) for number in range(1, len(self.names) + 1)]
+        rows = [
+            [
+                f"{number} {name}",
+                *(
+                    formatted[row, column] + ("" if significant[row, column] else "?")
+                    if column >= row
+                    else ""
+                    for column in range(len(numbers))
+                ),
+            ]
+            for row, (number, name) in enumerate(zip(numbers, shorten(self.labels, _NAME_WIDTH), strict=True))
+        ]
+        lines = grid(["", *numbers], rows, right=True)
+        return "\n".join([self._heading, "", *lines, "", _KEY, self.verdict])
+
+    __repr__ = __str__
+
+    @property
+    def _heading(self) -> str:
+        unit = "per unit of either" if self.scale == "unit" else "over the range of either"
+        return f"second derivatives of {self.metric} {unit}"
+
+    def _formatted(self) -> dict[tuple[int, int], str]:
+        indices = range(len(self.names))
+        matrix, errors = self.matrix, self.standard_error
+        return {(p, q): _concise(matrix[p, q].item(), errors[p, q].item()) for p in indices for q in indices}
+
+
+def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
+    return replicates.std(0) / math.sqrt(len(replicates))
+
+
+def _concise(value: float, error: float) -> str:
+    """Format a value with the error of its last digits in brackets, ``'0.0123(4)'``."""
+    style = Format.of(value, error)
+    number, decimals = style.write(value), style.place
+    if error == 0:
+        return number
+    head, mark, exponent = number.partition("e")
+    digits = round(error * 10.0**decimals) if decimals > 0 else style._replace(exponent=0).write(error)
+    return f"{head}({digits}){mark}{exponent}"

@@ -69,7 +69,8 @@ def find_scalars(
                 f"{key!r} matches none of the {len(values)} inputs.{near_misses(key, values)}"
             )
     selected = [n for n in values if parameters is None or any(fnmatchcase(n, key) for key in parameters)]
-    return [_scalar(renderer, name, values[name], _given_interval(name, given)) for name in selected]
+    matching = {n: given.get(n, next((given[k] for k in given if fnmatchcase(n, k)), None)) for n in selected}
+    return [_scalar(renderer, name, values[name], interval) for name, interval in matching.items()]
 
 
 def values_at(scalars: Sequence[Scalar], positions: Sequence[float] | np.ndarray) -> dict[str, torch.Tensor]:
@@ -85,12 +86,6 @@ def point_at(scalars: Sequence[Scalar], values: Values, positions: Sequence[floa
 def position_factors(scalars: Sequence[Scalar]) -> dict[str, torch.Tensor]:
     """Return the factors whose product with a gradient sums to the derivative with respect to the position."""
     return {scalar.name: scalar.pattern * scalar.length for scalar in scalars}
-
-
-def _given_interval(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
-    if name in bounds:
-        return bounds[name]
-    return next((interval for key, interval in bounds.items() if fnmatchcase(name, key)), None)
 
 
 def _scalar(renderer: Renderer, name: str, value: torch.Tensor, given: tuple[float, float] | None) -> Scalar:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -34,17 +34,19 @@ class Scenes:
     ----------
     renderer, metric, target
         As for ``VanillaSceneGradient``.
-    values
-        Parameter values of the unmodified scene.
-    seeds
-        One seed per replicate.
+    seed
+        Base seed; each replicate has a seed of its own.
     spp
-        Samples per pixel of each replicate; None for the renderer's default.
+        Samples per pixel of every scene, split over the replicates; the renderer's by default.
+    replicates
+        Number of independent renders of each scene, at least 2.
     denoise
         As for ``VanillaSceneGradient``; decided once, on the unmodified scene.
 
     Attributes
     ----------
+    values
+        Parameter values of the unmodified scene.
     metric
         The metric with its target and image transform.
     unmodified
@@ -56,39 +58,22 @@ class Scenes:
         renderer: Renderer,
         metric: Metric,
         target: Target,
-        values: Mapping[str, torch.Tensor],
-        seeds: Sequence[int],
-        spp: int | None,
-        *,
-        denoise: Denoise = "auto",
-    ) -> None:
-        self.renderer = renderer
-        self.values = values
-        self.seeds = seeds
-        self.spp = spp
-        require_memory(renderer, [spp], len(seeds))
-        targeted, images = TargetedMetric(metric, target), self._images({})
-        (self.metric,) = with_image_transform([targeted], list(images), TransformSelector(denoise, renderer))
-        self.unmodified = self._pseudo_values(images)
-
-    @classmethod
-    def split(
-        cls,
-        renderer: Renderer,
-        metric: Metric,
-        target: Target,
         *,
         seed: int,
         spp: int | None,
         replicates: int,
         denoise: Denoise = "auto",
-    ) -> Scenes:
-        """Split the samples per pixel of every scene, the renderer's by default, over the replicates."""
-        values = input_values(renderer, None)
+    ) -> None:
+        self.renderer = renderer
+        self.values = input_values(renderer, None)
         spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
-        seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
-        return cls(renderer, metric, target, values, seeds, spp and math.ceil(spp / count), denoise=denoise)
+        self.seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
+        self.spp = spp and math.ceil(spp / count)
+        require_memory(renderer, [self.spp], count)
+        targeted, images = TargetedMetric(metric, target), self._images({})
+        (self.metric,) = with_image_transform([targeted], list(images), TransformSelector(denoise, renderer))
+        self.unmodified = self._pseudo_values(images)
 
     def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         values = {**self.values, **changes}

@@ -6,7 +6,6 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,10 +37,7 @@ if TYPE_CHECKING:
 RESOLVED = 2.0  # standard errors between two ranks that count as distinct
 _MIN_SAMPLES = 2  # of any kind, for an error estimate
 _GRID_LEVELS = 4  # of Morris's design
-_CONFIDENCE, _HALF_WIDTH = (
-    0.95,
-    1.959964,
-)  # level of SALib's intervals, and their half-width in standard errors
+_CONFIDENCE, _HALF_WIDTH = 0.95, 1.959964  # of SALib's intervals: level, and half-width in standard errors
 _BOOTSTRAP_RESAMPLES = 200
 
 
@@ -128,11 +124,11 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
     morris = _morris(black_box, whole_number("trajectories", trajectories, _MIN_SAMPLES), top)
     sobol, sampled = _sobol(black_box, base_samples, top)
     bounded = [_dgsm(*pair, scalars, top) for pair in zip(derivatives, sampled, strict=True)]
-    methods = zip(local, bounded, morris, sobol, strict=True)
-    results = [
-        _comparison(scalars, of_metric, TargetedMetric(metric, m.target).name)
-        for of_metric, m in zip(methods, metrics, strict=True)
-    ]
+    results = []
+    for k, one in enumerate(metrics):
+        order = np.argsort([-value for value in sobol[k].values.values()], kind="stable")
+        ordered, name = tuple(scalars[i] for i in order), TargetedMetric(metric, one.target).name
+        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], name))
     return results if isinstance(target, list) else results[0]
 
 
@@ -227,32 +223,22 @@ def _morris(black_box: _BlackBox, trajectories: int, top: int) -> list[Sensitivi
     from SALib.analyze import morris as analysis
     from SALib.sample import morris
 
-    watch = Stopwatch(black_box.renderer)
     design = morris.sample(
         black_box.problem, trajectories, num_levels=_GRID_LEVELS, seed=black_box.salib_seed(1)
     )
-    renders_per_sample = len(black_box.scalars) + 1
-    evaluated = black_box.evaluate(design, "Morris")
-    seconds = watch.seconds
 
-    def analyse(values: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
-        result = analysis.analyze(
+    def analyse(values: np.ndarray, resamples: int) -> Any:
+        return analysis.analyze(
             black_box.problem,
-            design[: count * renders_per_sample],
-            values[: count * renders_per_sample],
+            design[: len(values)],
+            values,
             num_resamples=resamples,
             conf_level=_CONFIDENCE,
             num_levels=_GRID_LEVELS,
             seed=black_box.salib_seed(2),
         )
-        return np.asarray(result["mu_star"], float), np.asarray(result["mu_star_conf"], float)
 
-    return [
-        _sampling_index(
-            "Morris μ*", black_box, partial(analyse, values), trajectories, renders_per_sample, top, seconds
-        )
-        for values in evaluated
-    ]
+    return _sampling_indices("Morris μ*", "mu_star", black_box, design, analyse, trajectories, top)[0]
 
 
 def _sobol(black_box: _BlackBox, base_samples: int, top: int) -> tuple[list[SensitivityIndex], np.ndarray]:
@@ -260,53 +246,52 @@ def _sobol(black_box: _BlackBox, base_samples: int, top: int) -> tuple[list[Sens
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol
 
-    watch = Stopwatch(black_box.renderer)
     design = sobol.sample(
         black_box.problem, base_samples, calc_second_order=False, seed=black_box.salib_seed(3)
     )
-    renders_per_sample = len(black_box.scalars) + 2
-    evaluated = black_box.evaluate(design, "Sobol")
-    seconds = watch.seconds
 
-    def analyse(values: np.ndarray, count: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
-        result = analysis.analyze(
+    def analyse(values: np.ndarray, resamples: int) -> Any:
+        return analysis.analyze(
             black_box.problem,
-            values[: count * renders_per_sample],
+            values,
             calc_second_order=False,
             num_resamples=resamples,
             conf_level=_CONFIDENCE,
             seed=black_box.salib_seed(4),
         )
-        return np.asarray(result["ST"], float), np.asarray(result["ST_conf"], float)
 
-    indices = [
-        _sampling_index(
-            "Sobol total", black_box, partial(analyse, values), base_samples, renders_per_sample, top, seconds
-        )
-        for values in evaluated
-    ]
-    rows = evaluated.reshape(len(evaluated), base_samples, renders_per_sample)
+    indices, evaluated = _sampling_indices("Sobol total", "ST", black_box, design, analyse, base_samples, top)
+    rows = evaluated.reshape(len(evaluated), base_samples, -1)
     return indices, np.concatenate([rows[..., 0], rows[..., -1]], axis=1)
 
 
-def _sampling_index(
+def _sampling_indices(
     method: str,
+    key: str,
     black_box: _BlackBox,
-    analyse: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
+    design: np.ndarray,
+    analyse: Callable[[np.ndarray, int], Any],
     count: int,
-    renders_per_sample: int,
     top: int,
-    seconds: float,
-) -> SensitivityIndex:
-    """Analyse all samples, and the first 2, 3, ... of them to see when the ranking becomes stable."""
-    running = np.full((count, len(black_box.scalars)), np.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the first few samples may all be equal
-        for k in range(_MIN_SAMPLES, count + 1):
-            running[k - 1], _ = analyse(k, _MIN_SAMPLES)
-    running[-1], half_widths = analyse(count, _BOOTSTRAP_RESAMPLES)
-    errors = half_widths / _HALF_WIDTH
-    return _index(method, black_box.scalars, running, errors, renders_per_sample, top, seconds)
+) -> tuple[list[SensitivityIndex], np.ndarray]:
+    """Evaluate a design of ``count`` samples; analyse all, and the first 2, 3, ... to see when ranks are stable.
+
+    ``analyse`` returns SALib's results, of which ``key`` is the index, for the first values of the design.
+    """
+    watch = Stopwatch(black_box.renderer)
+    evaluated = black_box.evaluate(design, method)
+    seconds, renders = watch.seconds, len(design) // count
+    indices = []
+    for values in evaluated:
+        running = np.full((count, len(black_box.scalars)), np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the first few samples may all be equal
+            for k in range(_MIN_SAMPLES, count + 1):
+                running[k - 1] = analyse(values[: k * renders], _MIN_SAMPLES)[key]
+        found = analyse(values, _BOOTSTRAP_RESAMPLES)
+        running[-1], errors = found[key], np.asarray(found[f"{key}_conf"]) / _HALF_WIDTH
+        indices.append(_index(method, black_box.scalars, running, errors, renders, top, seconds))
+    return indices, evaluated
 
 
 def _index(
@@ -346,14 +331,6 @@ def _samples_until_stable(running: np.ndarray, top: int) -> int:
     while count > _MIN_SAMPLES and sets[count - 2] == sets[-1]:
         count -= 1
     return count
-
-
-def _comparison(
-    scalars: Sequence[Scalar], methods: tuple[SensitivityIndex, ...], metric: str
-) -> SensitivityComparison:
-    local, derivatives, morris, sobol = methods
-    ordered = tuple(sorted(scalars, key=lambda scalar: -sobol.values[scalar.name]))
-    return SensitivityComparison(ordered, local, derivatives, morris, sobol, metric)
 
 
 def _power_of_two(count: int) -> int:

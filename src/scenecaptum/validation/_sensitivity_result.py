@@ -2,32 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from ..ranks import kendall_tau
 from ..visualization import (
+    DEFAULT_TOP,
     RAISES,
     SMALL,
     TEXT,
     TITLE,
     UNCLEAR,
     WIDTH,
+    align_with_errors,
     figure_of,
+    first,
+    grid,
+    name_rows,
     new_figure,
     pluralize,
     shorten,
+    style_axes,
 )
-from ._drawing import aligned_with_errors, table_lines
 from ._scalars import Scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
-_NAME_WIDTH, _MAX_ROWS, _MAX_BARS = 34, 40, 15
+_NAME_WIDTH, _MAX_ROWS = 34, 40
 _AXIS_WORDS = {
     "gradient × range": "change of the metric",
     "DGSM bound": "fraction of its variance",
@@ -113,23 +118,61 @@ class SensitivityComparison:
             for a, b in combinations(self.methods, 2)
         }
 
-    def plot(self, figure: Any = None, *, top: int | None = _MAX_BARS) -> Figure:
+    def plot(self, top: int | None = DEFAULT_TOP, *, figure: Figure | SubFigure | None = None) -> Figure:
         """Plot the sensitivity of every parameter with two standard errors, one panel per method, and the costs.
 
         The bars of each method's most sensitive parameters are blue.
 
         Parameters
         ----------
-        figure
-            A matplotlib ``Figure`` or ``SubFigure`` to draw into; by default a new one.
         top
             Number of parameters, by total Sobol index; None for all.
+        figure
+            Figure or subfigure to draw into; by default a new one.
         """
-        return _draw(self, top, figure)
+        shown = first(self.parameters, top)
+        part: Any = figure or new_figure(WIDTH + 1.4, 1.3 + 0.2 * len(shown))
+        axes = part.subplots(1, len(self.methods), sharey=True)
+        for ax, method in zip(axes, self.methods, strict=True):
+            _draw_index(ax, method, [scalar.name for scalar in shown])
+        name_rows(axes[0], shorten([scalar.label for scalar in shown], _NAME_WIDTH), SMALL)
+        title = f"Sensitivity of {self.metric}, the top {len(self.sobol.top)} of each method in blue"
+        part.suptitle(title, fontsize=TITLE, parse_math=False)
+        return figure_of(part)
 
     def text(self, top: int | None = _MAX_ROWS) -> str:
         """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
-        return _text(self, top)
+        shown, size = self.parameters[:top], len(self.sobol.top)
+        hidden = len(self.parameters) - len(shown)
+        more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
+        costs = [
+            f"Kendall's τ with {self.sobol.method}",
+            f"ranks {size} and {size + 1} resolved",
+            f"renders until the top {size} is stable",
+            "renders in total",
+            "seconds",
+        ]
+        columns = [
+            ("parameter", *shorten([scalar.label for scalar in shown], _NAME_WIDTH), *more, "", *costs)
+        ]
+        for method in self.methods:
+            values = align_with_errors([(method.values[s.name], method.errors[s.name]) for s in shown])
+            marks = (" *" if scalar.name in method.top else "  " for scalar in shown)
+            marked = map(str.__add__, values, marks)
+            columns.append((method.method, *marked, *([""] * len(more)), "", *self._cost(method)))
+        headers, *rows = zip(*columns, strict=True)
+        note = f"{self.metric}; * the top {size} of each method; a backward pass counts as a render"
+        return "\n".join([*grid(headers, rows), "", note])
+
+    def _cost(self, method: SensitivityIndex) -> list[str]:
+        tau = self.agreement.get((method.method, self.sobol.method))
+        return [
+            "" if tau is None else f"{tau:.2f}".replace("-", "−"),
+            "yes" if method.resolved else "tied",
+            f"{method.renders_until_stable:.4g}" if method.stable else f"> {method.renders:.4g}",
+            f"{method.renders:.5g}",
+            f"{method.seconds:.3g}",
+        ]
 
     def __str__(self) -> str:
         return self.text()
@@ -137,76 +180,16 @@ class SensitivityComparison:
     __repr__ = __str__
 
 
-def _text(found: SensitivityComparison, top: int | None) -> str:
-    shown = found.parameters[:top]
-    names = [scalar.name for scalar in shown]
-    hidden = len(found.parameters) - len(shown)
-    more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
-    size = len(found.sobol.top)
-    labels = [
-        *more,
-        "",
-        f"Kendall's τ with {found.sobol.method}",
-        f"ranks {size} and {size + 1} resolved",
-        f"renders until the top {size} is stable",
-        "renders in total",
-        "seconds",
-    ]
-    table = [("parameter", *shorten([scalar.label for scalar in shown], _NAME_WIDTH), *labels)]
-    for method in found.methods:
-        values = aligned_with_errors([(method.values[name], method.errors[name]) for name in names])
-        marked = [
-            f"{value}{' *' if name in method.top else '  '}"
-            for name, value in zip(names, values, strict=True)
-        ]
-        table.append((method.method, *marked, *([""] * len(more)), "", *_cost(found, method)))
-    note = f"{found.metric}; * the top {size} of each method; a backward pass counts as a render"
-    return "\n".join([*table_lines(list(zip(*table, strict=True))), "", note])
-
-
-def _draw(found: SensitivityComparison, top: int | None, figure: Any) -> Figure:
-    shown = found.parameters[:top]
-    if figure is None:
-        figure = new_figure(WIDTH + 1.4, 1.3 + 0.2 * len(shown))
-    axes = figure.subplots(1, len(found.methods), sharey=True)
-    for ax, method in zip(axes, found.methods, strict=True):
-        _draw_index(ax, method, [scalar.name for scalar in shown])
-    axes[0].set_yticks(
-        range(len(shown)), shorten([scalar.label for scalar in shown], _NAME_WIDTH), fontsize=SMALL
-    )
-    for label in axes[0].get_yticklabels():
-        label.set_parse_math(False)
-    axes[0].invert_yaxis()
-    title = f"Sensitivity of {found.metric}, the top {len(found.sobol.top)} of each method in blue"
-    figure.suptitle(title, fontsize=TITLE, parse_math=False)
-    return figure_of(axes[0])
-
-
-def _draw_index(ax: Axes, method: SensitivityIndex, names: Sequence[str]) -> None:
+def _draw_index(ax: Axes, method: SensitivityIndex, names: list[str]) -> None:
     values = [method.values[name] for name in names]
-    colors = [RAISES if name in method.top else UNCLEAR for name in names]
     errors = [2 * method.errors[name] for name in names]
+    colors = [RAISES if name in method.top else UNCLEAR for name in names]
     ax.barh(range(len(names)), values, height=0.7, color=colors)
     ax.errorbar(values, range(len(names)), xerr=errors, fmt="none", ecolor="black", elinewidth=0.8)
     ax.set_xlim(0, 1.08 * max(value + error for value, error in zip(values, errors, strict=True)) or 1)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.tick_params(axis="y", length=0)
-    ax.tick_params(axis="x", labelsize=SMALL)
     ax.locator_params(axis="x", nbins=3)
-    ax.set_title(method.method, fontsize=TEXT, loc="left")
     stable = f"top {len(method.top)} stable after" if method.stable else "not stable after"
-    renders = (
-        f"{method.renders_until_stable:.3g} renders" if method.stable else f"{method.renders:.4g} renders"
-    )
-    ax.set_xlabel(f"{_AXIS_WORDS[method.method]}\n\n{stable}\n{renders}", fontsize=SMALL)
-
-
-def _cost(found: SensitivityComparison, method: SensitivityIndex) -> list[str]:
-    tau = found.agreement.get((method.method, found.sobol.method))
-    return [
-        "" if tau is None else f"{tau:.2f}".replace("-", "−"),
-        "yes" if method.resolved else "tied",
-        f"{method.renders_until_stable:.4g}" if method.stable else f"> {method.renders:.4g}",
-        f"{method.renders:.5g}",
-        f"{method.seconds:.3g}",
-    ]
+    renders = f"{method.renders_until_stable:.3g}" if method.stable else f"{method.renders:.4g}"
+    style_axes(ax, method.method, size=TEXT)
+    ax.set_xlabel(f"{_AXIS_WORDS[method.method]}\n\n{stable}\n{renders} renders", fontsize=SMALL)
+    ax.tick_params(axis="y", length=0)

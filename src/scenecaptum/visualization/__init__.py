@@ -19,6 +19,7 @@ __all__ = [
 ]
 
 from ._bars import plot_bars as plot_bars
+from ._figures import DEFAULT_TOP as DEFAULT_TOP
 from ._figures import LOWERS as LOWERS
 from ._figures import RAISES as RAISES
 from ._figures import SMALL as SMALL
@@ -27,9 +28,15 @@ from ._figures import TITLE as TITLE
 from ._figures import UNCLEAR as UNCLEAR
 from ._figures import WIDTH as WIDTH
 from ._figures import add_footnotes as add_footnotes
+from ._figures import axes_or_new as axes_or_new
 from ._figures import color_of as color_of
 from ._figures import figure_of as figure_of
+from ._figures import first as first
+from ._figures import name_rows as name_rows
 from ._figures import new_figure as new_figure
+from ._figures import style_axes as style_axes
+from ._figures import write_at as write_at
+from ._figures import write_header as write_header
 from ._layout import grid as grid
 from ._layout import group_by_text as group_by_text
 from ._layout import html_cells as html_cells
@@ -40,9 +47,10 @@ from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
 from ._numbers import Format as Format
 from ._numbers import align_decimals as align_decimals
+from ._numbers import align_with_errors as align_with_errors
 from ._numbers import columns as columns
 from ._numbers import cut as cut
-from ._numbers import pad as pad
+from ._numbers import format_with_error as format_with_error
 from ._numbers import shorten as shorten
 from ._numbers import with_error as with_error
 from ._ranks import plot_rank_comparison as plot_rank_comparison

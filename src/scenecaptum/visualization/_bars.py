@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..errors import SceneCaptumError
 from ._figures import (
+    DEFAULT_TOP,
     LOWERS,
     RAISES,
     SIGNS,
@@ -21,7 +21,12 @@ from ._figures import (
     color_of,
     figure_of,
     figure_title,
+    first,
+    name_rows,
     new_figure,
+    style_axes,
+    write_at,
+    write_header,
 )
 from ._numbers import shorten
 from ._text import (
@@ -46,7 +51,7 @@ _NAME_WIDTH = 36
 _MAX_NAMES = 6
 
 
-def plot_bars(attribution: Attribution, top: int | None = 15, ax: Axes | None = None) -> Figure:
+def plot_bars(attribution: Attribution, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None) -> Figure:
     """Plot the ranking as horizontal bars of saliency with standard errors, the most salient on top.
 
     The colour of a bar and the sign at its end show whether raising the parameter raises or lowers the metric or,
@@ -62,10 +67,9 @@ def plot_bars(attribution: Attribution, top: int | None = 15, ax: Axes | None = 
     ax
         Axes to draw into; by default those of a new figure.
     """
-    rows = top_rows(attribution, top)
+    rows = first(attribution.ranking(), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
-    inaccurate = [any(row.name in names for names in cautions.values()) for row in rows]
-    legend = bar_legend(attribution, rows, any(inaccurate))
+    legend = bar_legend(attribution, rows)
     # Up to a third of the width is for the names.
     width = 0.67 * WIDTH if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE))
@@ -75,31 +79,25 @@ def plot_bars(attribution: Attribution, top: int | None = 15, ax: Axes | None = 
         points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
         ax = new_figure(WIDTH, 0.7 + 1.4 * points / 72 + 0.21 * max(len(rows), 2)).add_subplot()
 
-    draw_bars(ax, attribution, rows, inaccurate, name_width=_NAME_WIDTH)
-    ax.set_xlabel("\n".join(axis), fontsize=TEXT, parse_math=False)
-    _write_header(ax, title, legend)
+    style_axes(ax, x="\n".join(axis))
+    draw_bars(ax, attribution, rows, name_width=_NAME_WIDTH)
+    write_header(ax, title, handles=legend, size=TEXT)
     add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
     return figure_of(ax)
-
-
-def top_rows(attribution: Attribution, top: int | None) -> Sequence[RankedParameter]:
-    """Return the ``top`` rows of a ranking, or all for None."""
-    if top is not None and top < 1:
-        raise SceneCaptumError(f"top must be at least 1, or None for all parameters, not {top!r}.")
-    return attribution.ranking(top)
 
 
 def draw_bars(
     ax: Axes,
     attribution: Attribution,
     rows: Sequence[RankedParameter],
-    inaccurate: Sequence[bool],
     *,
     name_width: int,
+    size: float = TEXT,
 ) -> None:
     """Draw the bars, error bars and signs, and write the names."""
     positions = range(len(rows))
     colors = [color_of(row, attribution) for row in rows]
+    inaccurate = _inaccurate(attribution, rows)
     lengths, errors = [row.saliency for row in rows], [row.saliency_error for row in rows]
     bars = ax.barh(positions, lengths, height=0.7, color=colors)
     for bar, hatched in zip(bars, inaccurate, strict=True):
@@ -107,47 +105,26 @@ def draw_bars(
             bar.set(hatch=_HATCH, edgecolor="white", linewidth=0)
     known = [error for error in errors if error is not None]
     if known:
-        text_color = ax.xaxis.label.get_color()
-        ax.errorbar(
-            lengths, positions, xerr=known, fmt="none", ecolor=text_color, elinewidth=1.0, capsize=2.5
-        )
+        style: dict[str, Any] = {"fmt": "none", "elinewidth": 1.0, "capsize": 2.5}
+        ax.errorbar(lengths, positions, xerr=known, ecolor=ax.xaxis.label.get_color(), **style)
     if sign_labels(attribution) is not None:
-        ends = [length + (error or 0.0) for length, error in zip(lengths, errors, strict=True)]
-        signs = [SIGNS[color] if row.saliency else "0" for color, row in zip(colors, rows, strict=True)]
-        _write_signs(ax, ends, signs)
-    _write_names(ax, rows, inaccurate, name_width)
-
-
-def _write_signs(ax: Axes, ends: Sequence[float], signs: Sequence[str]) -> None:
-    colors = {sign: color for color, sign in SIGNS.items()}
-    for position, (end, sign) in enumerate(zip(ends, signs, strict=True)):
-        ax.annotate(
-            sign,
-            (end, position),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            color=colors.get(sign, UNCLEAR),
-            fontsize=TEXT,
-            fontweight="bold",
-        )
-
-
-def _write_names(ax: Axes, rows: Sequence[RankedParameter], inaccurate: Sequence[bool], width: int) -> None:
-    names = shorten([row.label for row in rows], width)
-    marked = [f"! {name}" if mark else name for name, mark in zip(names, inaccurate, strict=True)]
-    ax.set_yticks(range(len(rows)), marked, fontsize=TEXT)
-    for label in ax.get_yticklabels():
-        label.set_parse_math(False)  # names may contain $
-    ax.set_ylim(len(rows) - 0.4, -0.6)
+        for position, (row, color) in enumerate(zip(rows, colors, strict=True)):
+            end = row.saliency + (row.saliency_error or 0.0)
+            sign, ink = (SIGNS[color], color) if row.saliency else ("0", UNCLEAR)
+            write_at(ax, sign, (end, position), (4, 0), va="center", color=ink, fontweight="bold")
+    names = shorten([row.label for row in rows], name_width)
+    name_rows(ax, [f"! {name}" if mark else name for name, mark in zip(names, inaccurate, strict=True)], size)
     ax.margins(x=0.08)
-    ax.set_xlim(left=0, right=None if any(row.saliency for row in rows) else 1)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.tick_params(axis="y", length=0)
-    ax.tick_params(axis="x", labelsize=TEXT)
+    ax.set_xlim(left=0, right=None if any(lengths) else 1)
 
 
-def bar_legend(attribution: Attribution, rows: Iterable[RankedParameter], has_inaccurate: bool) -> list[Any]:
+def _inaccurate(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[bool]:
+    """Return whether the derivative of each row is known to be inaccurate."""
+    cautions = attribution.info.get("cautions") or {}
+    return [row.name in cautions for row in rows]
+
+
+def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[Any]:
     """Return legend entries for the colours of these rows' bars; bars of length 0 have none."""
     from matplotlib.patches import Patch
 
@@ -161,27 +138,11 @@ def bar_legend(attribution: Attribution, rows: Iterable[RankedParameter], has_in
             UNCLEAR: "channels disagree, or sign lost in the noise",
         }
     entries = [Patch(color=color, label=text) for color, text in meanings.items() if color in present]
-    if has_inaccurate:
+    if any(_inaccurate(attribution, rows)):
         entries.append(
             Patch(facecolor=UNCLEAR, edgecolor="white", hatch=_HATCH, label="! known to be inaccurate")
         )
     return entries
-
-
-def _write_header(ax: Axes, title: str, legend: Sequence[Any]) -> None:
-    """Write the title and, between it and the bars, the legend."""
-    if legend:
-        ax.legend(
-            handles=legend,
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
-            borderaxespad=0.2,
-            borderpad=0,
-            fontsize=TEXT,
-            frameon=False,
-        )
-    padding = 8 + 1.45 * TEXT * len(legend)
-    ax.set_title(title, loc="left", fontsize=TITLE, pad=padding, parse_math=False)
 
 
 def _footnotes(
@@ -191,18 +152,8 @@ def _footnotes(
     width: int,
 ) -> list[str]:
     """Return the footnotes in lines of at most ``width`` characters."""
-    lines = pack(_notes(attribution, rows), width)
-    for text, names in cautions.items():
-        labels = shorten([attribution.labels.get(name, name) for name in names[:_MAX_NAMES]], _NAME_WIDTH)
-        more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
-        lines.append(f"! {text} ({', '.join([*labels, *more])})")
-    lines += [f"! {text}" for text in scene_cautions(attribution)]
-    return [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]
-
-
-def _notes(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
     hidden = len(attribution) - len(rows)
-    parts = [
+    notes = [
         *sampling_notes(attribution),
         *convergence_notes(attribution),
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
@@ -210,4 +161,10 @@ def _notes(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[st
         "" if any(row.saliency for row in rows) else "all saliencies are 0",
         f"{pluralize(hidden, 'less salient parameter')} not shown" if hidden > 0 else "",
     ]
-    return [part for part in parts if part]
+    lines = pack([note for note in notes if note], width)
+    for text, names in cautions.items():
+        labels = shorten([attribution.labels.get(name, name) for name in names[:_MAX_NAMES]], _NAME_WIDTH)
+        more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
+        lines.append(f"! {text} ({', '.join([*labels, *more])})")
+    lines += [f"! {text}" for text in scene_cautions(attribution)]
+    return [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]

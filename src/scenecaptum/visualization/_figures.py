@@ -1,4 +1,4 @@
-"""What all figures share: creation, colours, titles and footnotes."""
+"""What all figures share: creation, colours, axes, titles and footnotes."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ import io
 import textwrap
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from ..errors import whole_number
 from ._text import METRIC_WIDTH, method_name, metric_line, sign_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.text import Annotation
 
     from ..protocols import Attribution, RankedParameter
+
+T = TypeVar("T")
 
 # Okabe and Ito's blue and vermillion: safe for colour-blind readers, on white and on black.
 RAISES, LOWERS, UNCLEAR = "#0072B2", "#D55E00", "#8C8C8C"
@@ -22,6 +26,7 @@ SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 
 WIDTH = 7.2  # text width of a page in inches
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
+DEFAULT_TOP = 15  # parameters in a figure
 _DOTS_PER_INCH = 150
 _CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
 
@@ -37,10 +42,26 @@ def new_figure(width: float, height: float, **options: Any) -> Figure:
     return figure
 
 
-def figure_of(ax: Axes) -> Figure:
-    """Return the figure of axes, also of axes in a subfigure."""
-    part: Any = ax.figure
-    return part.figure  # type: ignore[no-any-return]
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def axes_or_new(ax: Axes | None, width: float, height: float) -> Axes:
+    """Return the given axes, or those of a new figure of this size in inches."""
+    return new_figure(width, height).add_subplot() if ax is None else ax
+
+
+def figure_of(part: Axes | SubFigure) -> Figure:
+    """Return the figure of axes or of a subfigure, also of axes in a subfigure."""
+    parent: Any = part.figure
+    return parent.figure  # type: ignore[no-any-return]
+
+
+def first(rows: Sequence[T], top: int | None) -> Sequence[T]:
+    """Return the first ``top`` rows, or all for None; raise if ``top`` is less than 1."""
+    return rows if top is None else rows[: whole_number("top", top)]
 
 
 def color_of(row: RankedParameter, attribution: Attribution) -> str:
@@ -65,22 +86,56 @@ def figure_title(attribution: Attribution, width: int) -> str:
     return "\n".join(textwrap.wrap(value, width) + textwrap.wrap(f"({method})", width))
 
 
+def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:
+    """Write the title and the labels, and remove two sides of the frame."""
+    if title:
+        ax.set_title(title, loc="left", fontsize=size, parse_math=False)
+    ax.set_xlabel(x, fontsize=TEXT, parse_math=False)
+    ax.set_ylabel(y, fontsize=TEXT, parse_math=False)
+    ax.tick_params(labelsize=SMALL)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def name_rows(ax: Axes, names: Sequence[str], size: float = TEXT) -> None:
+    """Write names, which may contain $, beside rows, the first on top."""
+    ax.set_yticks(range(len(names)), names, fontsize=size)
+    for label in ax.get_yticklabels():
+        label.set_parse_math(False)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+
+
+def write_header(
+    ax: Axes, title: str, *, handles: Sequence[Any] | None = None, columns: int = 1, size: float = SMALL
+) -> None:
+    """Write the title and, between it and the axes, a legend of ``handles``, by default of all with a label."""
+    entries = ax.get_legend_handles_labels()[0] if handles is None else handles
+    if entries:
+        ax.legend(
+            handles=entries,
+            loc="lower left",
+            bbox_to_anchor=(0, 1),
+            borderaxespad=0.2,
+            borderpad=0 if columns == 1 else None,
+            ncols=columns,
+            columnspacing=1.2,
+            handletextpad=0.5,
+            fontsize=size,
+            frameon=False,
+        )
+    lines = -(-len(entries) // columns)
+    ax.set_title(title, loc="left", fontsize=TITLE, pad=8 + 1.5 * size * lines, parse_math=False)
+
+
+def write_at(
+    ax: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **style: Any
+) -> Annotation:
+    """Write a text some points away from a place in the axes."""
+    options = {"fontsize": TEXT, "parse_math": False, **style}
+    return ax.annotate(text, at, xytext=offset, textcoords="offset points", **options)
+
+
 def add_footnotes(ax: Axes, lines: Sequence[str], *, below: float) -> None:
     """Write lines ``below`` points below the axes."""
-    ax.annotate(
-        "\n".join(lines),
-        (0, 0),
-        xycoords=("axes fraction", "axes fraction"),
-        xytext=(0, -below),
-        textcoords="offset points",
-        va="top",
-        fontsize=SMALL,
-        alpha=0.75,
-        parse_math=False,
-    )
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    text = "\n".join(lines)
+    write_at(ax, text, (0, 0), (0, -below), xycoords="axes fraction", va="top", fontsize=SMALL, alpha=0.75)

@@ -12,13 +12,14 @@ from collections.abc import Iterable, Sequence
 from ._numbers import columns, pad
 
 
-def grid(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the headers and rows as lines with aligned columns."""
+def grid(headers: Sequence[str], rows: Sequence[Sequence[str]], *, right: bool = False) -> list[str]:
+    """Return the headers and rows as lines with aligned columns; with ``right`` only the first is on the left."""
     widths = [max(map(columns, column)) for column in zip(headers, *rows, strict=True)]
-    widths[-1] = 0  # no padding after the last column
     return [
-        "  ".join(pad(cell, width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in (headers, *rows)
+        "  ".join(
+            [pad(name, widths[0]), *(pad(c, w, right=right) for c, w in zip(cells, widths[1:], strict=True))]
+        ).rstrip()
+        for name, *cells in (headers, *rows)
     ]
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
-from ..projection import heatmap
+from ..projection import DECADES, DEFAULT_SCALE, MapScale, heatmap, scaled
 from ._figures import (
     LOWERS,
     RAISES,
@@ -20,7 +19,7 @@ from ._figures import (
     figure_title,
     new_figure,
 )
-from ._numbers import shorten, with_error
+from ._numbers import format_with_error, shorten
 from ._text import noise_notes, sign_labels
 from ._tonemap import display_image
 
@@ -29,21 +28,13 @@ if TYPE_CHECKING:
     import torch
     from matplotlib.axes import Axes
     from matplotlib.colorbar import Colorbar
-    from matplotlib.colors import Colormap, Normalize
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
     from ..protocols import Attribution
 
-ColorScale = Literal["sqrt", "linear", "log"]
-
 _SCALES = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
-_TICKS = {
-    "sqrt": [0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1],
-    "linear": [0.2, 0.4, 0.6, 0.8, 1],
-    "log": [0.001, 0.01, 0.1, 1],
-}
-_LOG_MINIMUM = 1e-3  # lower end of the logarithmic scale
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
 _MAX_HEIGHT = 4.0
 _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
@@ -51,10 +42,10 @@ _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
 
 def plot_heatmap(
     attribution: Attribution,
-    ax: Axes | None = None,
     *,
+    ax: Axes | None = None,
     signed: bool = False,
-    scale: ColorScale = "sqrt",
+    scale: MapScale = DEFAULT_SCALE,
     **options: Any,
 ) -> Figure:
     """Plot the render and the saliency map side by side.
@@ -68,42 +59,36 @@ def plot_heatmap(
     signed
         Show signed values on a diverging colour scale, in the colours of the bars, instead of magnitudes.
     scale
-        Colour scale: square root, linear or logarithmic. Saliencies often span orders of magnitude; on a linear
-        scale all but a few lamps may be black.
+        Scale of the map, ``"sqrt"``, ``"linear"`` or ``"log"``, as for ``projection.heatmap``.
     options
-        Options of ``projection.heatmap``: ``parameter``, ``maximum``, ``texels`` and ``surfaces``.
+        Other options of ``projection.heatmap``: ``parameter``, ``decades``, ``maximum``, ``texels``, ``surfaces``.
 
     Raises
     ------
     SceneCaptumError
         If the attribution has no image, or no map of the surfaces in it.
     """
-    check_scale(scale)
-    heat = heatmap_array(attribution, signed=signed, **options)
+    heat = heatmap(attribution, signed=signed, scale=scale, **options)
     title = _map_title(attribution, signed, scale, options, _width(ax, heat, 2))
-    if ax is not None:
-        mapped = draw_map(ax, heat, signed=signed, scale=scale)
-        ax.set_title(title, fontsize=TEXT, parse_math=False)
-        draw_colorbar(mapped, scale, signed, ax=ax)
-        return figure_of(ax)
-
-    render = displayed_render(attribution).numpy()
-    figure, (left, right), bar = _panels(attribution, heat, 2, title)
-    left.imshow(render)
-    left.set_title("render", fontsize=TEXT)
-    mapped = draw_map(right, heat, signed=signed, scale=scale)
-    right.set_title(title, fontsize=TEXT, parse_math=False)
-    draw_colorbar(mapped, scale, signed, cax=bar)
-    return figure
+    bar = None
+    if ax is None:
+        render = _displayed_render(attribution)
+        left, ax, bar = _panels(attribution, heat, 2, title)
+        left.imshow(render)
+        left.set_title("render", fontsize=TEXT)
+    mapped = draw_map(ax, heat, signed=signed)
+    ax.set_title(title, fontsize=TEXT, parse_math=False)
+    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), ax=ax, cax=bar)
+    return figure_of(ax)
 
 
 def plot_overlay(
     attribution: Attribution,
-    ax: Axes | None = None,
     *,
+    ax: Axes | None = None,
     alpha: float = 0.8,
     signed: bool = False,
-    scale: ColorScale = "sqrt",
+    scale: MapScale = DEFAULT_SCALE,
     **options: Any,
 ) -> Figure:
     """Plot the saliency map as an overlay on the grey render.
@@ -126,76 +111,54 @@ def plot_overlay(
     """
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must be between 0 and 1, not {alpha!r}.")
-    check_scale(scale)
-    heat = heatmap_array(attribution, signed=signed, **options)
-    grey = displayed_render(attribution).mean(-1).numpy()
+    heat = heatmap(attribution, signed=signed, scale=scale, **options)
+    grey = _displayed_render(attribution).mean(-1)
     title = _map_title(attribution, signed, scale, options, _width(ax, heat, 1))
+    bar = None
     if ax is None:
-        figure, (ax,), bar = _panels(attribution, heat, 1, title)
-        location: dict[str, Any] = {"cax": bar}
-    else:
-        figure, location = figure_of(ax), {"ax": ax}
+        ax, bar = _panels(attribution, heat, 1, title)
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
-    mapped = draw_map(ax, heat, signed=signed, scale=scale, alpha=alpha)
-    draw_colorbar(mapped, scale, signed, **location)
-    return figure
+    mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
+    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), ax=ax, cax=bar)
+    return figure_of(ax)
 
 
-def draw_map(
-    ax: Axes, heat: np.ndarray[Any, Any], *, signed: bool, scale: ColorScale, alpha: float | None = None
-) -> AxesImage:
+def draw_map(ax: Axes, heat: torch.Tensor, *, signed: bool, alpha: float | None = None) -> AxesImage:
     """Draw a map; with ``alpha`` the opacity increases with the value, up to ``alpha``."""
-    norm, colormap = _norm(scale, signed), diverging() if signed else "inferno"
-    opacity = None
-    if alpha is not None:
-        normed = norm(heat).filled(0)
-        opacity = alpha * (abs(2 * normed - 1) if signed else normed) ** 0.5
+    opacity: Any = None if alpha is None else alpha * heat.abs().sqrt().numpy(force=True)
     ax.set_axis_off()
-    return ax.imshow(heat, cmap=colormap, norm=norm, alpha=opacity)
+    colormap = diverging() if signed else "inferno"
+    return ax.imshow(heat.numpy(force=True), cmap=colormap, vmin=-1 if signed else 0, vmax=1, alpha=opacity)
 
 
-def draw_colorbar(mapped: AxesImage, scale: ColorScale, signed: bool, **location: Any) -> Colorbar:
-    """Draw the colour bar of a map; ``location`` is matplotlib's ``ax`` or ``cax``."""
+def draw_colorbar(
+    mapped: AxesImage, signed: bool, scale: MapScale, decades: float = DECADES, **location: Any
+) -> Colorbar:
+    """Draw the colour bar of a map, labelled with saliencies; ``location`` is matplotlib's ``ax`` or ``cax``."""
+    import torch
     from matplotlib.cm import ScalarMappable
 
-    ticks = _TICKS[scale]
-    if signed:  # fewer ticks, since each sign has half of the bar
-        positive = ticks if scale == "log" else [0.1, 0.4, 1]
-        ticks = [-tick for tick in reversed(positive)] + [0] + positive
-    elif scale != "log":
-        ticks = [0, *ticks]
-    part: Any = mapped.figure
+    values = _tick_values(signed, scale, decades)
+    places = scaled(torch.tensor(values, dtype=torch.float64), scale, decades).tolist()
     # A separate mappable, since the map itself may be transparent.
     opaque = ScalarMappable(norm=mapped.norm, cmap=mapped.cmap)
-    bar: Colorbar = part.figure.colorbar(opaque, ticks=ticks, format="%g", **location)
+    bar: Colorbar = figure_of(mapped.axes).colorbar(opaque, **location)
+    bar.set_ticks(places, labels=[f"{value:g}".replace("-", "−") for value in values])
     bar.minorticks_off()
     bar.ax.tick_params(labelsize=SMALL)
     return bar
 
 
-def check_scale(scale: str) -> None:
-    """Raise for an unknown colour scale."""
-    if scale not in _SCALES:
-        raise SceneCaptumError(f"scale must be one of {', '.join(map(repr, _SCALES))}, not {scale!r}.")
-
-
-def _norm(scale: ColorScale, signed: bool) -> Normalize:
-    import numpy as np
-    from matplotlib.colors import FuncNorm, LogNorm, Normalize, PowerNorm, SymLogNorm
-
-    low = -1 if signed else 0
-    if scale == "linear":
-        return Normalize(low, 1)
+def _tick_values(signed: bool, scale: MapScale, decades: float) -> list[float]:
+    """Return the saliencies to label; fewer if signed, since each sign has half of the bar."""
     if scale == "log":
-        return SymLogNorm(_LOG_MINIMUM, vmin=-1, vmax=1) if signed else LogNorm(_LOG_MINIMUM, 1, clip=True)
-    if not signed:
-        return PowerNorm(0.5, 0, 1)
-
-    def root(x: Any) -> Any:
-        return np.sign(x) * np.sqrt(np.abs(x))
-
-    return FuncNorm((root, lambda x: np.sign(x) * np.square(x)), -1, 1)
+        positive = [10.0**-power for power in range(int(decades), -1, -1)]
+        return [-value for value in positive[:0:-1]] + [0.0] + positive[1:] if signed else positive
+    if signed:
+        positive = [0.1, 0.4, 1.0] if scale == "sqrt" else [0.5, 1.0]
+        return [-value for value in reversed(positive)] + [0.0] + positive
+    return [0.0, *([0.01, 0.05, 0.1] if scale == "sqrt" else []), 0.2, 0.4, 0.6, 0.8, 1.0]
 
 
 def diverging() -> Colormap:
@@ -206,26 +169,21 @@ def diverging() -> Colormap:
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colors)
 
 
-def heatmap_array(attribution: Attribution, **options: Any) -> np.ndarray[Any, Any]:
-    """Return the heatmap; options that are None or False are omitted."""
-    given = {key: value for key, value in options.items() if value is not None and value is not False}
-    return heatmap(attribution, **given).cpu().numpy()
-
-
-def displayed_render(attribution: Attribution) -> torch.Tensor:
+def _displayed_render(attribution: Attribution) -> np.ndarray[Any, Any]:
     """Return the tone-mapped render."""
     if attribution.image is None:
         raise SceneCaptumError("This attribution has no picture, which the figure of its heatmap needs.")
-    return display_image(attribution.image).cpu()
+    pixels: np.ndarray[Any, Any] = display_image(attribution.image).numpy(force=True)
+    return pixels
 
 
 def _map_title(
-    attribution: Attribution, signed: bool, scale: ColorScale, options: Mapping[str, Any], width: float
+    attribution: Attribution, signed: bool, scale: MapScale, options: dict[str, Any], width: float
 ) -> str:
     if not any(attribution.saliency().values()):
         return "all saliencies are 0"
-    parameter, maximum = options.get("parameter"), options.get("maximum")
-    names = [] if parameter is None else [parameter] if isinstance(parameter, str) else list(parameter)
+    parameter, maximum = options.get("parameter") or [], options.get("maximum")
+    names = [parameter] if isinstance(parameter, str) else parameter
     shown = ", ".join(attribution.labels.get(name, name) for name in names)
     shown = shorten([shown], 60)[0] or ("attribution" if signed else "saliency")
     strongest = "the strongest" if maximum is None else f"{maximum:.3g}"
@@ -236,19 +194,17 @@ def _map_title(
     return "\n".join(part for line in lines for part in textwrap.wrap(line, characters_per_line(width, TEXT)))
 
 
-def _width(ax: Axes | None, heat: np.ndarray[Any, Any], count: int) -> float:
+def _width(ax: Axes | None, heat: torch.Tensor, count: int) -> float:
     """Return the width of an image in inches, limited by the page width and the maximum height."""
     if ax is not None:
         return float(ax.get_position().width) * figure_of(ax).get_figwidth()
-    height, width = int(heat.shape[0]), int(heat.shape[1])
+    height, width = heat.shape
     available = (WIDTH - 2 * _MARGIN - _COLORBAR - _TICK_LABELS) / count - _GAP
     return min(available, _MAX_HEIGHT * width / height)
 
 
-def _panels(
-    attribution: Attribution, heat: np.ndarray[Any, Any], count: int, heading: str
-) -> tuple[Figure, list[Axes], Axes]:
-    """Create axes for ``count`` images of one size and a colour bar of their height; lengths are in inches."""
+def _panels(attribution: Attribution, heat: torch.Tensor, count: int, heading: str) -> list[Axes]:
+    """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
     w = _width(None, heat, count)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
@@ -270,7 +226,7 @@ def _panels(
     images = [add_axes(_MARGIN + index * (w + _GAP), w) for index in range(count)]
     for axes in images:
         axes.set_axis_off()
-    return figure, images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)
+    return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
 
 
 def _invisible_note(attribution: Attribution) -> str:
@@ -282,7 +238,7 @@ def _invisible_note(attribution: Attribution) -> str:
     groups = attribution.info.get("groups") or {}
     for row in attribution.ranking(3):
         if visible.isdisjoint(groups.get(row.name, [row.name])) and row.saliency > 0:
-            saliency = " ± ".join(filter(None, with_error(row.saliency, row.saliency_error)))
+            saliency = format_with_error(row.saliency, row.saliency_error)
             label = shorten([row.label], 60)[0]
             return f"not in the picture: {label}, #{row.rank} with a saliency of {saliency}"
     return ""

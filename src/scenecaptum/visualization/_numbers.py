@@ -80,6 +80,19 @@ def with_error(value: float, error: float | None, *, digits: int | None = None) 
     return style.write(value), "" if error is None else style.write(error)
 
 
+def format_with_error(value: float, error: float | None, *, digits: int | None = None) -> str:
+    """Return ``'0.0978 ± 0.0008'``; the value alone if the error is None or 0."""
+    return " ± ".join(filter(None, with_error(value, error or None, digits=digits)))
+
+
+def align_with_errors(numbers: Sequence[tuple[float, float | None]]) -> list[str]:
+    """Return ``'0.0978 ± 0.0008'`` for each value and error, with the decimal points of both aligned."""
+    written = [with_error(value, error) for value, error in numbers]
+    columns = zip(*written, strict=True) if written else ((), ())
+    pairs = zip(*map(align_decimals, columns), strict=True)
+    return [f"{value} ± {error}" if error.strip() else value for value, error in pairs]
+
+
 def align_decimals(numbers: Sequence[str]) -> list[str]:
     """Pad numbers so that their decimal points are aligned."""
     heads = [re.split(r"[.e]", number, maxsplit=1)[0] for number in numbers]
@@ -167,9 +180,10 @@ def columns(text: str) -> int:
     )
 
 
-def pad(text: str, width: int) -> str:
-    """Add spaces on the right up to a width of ``width`` columns."""
-    return text + " " * (width - columns(text))
+def pad(text: str, width: int, *, right: bool = False) -> str:
+    """Add spaces up to a width of ``width`` columns, before the text to align it ``right``."""
+    spaces = " " * (width - columns(text))
+    return spaces + text if right else text + spaces
 
 
 def _exponent(number: float) -> int:

@@ -11,6 +11,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..ranks import kendall_tau
 from ._figures import (
+    DEFAULT_TOP,
     LOWERS,
     RAISES,
     SMALL,
@@ -19,8 +20,10 @@ from ._figures import (
     UNCLEAR,
     WIDTH,
     add_footnotes,
+    axes_or_new,
     figure_of,
-    new_figure,
+    first,
+    write_at,
 )
 from ._numbers import shorten
 from ._text import method_name, metric_name, pack, pluralize
@@ -53,32 +56,30 @@ class _Line(NamedTuple):
         return not self.significant and self.color != UNCLEAR
 
 
-class _Column(NamedTuple):
-    """One ranking: saliency, rank and interval of possible ranks of each parameter."""
+class _Rank(NamedTuple):
+    """The rank of a parameter, and the first and last rank that are possible within the noise."""
 
-    saliency: dict[str, float]
-    rank: dict[str, int]
-    possible: dict[str, tuple[int, int]]
-
-    @classmethod
-    def of(cls, attribution: Attribution, names: Sequence[str]) -> _Column:
-        saliencies, errors = attribution.saliency(), attribution.saliency_error() or {}
-        saliency = {name: saliencies[name] for name in names}
-        order = sorted(names, key=lambda name: -saliency[name])
-        value = torch.tensor([saliency[name] for name in names], dtype=torch.float64)
-        error = torch.tensor([errors.get(name, 0.0) for name in names], dtype=torch.float64)
-        difference = value[None, :] - value[:, None]
-        noise = 2 * torch.hypot(error[None, :], error[:, None])
-        first = 1 + (difference > noise).sum(1)
-        last = len(names) - (difference < -noise).sum(1)
-        return cls(
-            saliency,
-            {name: rank for rank, name in enumerate(order, start=1)},
-            dict(zip(names, zip(first.tolist(), last.tolist(), strict=True), strict=True)),
-        )
+    rank: int
+    first: int
+    last: int
 
 
-def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes | None = None) -> Figure:
+def _ranks(attribution: Attribution, names: Sequence[str]) -> dict[str, _Rank]:
+    """Return the ranks of the named parameters, in order."""
+    saliencies, errors = attribution.saliency(), attribution.saliency_error() or {}
+    value = torch.tensor([saliencies[name] for name in names], dtype=torch.float64)
+    error = torch.tensor([errors.get(name, 0.0) for name in names], dtype=torch.float64)
+    difference = value[None, :] - value[:, None]
+    noise = 2 * torch.hypot(error[None, :], error[:, None])
+    first = (1 + (difference > noise).sum(1)).tolist()
+    last = (len(names) - (difference < -noise).sum(1)).tolist()
+    order = value.argsort(descending=True, stable=True).tolist()
+    return {names[k]: _Rank(rank, first[k], last[k]) for rank, k in enumerate(order, start=1)}
+
+
+def plot_rank_comparison(
+    a: Attribution, b: Attribution, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None
+) -> Figure:
     """Plot two rankings of the same parameters as columns, with lines between the ranks of each parameter.
 
     Parameters among the ``top`` of either ranking appear in both columns; below the dashed line are those outside
@@ -92,7 +93,7 @@ def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes
     a, b
         The results to compare: two metrics, methods or designs. Parameters that only one of them has are omitted.
     top
-        Number of parameters of each ranking to show.
+        Number of parameters of each ranking to show; None for all.
     ax
         Axes to draw into; by default those of a new figure.
 
@@ -105,19 +106,16 @@ def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes
     ----------
     Kendall, "The treatment of ties in ranking problems", Biometrika 33, 1945 (τ-b).
     """
-    if top < 1:
-        raise SceneCaptumError(f"top must be at least 1, not {top!r}.")
     common = [name for name in a if name in b]
     if len(common) < 2:
         raise SceneCaptumError(
             f"A comparison needs at least two parameters that both attributions have; these share {len(common)}."
         )
-    columns = _Column.of(a, common), _Column.of(b, common)
-    lines = _lines({name: a.labels.get(name, name) for name in common}, columns, top)
-    tau = kendall_tau(*([column.saliency[name] for name in common] for column in columns))
-    if ax is None:
-        ax = new_figure(WIDTH, 1.3 + 0.2 * len(lines)).add_subplot()
-    _draw_lines(ax, lines, top)
+    count = len(first(common, top))
+    lines = _lines(a.labels, _ranks(a, common), _ranks(b, common), count)
+    tau = kendall_tau(*([saliency[name] for name in common] for saliency in (a.saliency(), b.saliency())))
+    ax = axes_or_new(ax, WIDTH, 1.3 + 0.2 * len(lines))
+    _draw_lines(ax, lines, count)
     _draw_headers(ax, a, b, tau)
     left_out = len(set(a) ^ set(b))
     notes = [
@@ -130,28 +128,19 @@ def plot_rank_comparison(a: Attribution, b: Attribution, top: int = 12, ax: Axes
     return figure_of(ax)
 
 
-def _lines(labels: Mapping[str, str], columns: tuple[_Column, _Column], top: int) -> list[_Line]:
-    orders = [sorted(labels, key=column.rank.__getitem__) for column in columns]
-    shown = set(orders[0][:top]) | set(orders[1][:top])
+def _lines(
+    labels: Mapping[str, str], left: dict[str, _Rank], right: dict[str, _Rank], top: int
+) -> list[_Line]:
+    shown = {*list(left)[:top], *list(right)[:top]}
     # The position of a top parameter is its rank; the others follow in order.
-    left, right = (
-        {name: position for position, name in enumerate((n for n in order if n in shown), start=1)}
-        for order in orders
-    )
-    short = shorten([labels[name] for name in left], _NAME_WIDTH)
-    return [
-        _Line(
-            label,
-            (columns[0].rank[name], columns[1].rank[name]),
-            (left[name], right[name]),
-            significant=_disjoint(columns[0].possible[name], columns[1].possible[name]),
-        )
-        for name, label in zip(left, short, strict=True)
-    ]
-
-
-def _disjoint(a: tuple[int, int], b: tuple[int, int]) -> bool:
-    return a[1] < b[0] or b[1] < a[0]
+    names, others = ([name for name in column if name in shown] for column in (left, right))
+    short = shorten([labels.get(name, name) for name in names], _NAME_WIDTH)
+    lines = []
+    for position, (name, label) in enumerate(zip(names, short, strict=True), start=1):
+        one, other = left[name], right[name]
+        significant = one.last < other.first or other.last < one.first
+        lines.append(_Line(label, (one.rank, other.rank), (position, 1 + others.index(name)), significant))
+    return lines
 
 
 def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
@@ -172,38 +161,24 @@ def _draw_lines(ax: Axes, lines: Sequence[_Line], top: int) -> None:
 def _write_end(ax: Axes, line: _Line, side: int, *, faint: bool) -> None:
     """Write the rank and the name at the end of a line, in separate columns."""
     sign = 1 if side else -1
+    style: dict[str, Any] = {
+        "ha": "left" if side else "right",
+        "va": "center",
+        "color": ax.xaxis.label.get_color() if line.color == UNCLEAR else line.color,
+        "alpha": 0.6 if faint else 1.0,
+    }
     for text, distance in ((str(line.ranks[side]), 7), (line.label, 9 + 2.4 * TEXT)):
-        ax.annotate(
-            text,
-            (side, line.positions[side]),
-            xytext=(sign * distance, 0),
-            textcoords="offset points",
-            ha="left" if side else "right",
-            va="center",
-            fontsize=TEXT,
-            color=ax.xaxis.label.get_color() if line.color == UNCLEAR else line.color,
-            alpha=0.6 if faint else 1.0,
-            parse_math=False,
-        )
+        write_at(ax, text, (side, line.positions[side]), (sign * distance, 0), **style)
 
 
 def _draw_headers(ax: Axes, a: Attribution, b: Attribution, tau: float) -> None:
     """Write the names of the columns, the legend and Kendall's τ."""
     from matplotlib.lines import Line2D
 
-    for x, name, align in ((0, _names(a, b)[0], "right"), (1, _names(a, b)[1], "left")):
-        ax.annotate(
-            shorten([name], _NAME_WIDTH)[0],
-            (x, 1),
-            xycoords="axes fraction",
-            xytext=(-7 if align == "right" else 7, 3),
-            textcoords="offset points",
-            ha=align,
-            va="bottom",
-            fontsize=TEXT,
-            fontweight="bold",
-            parse_math=False,
-        )
+    style: dict[str, Any] = {"xycoords": "axes fraction", "va": "bottom", "fontweight": "bold"}
+    left, right = (shorten([name], _NAME_WIDTH)[0] for name in _names(a, b))
+    write_at(ax, left, (0, 1), (-7, 3), ha="right", **style)
+    write_at(ax, right, (1, 1), (7, 3), ha="left", **style)
     entries = [
         Line2D([], [], color=color, marker="o", markersize=4, label=text) for color, text in _MEANINGS.items()
     ]

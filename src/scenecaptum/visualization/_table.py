@@ -5,11 +5,12 @@ from __future__ import annotations
 import html
 import shutil
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from ._numbers import Format, align_decimals, columns, cut, pad, shorten, with_error
+from ._layout import grid
+from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
 from ._text import (
     caution_groups,
     convergence_notes,
@@ -77,10 +78,8 @@ def table_html(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
 
     Parameters
     ----------
-    attribution
-        The result to show.
-    top
-        Number of parameters; None for all.
+    attribution, top
+        As for ``table_text``.
     """
     table = _table(attribution, top)
     metric, *rest = (html.escape(part) for part in table.heading)
@@ -111,16 +110,9 @@ STYLE = """<style>
 
 
 def _cells(row: _Row, tag: str) -> str:
-    def cell(text: str, kind: str) -> str:
-        return f'<{tag} class="{kind}">{html.escape(text)}</{tag}>'
-
     name = f"{row.name} {row.mark}".rstrip()
-    return (
-        cell(row.rank, "rank")
-        + cell(name, "name")
-        + cell(row.saliency, "number")
-        + cell(row.gradient, "number")
-    )
+    kinds = (("rank", row.rank), ("name", name), ("number", row.saliency), ("number", row.gradient))
+    return "".join(f'<{tag} class="{kind}">{html.escape(text)}</{tag}>' for kind, text in kinds)
 
 
 def _table(attribution: Attribution, top: int | None) -> _Table:
@@ -134,66 +126,34 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
         if len(names) < len(attribution):  # no marks if all rows would have one
             marks |= {name: f"{marks.get(name, '')}?" for name in names}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
-    names = shorten([row.label for row in shown], _MAX_NAME_WIDTH)
-    saliency, gradients = _saliency(shown), _gradients(shown)
-    return _Table(
-        heading=_heading(attribution),
-        columns=_Row("#", "parameter", "", "saliency", _gradient_heading(attribution, shown)),
-        rows=[
-            _Row(
-                rank=str(row.rank),
-                name=names[index],
-                mark=f"{'Σ' if row.name in textures else ''}{marks.get(row.name, '')}",
-                saliency=saliency[index],
-                gradient=gradients[index],
-            )
-            for index, row in enumerate(shown)
-        ],
-        notes=[
-            *_hidden_note(ranking, len(shown)),
-            *(["Σ totals over the texels, vertices or faces"] if textures else []),
-            *(_caution_note(markers[text], text, names) for text, names in groups.items()),
-            *(_untrusted_note(reason, names, len(attribution)) for reason, names in untrusted.items()),
-            *(f"!  {text}" for text in scene_cautions(attribution)),
-        ],
+    columns = (
+        [str(row.rank) for row in shown],
+        shorten([row.label for row in shown], _MAX_NAME_WIDTH),
+        [f"{'Σ' if row.name in textures else ''}{marks.get(row.name, '')}" for row in shown],
+        align_with_errors([(row.saliency, row.saliency_error) for row in shown]),
+        _gradients(shown),
     )
-
-
-def _heading(attribution: Attribution) -> list[str]:
-    return [
-        metric_line(attribution),
-        method_name(attribution),
-        *sampling_notes(attribution),
-        *convergence_notes(attribution),
-    ]
-
-
-def _gradient_heading(attribution: Attribution, rows: Iterable[RankedParameter]) -> str:
-    has_color = any(len(row.total) == 3 for row in rows)
-    return f"{attribution.kind.value}{': R, G, B' if has_color else ''}"
-
-
-def _hidden_note(ranking: Sequence[RankedParameter], shown: int) -> list[str]:
-    if shown >= len(ranking):
-        return []
-    largest = with_error(ranking[shown].saliency, ranking[shown].saliency_error)[0]
-    return [f"… and {len(ranking) - shown} more of at most {largest}; .ranking() lists all"]
-
-
-def _caution_note(marker: str, text: str, names: Sequence[str]) -> str:
-    return f"{marker.ljust(2)} {text} ({pluralize(len(names), 'parameter')})"
-
-
-def _untrusted_note(reason: str, names: Sequence[str], count: int) -> str:
-    affected = "all parameters" if len(names) == count else pluralize(len(names), "parameter")
-    return f"?  {reason} ({affected})"
-
-
-def _saliency(rows: Sequence[RankedParameter]) -> list[str]:
-    formatted = [with_error(row.saliency, row.saliency_error) for row in rows]
-    values = align_decimals([value for value, _ in formatted])
-    errors = align_decimals([error for _, error in formatted])
-    return [f"{v} ± {e}" if e.strip() else v for v, e in zip(values, errors, strict=True)]
+    channels = ": R, G, B" if any(len(row.total) == 3 for row in shown) else ""
+    heading = [metric_line(attribution), method_name(attribution)]
+    notes = []
+    if len(shown) < len(ranking):
+        largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
+        notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
+    notes += ["Σ totals over the texels, vertices or faces"] if textures else []
+    for text, names in groups.items():
+        notes.append(f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})")
+    for reason, names in untrusted.items():
+        all_of_them = len(names) == len(attribution)
+        notes.append(
+            f"?  {reason} ({'all parameters' if all_of_them else pluralize(len(names), 'parameter')})"
+        )
+    notes += [f"!  {text}" for text in scene_cautions(attribution)]
+    return _Table(
+        heading=[*heading, *sampling_notes(attribution), *convergence_notes(attribution)],
+        columns=_Row("#", "parameter", "", "saliency", f"{attribution.kind.value}{channels}"),
+        rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
+        notes=notes,
+    )
 
 
 def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
@@ -225,9 +185,14 @@ def _grid(rows: Sequence[_Row], width: int) -> list[str]:
     if gradient and width - fixed - 2 - gradient < min(name, _MIN_NAME_WIDTH):
         rows, gradient = [row._replace(gradient="") for row in rows], 0
     name = min(name, max(width - fixed - (gradient + 2 if gradient else 0), 1))
-    lines = []
-    for row, short in zip(rows, shorten([row.name for row in rows], name), strict=True):
-        line = f"{row.rank:>{rank}}  {pad(short, name)}"
-        line += f" {row.mark:<{mark}}" if mark else ""
-        lines.append(f"{line}  {row.saliency:<{saliency}}  {row.gradient}".rstrip())
-    return lines
+    names = shorten([row.name for row in rows], name)
+    headers, *cells = (
+        (
+            row.rank.rjust(rank),
+            f"{pad(short, name)} {row.mark}" if mark else short,
+            row.saliency,
+            row.gradient,
+        )
+        for row, short in zip(rows, names, strict=True)
+    )
+    return grid(headers, cells)

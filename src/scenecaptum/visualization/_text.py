@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from ..protocols import Attribution
-from ._numbers import shorten, with_error
+from ._layout import group_by_text
+from ._numbers import format_with_error, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
@@ -15,8 +16,8 @@ METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
     """Return ``'MeanLuminance = 2.336942 ± 0.000533'``, with the name shortened to ``width``."""
-    value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
-    return f"{metric_name(attribution, width)} = {value}{f' ± {error}' if error else ''}"
+    value = format_with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
+    return f"{metric_name(attribution, width)} = {value}"
 
 
 def metric_name(attribution: Attribution, width: int | None = None) -> str:
@@ -59,17 +60,14 @@ def sampling_notes(attribution: Attribution) -> list[str]:
         notes.append(f"interrupted after {counted}" if counted else "interrupted")
     elif counted:
         notes = [f"{spp} spp in {counted}" if notes else counted]
-    notes += goal_notes(attribution) + comparison_notes(attribution) + metric_image_notes(attribution)
+    notes += goal_notes(attribution) + _comparison_notes(attribution)
+    picture = attribution.info.get("picture") or {}
+    if picture.get("denoised"):
+        notes.append("denoised image" + ("" if picture.get("spp") is None else f" of {picture['spp']} spp"))
+    notes += noise_notes(attribution)
     if attribution.covariance is None:
         notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
     return notes
-
-
-def metric_image_notes(attribution: Attribution) -> list[str]:
-    """Return notes on whether the metric image is denoised, and whether it is too noisy for the metric."""
-    picture = attribution.info.get("picture") or {}
-    samples = "" if picture.get("spp") is None else f" of {picture['spp']} spp"
-    return [*([f"denoised image{samples}"] if picture.get("denoised") else []), *noise_notes(attribution)]
 
 
 def noise_notes(attribution: Attribution) -> list[str]:
@@ -89,16 +87,14 @@ def convergence_notes(attribution: Attribution) -> list[str]:
         return [unknown or f"convergence delta {delta:.2g}"]
     if abs(delta) <= _ROUNDING * abs(explained):
         delta = 0.0
-    value, half_width = with_error(delta, error)
-    note = f"{verdict}: delta {value}{f' ± {half_width}' if half_width else ''} of "
-    note += with_error(explained, error)[0]
+    note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
     quadrature = attribution.info.get("quadrature_error")
     if error and quadrature and quadrature > error / 2:
         note += ", mostly quadrature error: use more steps"
     return [note]
 
 
-def comparison_notes(attribution: Attribution) -> list[str]:
+def _comparison_notes(attribution: Attribution) -> list[str]:
     """Return a note on the change by another renderer, if it was measured."""
     against = (attribution.info.get("planner") or {}).get("against")
     if not against or against["relative_change"] is None:
@@ -130,11 +126,7 @@ def goal_notes(attribution: Attribution) -> list[str]:
 def caution_groups(attribution: Attribution, names: Iterable[str]) -> dict[str, list[str]]:
     """Group the named parameters whose derivatives are known to be inaccurate by the reason."""
     cautions = attribution.info.get("cautions") or {}
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        if name in cautions:
-            groups.setdefault(cautions[name], []).append(name)
-    return groups
+    return group_by_text((name, cautions.get(name)) for name in names)
 
 
 def scene_cautions(attribution: Attribution) -> list[str]:
@@ -149,10 +141,7 @@ def scene_cautions(attribution: Attribution) -> list[str]:
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     """Group the parameters with unreliable error bars by the reason."""
-    groups: dict[str, list[str]] = {}
-    for name, reason in attribution.untrusted_errors().items():
-        groups.setdefault(reason, []).append(name)
-    return groups
+    return group_by_text(attribution.untrusted_errors().items())
 
 
 def pluralize(count: int, noun: str) -> str:

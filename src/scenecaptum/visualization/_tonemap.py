@@ -64,12 +64,10 @@ def save_render(image: torch.Tensor, path: str | os.PathLike[str], exposure: flo
 
     Parameters
     ----------
-    image
-        ``(H, W, 3)`` linear radiance.
+    image, exposure
+        As for ``display_image``.
     path
         The file to write.
-    exposure
-        As in ``display_image``.
 
     Raises
     ------
