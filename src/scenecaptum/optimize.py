@@ -6,20 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
 from .attr import VanillaSceneGradient, ranges, summarize
-from .errors import SceneCaptumError, check_seed, whole_number
+from .errors import SceneCaptumError, whole_number
 from .estimation import (
     DEFAULT_REPLICATES,
     Budget,
     Denoise,
     Metric,
+    Stream,
     TargetedMetric,
     TransformSelector,
     channel_totals,
+    derived_seeds,
     input_values,
     jackknife,
     render_images,
@@ -121,9 +122,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     values = input_values(renderer, None)
     spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     count = whole_number("steps", steps)
-    ranking_seed, measurement_seed, *step_seeds = (
-        np.random.SeedSequence([check_seed("seed", seed), 6]).generate_state(2 + count).tolist()
-    )
+    ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
     ranked = VanillaSceneGradient(renderer, metric).attribute(
         scale="range", seed=ranking_seed, spp=spp, denoise=denoise
     )

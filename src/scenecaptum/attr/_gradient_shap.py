@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..checkpoint import Folder
-from ..errors import SceneCaptumError, check_seed, whole_number
-from ..estimation import DEFAULT_REPLICATES, Denoise, Point, interpolated_point
+from ..errors import SceneCaptumError, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, Point, Stream, interpolated_point, random_generator
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
 from ._groups import Groups
@@ -116,7 +115,7 @@ class GradientShapScene(GradientMethod):
 
 
 def _points(noise: Noise, starts: list[dict[str, torch.Tensor]], count: int, seed: int) -> Iterator[Point]:
-    rng = np.random.default_rng([check_seed("seed", seed), 3])
+    rng = random_generator(seed, Stream.RANDOM_POINTS)
     for _ in range(count):
         start, fraction = starts[rng.integers(len(starts))], rng.uniform()
-        yield interpolated_point(start, noise.sample(int(rng.integers(2**62))), fraction, 1 / count)
+        yield interpolated_point(start, noise.sample(int(rng.integers(2**32))), fraction, 1 / count)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
@@ -26,10 +25,12 @@ from ..estimation import (
     Planner,
     Point,
     Sampling,
+    Stream,
     Target,
     TargetedMetric,
     TransformSelector,
     check_renderer_and_metric,
+    derived_seeds,
     describe_picture,
     input_values,
     jackknife,
@@ -249,7 +250,7 @@ class Run:
         if spp is not None:
             linear = all(total.adjoints is not None and total.adjoints.is_linear for total in sums)
             spp = max(math.ceil(spp * INPUT_SAMPLE_FRACTION), 1 if linear else MIN_METRIC_SPP)
-        seed = int(np.random.SeedSequence([settings.seed, 1]).generate_state(1)[0])
+        (seed,) = derived_seeds(settings.seed, Stream.INPUT_METRIC, 1)
         budget = Budget.split(spp, settings.replicates, seed)
         return [render_images(self.renderer, values, budget.seeds[0], budget.spp[0]) for values in scenes]
 

@@ -8,10 +8,10 @@ from fnmatch import fnmatchcase
 from numbers import Real
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..errors import SceneCaptumError, near_misses
+from ..estimation import Stream, derived_seeds
 from ..protocols import Capabilities, Renderer
 from ..scene import reflect
 from ._baselines import table_of
@@ -61,9 +61,9 @@ class Noise:
 
     def sample(self, seed: int) -> dict[str, torch.Tensor]:
         """Return noisy values. Each parameter has its own random stream."""
-        seeds = np.random.SeedSequence(seed).generate_state(len(self.values))
+        seeds = derived_seeds(seed, Stream.PARAMETER_NOISE, len(self.values))
         noisy = {}
-        for (name, value), state in zip(self.values.items(), seeds.tolist(), strict=True):
+        for (name, value), state in zip(self.values.items(), seeds, strict=True):
             noisy[name] = self._noisy(name, value, state) if self._scales[name] else value
         return noisy
 

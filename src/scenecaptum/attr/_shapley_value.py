@@ -9,12 +9,11 @@ from functools import partial
 from itertools import combinations, pairwise
 from typing import Literal, TypeAlias
 
-import numpy as np
 import torch
 
 from ..checkpoint import Folder
-from ..errors import SceneCaptumError, check_seed, whole_number
-from ..estimation import DEFAULT_REPLICATES, Denoise, input_values
+from ..errors import SceneCaptumError, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, Stream, input_values, random_generator
 from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
 from ._groups import Groups, resolve_groups
@@ -194,9 +193,7 @@ def _orders(players: Order, n_samples: int | Literal["all"], seed: int) -> list[
     pairs = math.ceil(whole_number("n_samples", n_samples) / 2)
     if len(players) <= 2:
         return None  # there are no other orders than one and its reverse
-    # Independent of the seeds of the renders.
-    (stream,) = np.random.SeedSequence(check_seed("seed", seed)).spawn(1)
-    generator = np.random.default_rng(stream)
+    generator = random_generator(seed, Stream.PERMUTATIONS)
     return [tuple(players[i] for i in generator.permutation(len(players))) for _ in range(pairs)]
 
 

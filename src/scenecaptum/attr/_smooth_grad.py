@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Literal
 
-import numpy as np
 import torch
 
 from ..checkpoint import Folder
-from ..errors import SceneCaptumError, check_seed, whole_number
-from ..estimation import DEFAULT_REPLICATES, Denoise, GradientSum, Point, PointGradient, ReplicateStatistics
+from ..errors import SceneCaptumError, whole_number
+from ..estimation import (
+    DEFAULT_REPLICATES,
+    Denoise,
+    GradientSum,
+    Point,
+    PointGradient,
+    ReplicateStatistics,
+    Stream,
+    derived_seeds,
+)
 from ..protocols import ResultKind
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
@@ -132,7 +140,7 @@ class SmoothGradScene(GradientMethod):
 
 
 def _scenes(noise: Noise, noisy_count: int, count: int, seed: int) -> Iterator[dict[str, torch.Tensor]]:
-    seeds = np.random.SeedSequence([check_seed("seed", seed), 2]).generate_state(count).tolist()
+    seeds = derived_seeds(seed, Stream.NOISY_SCENES, count)
     for number in range(count):
         yield noise.sample(seeds[number]) if number < noisy_count else dict(noise.values)
 

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from ..checkpoint import with_checkpoint
@@ -20,6 +19,7 @@ from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
 from ._replicates import Budget, Sampling
 from ._rounds import ReplicateTime, Rounds, RoundSum, TimeLimit
+from ._seeds import Stream, derived_seeds
 from ._simultaneous import LEVEL, simultaneous_quantile
 
 NEARLY_FREE_SAMPLES = 2**14  # of a whole image; they cost little compared to the overhead of a replicate
@@ -266,7 +266,7 @@ class Planner:
     def _compare(self) -> None:
         """Measure the change of the gradients with the other renderer, with a quarter of the samples."""
         samples = max(self.first_spp * self.replicates, int(self.sums[0].weight) // COMPARISON_DIVISOR)
-        seed = int(np.random.SeedSequence([self.seed, 3]).generate_state(1)[0])
+        (seed,) = derived_seeds(self.seed, Stream.COMPARISON, 1)
         budget = Budget.split(samples, self.replicates, seed)
         self.bar.total += 2 * budget.replicates[0]
         changes = differences(self.renderer, self.against, self.metrics, self.point, budget, self.bar)

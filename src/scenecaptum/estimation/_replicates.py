@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..errors import SceneCaptumError, check_seed, whole_number
+from ..errors import SceneCaptumError, whole_number
 from ..finite import check_image, error_context
 from ..protocols import Renderer
+from ._seeds import Stream, derived_seeds
 
 DEFAULT_REPLICATES = 8
 
@@ -81,8 +82,8 @@ class Budget:
             paired = points if pairs is None else pairs
             counts = [max(2, each) if replicates > 1 and k < paired else each for k in range(points)]
             samples = [None] * points if spp is None else _shares(spp, counts)
-        states = np.random.SeedSequence(check_seed("seed", seed)).generate_state(2 * max(counts) * points)
-        seeds, gradient_seeds = states.reshape(2, points, max(counts)).tolist()
+        states = derived_seeds(seed, Stream.REPLICATES, 2 * max(counts) * points)
+        seeds, gradient_seeds = np.reshape(states, (2, points, max(counts))).tolist()
         return cls(
             tuple(samples),
             tuple(map(tuple, seeds)),
@@ -98,15 +99,13 @@ class Budget:
         replicates = whole_number("replicates", replicates)
         if spp is not None:
             spp = math.ceil(math.ceil(whole_number("spp", spp) / points) / replicates)
-        seeds = tuple(np.random.SeedSequence(check_seed("seed", seed)).generate_state(replicates).tolist())
+        seeds = tuple(derived_seeds(seed, Stream.REPLICATES, replicates))
         return cls((spp,) * points, (seeds,) * points, (seeds,) * points)
 
     def with_round(self, replicates: int, spp: int, seed: int) -> Budget:
         """Return the budget with another round of replicates, which has its own seeds."""
-        entropy = [check_seed("seed", seed), 2, len(self.spp)]
-        seeds, gradient_seeds = (
-            np.random.SeedSequence(entropy).generate_state(2 * replicates).reshape(2, -1).tolist()
-        )
+        states = derived_seeds(seed, Stream.ROUNDS, 2 * replicates, len(self.spp))
+        seeds, gradient_seeds = states[:replicates], states[replicates:]
         return dataclasses.replace(
             self,
             spp=(*self.spp, spp),
@@ -147,7 +146,7 @@ class Budget:
 
 def extra_image_seeds(seeds: Sequence[int]) -> list[int]:
     """Return a seed for the additional samples of each image."""
-    return [int(np.random.SeedSequence([seed, 9]).generate_state(1)[0]) for seed in seeds]
+    return [derived_seeds(seed, Stream.EXTRA_IMAGE_SAMPLES, 1)[0] for seed in seeds]
 
 
 def render_images(

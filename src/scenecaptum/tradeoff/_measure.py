@@ -8,14 +8,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
-from ..estimation import Denoise, Metric, Target, channel_totals, input_values, require_memory
+from ..estimation import (
+    Denoise,
+    Metric,
+    Stream,
+    Target,
+    channel_totals,
+    derived_seeds,
+    input_values,
+    require_memory,
+)
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau, spearman
 from ._result import TOP, Measured, Reference, Tradeoff
@@ -115,7 +123,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
         with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise
     )
     runner.check([best, *(setting for _, setting in settings)])
-    seeds = np.random.SeedSequence([seed, 5]).generate_state(1 + runs * len(settings)).tolist()
+    seeds = derived_seeds(seed, Stream.TRADEOFF_RUNS, 1 + runs * len(settings))
     reference = ReferenceGradient.of(runner.run(best, seeds.pop(), show_progress=show_progress))
     rows = []
     with tqdm(total=len(seeds), disable=not show_progress, desc="settings", unit="run") as bar:

@@ -14,8 +14,8 @@ import torch
 
 from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
-from ..errors import check_seed, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target
+from ..errors import whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, random_generator
 from ..protocols import Renderer
 from ..visualization import (
     RAISES,
@@ -104,7 +104,7 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 2, **options)
     names = list(deleted)
     moved = np.linspace(0, len(names), min(whole_number("steps", steps), len(names)) + 1).round().astype(int)
-    generator = np.random.default_rng([check_seed("seed", seed), 7])
+    generator = random_generator(seed, Stream.DELETION_ORDERS)
     orders = whole_number("random_orders", random_orders, 2)
     known = {frozenset[str](): scenes.unmodified}
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
@@ -20,9 +19,11 @@ from ..estimation import (
     GradientEstimator,
     Metric,
     Point,
+    Stream,
     TargetedMetric,
     TransformSelector,
     delete_one_jackknife,
+    derived_seeds,
     input_values,
 )
 from ..protocols import Capabilities, Renderer
@@ -143,7 +144,7 @@ def sample_derivatives(
 ) -> list[Derivatives]:
     """Compute the derivatives of each metric at points of a Sobol sequence."""
     count = whole_number("points", points, 3)  # the jackknife needs a variance of one point less
-    state = int(np.random.SeedSequence([seed, 5]).generate_state(1)[0])
+    (state,) = derived_seeds(seed, Stream.DERIVATIVE_DESIGN, 1)
     sequence = torch.quasirandom.SobolEngine(len(scalars), scramble=True, seed=state)
     positions = sequence.draw(count, dtype=torch.float64).numpy()
     watch = Stopwatch(renderer)

@@ -19,8 +19,8 @@ from ..attr import (
     resolve_baselines,
 )
 from ..checkpoint import Folder, with_checkpoint
-from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target
+from ..errors import SceneCaptumError, near_misses, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, derived_seeds, random_generator
 from ..protocols import Renderer
 from ._faithfulness_result import Infidelity, SensitivityN
 from ._scenes import Scenes, denoise_of
@@ -112,7 +112,7 @@ def perturbations(
 ) -> Iterator[dict[str, torch.Tensor]]:
     """Yield ``count`` perturbed copies of the values, with the noise of SmoothGrad."""
     noise = Noise(renderer, values, stdevs)
-    for state in np.random.SeedSequence([check_seed("seed", seed), 5]).generate_state(count).tolist():
+    for state in derived_seeds(seed, Stream.PERTURBATIONS, count):
         yield noise.sample(state)
 
 
@@ -178,7 +178,7 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     scenes = Scenes(renderer, metric, target, **options)
     attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 3, **options)
     sizes = _check_sizes(sizes, len(deleted))
-    generator = np.random.default_rng([check_seed("seed", seed), 6])
+    generator = random_generator(seed, Stream.SUBSETS)
     totals = {name: attribution[name].double().sum().item() for name in deleted}
     predicted, measured = [], []
     for size in sizes:

@@ -9,13 +9,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
-from ..errors import SceneCaptumError, check_seed, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals
+from ..errors import SceneCaptumError, whole_number
+from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, channel_totals, derived_seeds
 from ..protocols import Renderer
 from ..ranks import spearman
 from ..visualization import (
@@ -102,8 +101,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     ends = [round(len(layers) * stage / steps) for stage in range(steps + 1)]
     count = whole_number("draws", draws, 2)
     # For the reference; and for each draw the weights, the repeat of the unmodified network and every stage.
-    sequence = np.random.SeedSequence([check_seed("seed", seed), 8])
-    seeds = iter(sequence.generate_state(1 + count * (2 + steps)).tolist())
+    seeds = iter(derived_seeds(seed, Stream.RANDOM_NETWORKS, 1 + count * (2 + steps)))
 
     def attribute(network: Metric) -> SceneAttribution:
         options = {"seed": next(seeds), "spp": spp, "replicates": replicates}
@@ -174,7 +172,7 @@ def _randomized(
     start = 0
     network = copy.deepcopy(metric)
     assert isinstance(network, torch.nn.Module)
-    states = np.random.SeedSequence(seed).generate_state(len(layers)).tolist()
+    states = derived_seeds(seed, Stream.NETWORK_LAYERS, len(layers))
     for end in ends[1:]:
         for name, state in zip(layers[start:end], states[start:end], strict=True):
             _reset(network.get_submodule(name), state)

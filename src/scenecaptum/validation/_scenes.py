@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numpy as np
 import torch
 
 from ..attr import SceneAttribution
-from ..errors import check_seed, whole_number
+from ..errors import whole_number
 from ..estimation import (
     Denoise,
     Metric,
+    Stream,
     Target,
     TargetedMetric,
     TransformSelector,
     channel_totals,
+    derived_seeds,
     input_values,
     require_memory,
     with_image_transform,
@@ -68,7 +69,7 @@ class Scenes:
         self.values = input_values(renderer, None)
         spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
-        self.seeds = np.random.SeedSequence([check_seed("seed", seed), 4]).generate_state(count).tolist()
+        self.seeds = derived_seeds(seed, Stream.SCENES, count)
         self.spp = spp and math.ceil(spp / count)
         require_memory(renderer, [self.spp], count)
         targeted, images = TargetedMetric(metric, target), self._images({})

@@ -21,9 +21,11 @@ from ..estimation import (
     GradientEstimator,
     Metric,
     Point,
+    Stream,
     TargetedMetric,
     TransformSelector,
     delete_one_jackknife,
+    derived_seeds,
     input_values,
 )
 from ..protocols import Capabilities, Renderer
@@ -152,7 +154,7 @@ class _BlackBox:
 
     def salib_seed(self, number: int) -> int:
         """Return a seed for SALib, never 0, which SALib takes for no seed."""
-        return int(np.random.SeedSequence([self.seed, 6, number]).generate_state(1)[0]) or 1
+        return derived_seeds(self.seed, Stream.SENSITIVITY_DESIGN, 1, number)[0] or 1
 
     def evaluate(self, design: np.ndarray, description: str) -> np.ndarray:
         """Return the metrics at rows of positions, ``(targets, rows)``, rendered with common random numbers."""
