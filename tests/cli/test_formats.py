@@ -79,7 +79,7 @@ def test_numbers_are_written_from_python(tmp_path: Path, errors: bool) -> None:
 
 
 def test_demo_has_the_options_of_attribute() -> None:
-    parse = cli._main._parser().parse_args
+    parse = cli.parser().parse_args
     demo, attribution = (
         parse(["demo"]),
         parse(["attribute", "office", "--resolution", "320x180", "--spp", "64"]),

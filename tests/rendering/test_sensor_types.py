@@ -37,7 +37,7 @@ def test_every_type_renders_with_the_geometry_of_its_rays(mi: Any, name: str, pl
     assert (camera.solid_angles >= 0).all()
     assert 0 < camera.solid_angles.sum() <= 4 * np.pi * (1 + 1e-6)
     y, x = np.meshgrid((np.arange(16) + 0.5) / 16, (np.arange(16) + 0.5) / 16, indexing="ij")
-    with renderer._engines[0].exclusive_scene():
+    with renderer._views[0].live.exclusive():
         assert sensor.class_name() in SENSORS[name].class_names
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x.ravel(), y.ravel()), mi.Point2f(0.5))
         local = np.array(sensor.world_transform().inverse() @ ray.d).T * [-1, 1, 1]

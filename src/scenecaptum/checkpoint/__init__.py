@@ -4,8 +4,8 @@ The result of a render or backward pass depends only on its arguments. A job is 
 the same arguments: calls whose results are in the folder are read from there, whatever the attribution method.
 """
 
-# What users see; the other names are for the rooms above.
-__all__ = ["Checkpoint"]
+# Users give a folder; these names are for the rooms above.
+__all__: list[str] = []
 
 from ._digest import digest as digest
 from ._renderer import CheckpointedRenderer as CheckpointedRenderer

@@ -1,5 +1,27 @@
 """Image metrics: torch modules that map an ``(H, W, 3)`` linear-radiance image to a scalar or a vector."""
 
+# What users see; the other names are for the rooms above and for extensions.
+__all__ = [
+    "ClassLogit",
+    "ContrastRatio",
+    "DaylightGlareIndex",
+    "DaylightGlareProbability",
+    "GlareRating",
+    "GlareSource",
+    "LuminancePercentile",
+    "MeanLuminance",
+    "MeanSquaredError",
+    "PerceptualDistance",
+    "ResizeCropNormalize",
+    "ShapeClassifier",
+    "StructuralSimilarity",
+    "UnifiedGlareRating",
+    "VerticalIlluminance",
+    "luminance",
+    "plot_luminance",
+    "position_index",
+]
+
 from ._class_logit import ClassLogit as ClassLogit
 from ._comparison import MeanSquaredError as MeanSquaredError
 from ._comparison import StructuralSimilarity as StructuralSimilarity

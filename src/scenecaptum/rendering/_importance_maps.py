@@ -84,7 +84,8 @@ class ImportanceMaps:
     @cached_property
     def film(self) -> FilmFilter | None:
         """The film's filter."""
-        return film_filter(self._live.sensor.film())
+        with self._live.exclusive():  # which gives the film its size
+            return film_filter(self._live.sensor.film())
 
     def groups(self, values: Values, routes: Routes) -> list[ReplayGroup]:
         """Divide the replayed parameters into groups: low roughnesses that are light traced, and the others."""

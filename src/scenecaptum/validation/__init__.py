@@ -1,5 +1,29 @@
 """Checks of attributions: change the scene, render it again, and compare the metric with the prediction."""
 
+# What users see; the other names are for the rooms above and for extensions.
+__all__ = [
+    "DGSM",
+    "Ablated",
+    "AblationTest",
+    "DeletionInsertion",
+    "GlobalDerivative",
+    "Infidelity",
+    "Interactions",
+    "RandomizationCheck",
+    "SensitivityComparison",
+    "SensitivityIndex",
+    "SensitivityN",
+    "ablation_test",
+    "compare_sensitivity",
+    "deletion_insertion",
+    "dgsm",
+    "hessian_vector_product",
+    "infidelity",
+    "interactions",
+    "randomization_check",
+    "sensitivity_n",
+]
+
 from ._ablation import Ablated as Ablated
 from ._ablation import AblationTest as AblationTest
 from ._ablation import ablation_test as ablation_test
