@@ -72,7 +72,7 @@ class _FrozenFunction:
     def __init__(self, function: Callable[..., Any], forget_gradients: Callable[[], None]) -> None:
         self._function = function
         self._forget_gradients = forget_gradients
-        self._call = dr.freeze(function, warn_after=1000, limit=8)
+        self._call = dr.freeze(function, warn_after=1000, limit=100)
 
     def __call__(self, *arguments: Any) -> Any:
         try:
