@@ -24,20 +24,10 @@ def as_captum(
     bounds: Literal["raise", "reflect"] = "raise",
     denoise: bool = False,
 ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
-    """Return ``(forward, inputs)`` for Captum's classes; see ``SceneRenderer.as_captum``.
+    """Return ``(forward, inputs)`` for Captum's classes, as ``SceneRenderer.as_captum``.
 
-    Parameters
-    ----------
-    renderer
-        Any callable ``renderer(inputs, *, seed, spp)`` with an ``inputs`` attribute, and with ``bounds`` for
-        reflection. Open bounds are taken from its ``parameters_table()``, if it has one.
-    metric, seed, bounds, denoise
-        As in ``SceneRenderer.as_captum``.
-
-    Raises
-    ------
-    SceneCaptumError
-        Where ``bounds`` or ``seed`` is wrong, or the renderer lacks what they need.
+    ``renderer`` needs an ``inputs`` attribute, and ``bounds`` for reflection. Open bounds are taken from its
+    ``parameters_table()``, if it has one.
     """
     if seed is not None:
         check_seed("seed", seed)

@@ -1,7 +1,4 @@
-"""Guide images for a denoiser: albedo and shading normals, without noise.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Guide images for a denoiser: albedo and shading normals, without noise."""
 
 from __future__ import annotations
 

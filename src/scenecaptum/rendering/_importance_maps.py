@@ -1,7 +1,4 @@
-"""How the samples of a backward pass are distributed: importance maps of pixels, and light tracing from surfaces.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""How the samples of a backward pass are distributed: importance maps of pixels, and light-traced surfaces."""
 
 from __future__ import annotations
 
@@ -47,22 +44,7 @@ class ReplayGroup(NamedTuple):
 
 
 class ImportanceMaps:
-    """The importance maps of a scene, for one sensor; cached until the scene's own values change.
-
-    Parameters
-    ----------
-    live, parameters, plan
-        The scene, its parameters, and how to render it.
-    integrator
-        The planned integrator.
-    surface_map
-        Returns the map of the objects that each pixel shows.
-
-    Attributes
-    ----------
-    film : FilmFilter or None
-        None for a film whose samples cannot be weighted individually: its samples are uniform.
-    """
+    """The importance maps of a scene, for one sensor; cached until the scene's own values change."""
 
     def __init__(
         self,
@@ -83,7 +65,7 @@ class ImportanceMaps:
 
     @cached_property
     def film(self) -> FilmFilter | None:
-        """The film's filter."""
+        """The film's filter; None for a film whose samples cannot be weighted individually, but are uniform."""
         return film_filter(self._live.sensor.film())
 
     def groups(self, values: Values, routes: Routes) -> list[ReplayGroup]:

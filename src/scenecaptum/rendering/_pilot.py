@@ -1,7 +1,5 @@
 """A pilot render: how much single paths contribute to the light of each object, by pixel.
 
-Imported only once a variant is active (see ``SceneRenderer``).
-
 A standard error from the spread of replicates is reliable where many paths make up that spread. Eight replicates
 cannot show whether they do. The individual paths of a pilot can.
 """
@@ -34,19 +32,11 @@ MAX_VALUES = 2**22
 
 @dataclass(frozen=True)
 class ParameterGroups:
-    """Groups of surfaces and emitters that use the same parameters.
+    """Groups of surfaces and emitters that use the same parameters."""
 
-    Attributes
-    ----------
-    parameters
-        For each group, the parameters on which its light depends directly.
-    of_shape, of_emitter
-        The group of each of Dr.Jit's shape or emitter indices; the number of groups for any other.
-    """
-
-    parameters: tuple[frozenset[str], ...]
-    of_shape: mi.UInt32
-    of_emitter: mi.UInt32
+    parameters: tuple[frozenset[str], ...]  # on which the light of each group depends directly
+    of_shape: mi.UInt32  # the group of each of Dr.Jit's shape indices; the number of groups for any other
+    of_emitter: mi.UInt32  # likewise of emitter indices
 
 
 def find_parameter_groups(graph: SceneGraph, parameters: SceneParameters) -> ParameterGroups:
@@ -82,18 +72,9 @@ def _emitter_index(emitter: Any) -> int:
 class Moments:
     """Accumulates squares and fourth powers of the contributions of path vertices, by group and block of pixels.
 
-    Not a dataclass, whose fields Dr.Jit would make state variables of the integrator's loop.
-
-    Parameters
-    ----------
-    groups
-        The groups of surfaces and emitters.
-    block, blocks
-        The block of pixels of each lane, and the number of blocks.
-    response
-        The sensor response to each lane's radiance.
-    squares, fourths
-        The sums, ``groups · blocks`` elements each, in double precision because squares may overflow float32.
+    Not a dataclass, whose fields Dr.Jit would make state variables of the integrator's loop. ``block`` is that of
+    each lane, and ``response`` the sensor's to its radiance. The sums have ``groups · blocks`` elements each, in
+    double precision because squares may overflow float32.
     """
 
     def __init__(
@@ -122,43 +103,21 @@ class Moments:
 
 @dataclass(frozen=True)
 class Pilot:
-    """Second and fourth moments, over samples in a pixel, of path vertices' contributions to the light of groups.
+    """Second and fourth moments, over samples in a pixel, of vertices' contributions to the light of groups."""
 
-    Attributes
-    ----------
-    parameters
-        Those of each group.
-    squares, fourths
-        ``(groups, blocks)``.
-    block
-        The block of each pixel, ``(H·W,)``.
-    """
-
-    parameters: tuple[frozenset[str], ...]
-    squares: NDArray[np.float64]
+    parameters: tuple[frozenset[str], ...]  # of each group
+    squares: NDArray[np.float64]  # ``(groups, blocks)``
     fourths: NDArray[np.float64]
-    block: NDArray[np.intp]
+    block: NDArray[np.intp]  # of each pixel, ``(H·W,)``
 
     def cumulants(
         self, name: str, magnitude: NDArray[np.float64], samples: NDArray[np.float64]
     ) -> tuple[float, float] | None:
         """Return variance and fourth cumulant of an estimate of a parameter's light, weighted by an adjoint.
 
-        Contributions are modelled as rare events, so that their sum has a compound Poisson distribution.
-
-        Parameters
-        ----------
-        name
-            The parameter.
-        magnitude
-            Magnitude of the adjoint in each pixel, ``(H·W,)``.
-        samples
-            Number of samples of the estimate in each pixel, ``(H·W,)``.
-
-        Returns
-        -------
-        tuple or None
-            None where the parameter belongs to no surface and no emitter.
+        None where the parameter belongs to no surface and no emitter. ``magnitude`` is that of the adjoint in each
+        pixel, ``(H·W,)``, and ``samples`` the number of samples of the estimate there. Contributions are modelled
+        as rare events, so that their sum has a compound Poisson distribution.
         """
         groups = [group for group, names in enumerate(self.parameters) if name in names]
         if not groups:
@@ -174,17 +133,7 @@ class Pilot:
 
 
 class Pilots:
-    """Pilots of a scene for one sensor; cached until the scene's own values change.
-
-    Parameters
-    ----------
-    live, parameters
-        The scene and its parameters.
-    integrator
-        The planned integrator.
-    importance_maps
-        Where the samples of backward passes go.
-    """
+    """Pilots of a scene for one sensor; cached until the scene's own values change."""
 
     def __init__(
         self, live: LiveScene, parameters: SceneParameters, integrator: Any, importance_maps: ImportanceMaps

@@ -201,13 +201,7 @@ def _unused_integrator(own: Any) -> list[tuple[str, str]]:
 
 
 def with_integrator(plan: RenderPlan, plugin: str) -> RenderPlan:
-    """Return the same plan with another integrator.
-
-    Raises
-    ------
-    SceneCaptumError
-        If there is no such integrator, or it does not render the scene's media.
-    """
+    """Return the same plan with another integrator; raise if there is none, or it does not render the media."""
     if plugin not in INTEGRATORS:
         raise SceneCaptumError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {plugin!r}.")
     kind = INTEGRATORS[plugin]

@@ -13,25 +13,14 @@ from ..errors import SceneCaptumError, whole_number
 class SensorType(NamedTuple):
     """A type of sensor whose pixels have a known geometry.
 
-    The module ``sensors.NAME`` has its ``camera_of(sensor)``, and its plugin if Mitsuba has none.
-
-    Attributes
-    ----------
-    description
-        What it is, for the help text.
-    class_names
-        Names of its classes in Mitsuba.
-    plugin
-        For a type that ``sensor=`` can name, the Mitsuba plugin that is created with the pose of the scene's first
-        sensor.
-    connectable
-        Whether light tracing can connect to it, by ``sample_direction`` and ``near_clip``.
+    The module ``sensors.NAME`` has its ``camera_of(sensor)``, and its plugin if Mitsuba has none. A type that
+    ``sensor=`` can name has a ``plugin``, which is created with the pose of the scene's first sensor.
     """
 
-    description: str
-    class_names: tuple[str, ...]
+    description: str  # for the help text
+    class_names: tuple[str, ...]  # in Mitsuba
     plugin: str | None = None
-    connectable: bool = False
+    connectable: bool = False  # whether light tracing can use its ``sample_direction`` and ``near_clip``
 
 
 SENSORS = {

@@ -1,7 +1,4 @@
-"""A view: everything that renders a scene through one of its sensors.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""A view: everything that renders a scene through one of its sensors."""
 
 from __future__ import annotations
 
@@ -24,23 +21,11 @@ from ._plan import RenderPlan
 
 @dataclass(frozen=True)
 class View:
-    """What renders a scene through one of its sensors.
-
-    Attributes
-    ----------
-    live
-        The scene.
-    engine
-        Renders and differentiates.
-    pilots
-        Count effective samples; None for Mitsuba's own integrators.
-    surface_map
-        Returns the map of the objects that each pixel shows.
-    """
+    """What renders a scene through one of its sensors."""
 
     live: LiveScene
     engine: Engine | CheckpointedEngine
-    pilots: Pilots | None
+    pilots: Pilots | None  # None for Mitsuba's own integrators
     surface_map: Callable[[], SurfaceMap]
 
     def with_checkpoint(self, checkpoint: Checkpoint | None, fingerprint: str) -> View:

@@ -1,7 +1,4 @@
-"""Primary rays: the objects and texels that each pixel shows, with the fraction of the pixel that each covers.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Primary rays: the objects and texels that each pixel shows, with the fraction of the pixel that each covers."""
 
 from __future__ import annotations
 
@@ -75,17 +72,12 @@ def trace_surfaces(
 
 @dataclass
 class _Hits:
-    """The hit of each ray, pixel-major: NumPy arrays with ``RAYS`` elements per pixel.
+    """The hit of each ray, pixel-major: NumPy arrays with ``RAYS`` elements per pixel."""
 
-    ``shape`` is Dr.Jit's index of the hit shape, 0 for none. ``visible_shape`` is the same, but the instance's
-    index for a shape in an instance. ``valid`` is False for rays without a direction, outside a fisheye's
-    circle. ``coordinates`` are lookup coordinates of each texture.
-    """
-
-    visible_shape: Indices
-    shape: Indices
-    valid: NDArray[np.bool_]
-    coordinates: list[tuple[NDArray[Any], ...]]
+    visible_shape: Indices  # as ``shape``, but the instance's index for a shape in an instance
+    shape: Indices  # Dr.Jit's index of the hit shape, 0 for none
+    valid: NDArray[np.bool_]  # False for rays without a direction, outside a fisheye's circle
+    coordinates: list[tuple[NDArray[Any], ...]]  # lookup coordinates of each texture
 
 
 def _trace(
