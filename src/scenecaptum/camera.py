@@ -43,6 +43,11 @@ class Camera:
     -----
     The solid angle of a pixel on a fisheye's image circle is that of the part inside the circle; its centre, and
     hence its direction, may lie outside.
+
+    Raises
+    ------
+    SceneCaptumError
+        If a size or an angle is out of range.
     """
 
     width: int
@@ -73,11 +78,6 @@ class Camera:
         principal_point_offset
             Offset of the principal point from the image centre: a fraction of the width to the right, and of the
             height downward.
-
-        Raises
-        ------
-        SceneCaptumError
-            If a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         fov = _angle("fov_x", fov_x, below=180.0, of="perspective camera")
@@ -103,11 +103,6 @@ class Camera:
             Image size in pixels.
         fov
             Field of view across the image circle, in degrees, above 0 and at most 360.
-
-        Raises
-        ------
-        SceneCaptumError
-            If a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         angle = _angle("fov", fov, below=math.nextafter(360.0, math.inf), of="fisheye")

@@ -133,24 +133,10 @@ def shared_maximum(
     texels: bool = False,
     surfaces: SurfaceMap | None = None,
 ) -> float:
-    """Return a common ``maximum`` for heatmaps that are to be compared: the largest of their own.
+    """Return a common ``maximum`` for heatmaps that are to be compared: the largest of their own, 0 if all are 0.
 
-    Parameters
-    ----------
-    attributions
-        The attributions of the heatmaps, in the same unit.
-    parameter, texels, surfaces
-        As for ``heatmap``.
-
-    Returns
-    -------
-    float
-        0 if all attributions are 0.
-
-    Raises
-    ------
-    SceneCaptumError
-        As ``heatmap``.
+    The ``attributions`` have the same unit; ``parameter``, ``texels``, ``surfaces`` and the errors are as for
+    ``heatmap``.
     """
     return max(
         (_entries(a, surfaces_of(a, surfaces), parameter, texels)[2] for a in attributions), default=0.0

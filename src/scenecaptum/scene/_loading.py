@@ -117,13 +117,7 @@ def _load_path_or_bundled(scene: str | os.PathLike[str], parameters: Mapping[str
 
 
 def format_parameters(parameters: XmlParameters | None) -> dict[str, str]:
-    """Convert the values of XML placeholders to strings.
-
-    Raises
-    ------
-    SceneCaptumError
-        If a name or a value is invalid.
-    """
+    """Convert the values of XML placeholders to strings; raise if a name or a value is invalid."""
     if parameters is not None and not isinstance(parameters, Mapping):
         raise SceneCaptumError(
             f"parameters= must be a mapping such as {{'spp': 64}}, not {type(parameters).__name__}."

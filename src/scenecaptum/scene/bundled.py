@@ -23,12 +23,7 @@ def cornell_box() -> Plugin:
     """Return the Cornell box: red left wall, green right wall, two boxes and a warm ceiling light.
 
     The room is the cube [-1, 1]³ in arbitrary units. Each surface has its own material, so each reflectance is a
-    separate parameter (``tall_box.reflectance.value``).
-
-    Returns
-    -------
-    dict
-        A Mitsuba scene of 256 × 256 pixels, 64 samples per pixel and at most 6 path segments.
+    separate parameter (``tall_box.reflectance.value``). The film has 256 × 256 pixels.
     """
     white = (0.885809, 0.698859, 0.666422)
     light = _panel((0, 0, 0.99), (0.46, 0, 0), (0, -0.38, 0), _diffuse(0.78, 0.78, 0.78))
@@ -57,12 +52,7 @@ def office() -> Plugin:
 
     Lengths are in metres and radiances in W·m⁻²·sr⁻¹, so 179 lm/W times the Rec. 709 luminance of a pixel is its
     luminance in cd/m²: 3200 for the sky, 4000 for the luminaires, 5600 for the bulb, 50 to 150 for most of the
-    walls, and up to 550 where the desk reflects the window.
-
-    Returns
-    -------
-    dict
-        A Mitsuba scene of 640 × 360 pixels, 64 samples per pixel and at most 6 path segments.
+    walls, and up to 550 where the desk reflects the window. The film has 640 × 360 pixels.
     """
     return {
         **_base(resolution=(640, 360), origin=(-0.75, -0.55, 1.52), target=(-0.03, 4.6, 0.93), fov=40.0),
@@ -326,7 +316,7 @@ def _painting() -> npt.NDArray[np.float32]:
 
 
 def _base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: float) -> Plugin:
-    """Return the integrator and a camera with a field of view of ``fov`` degrees."""
+    """Return paths of at most 6 segments, and a camera of ``fov`` degrees with 64 samples per pixel."""
     import mitsuba as mi
 
     width, height = resolution
