@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from ..camera import Camera
 from ..errors import SceneCaptumError, whole_number
+from ..scene import rgb_film
 
 
 class SensorType(NamedTuple):
@@ -90,21 +91,13 @@ def _create(name: str, pose: Any, resolution: tuple[int, int]) -> Any:
     import mitsuba as mi
 
     _module(name)  # registers the plugin
-    width, height = resolution
     matrix = pose.world_transform().matrix
     rows = [[float(matrix[row, column][0]) for column in range(4)] for row in range(4)]
     return mi.load_dict(
         {
             "type": SENSORS[name].plugin,
             "to_world": mi.ScalarTransform4f(rows),
-            "film": {
-                "type": "hdrfilm",
-                "width": width,
-                "height": height,
-                "pixel_format": "rgb",
-                "component_format": "float32",
-                "rfilter": {"type": "box"},
-            },
+            "film": rgb_film(*resolution),
             "sampler": {"type": "independent", "sample_count": pose.sampler().sample_count()},
         }
     )

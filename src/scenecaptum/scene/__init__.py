@@ -27,3 +27,4 @@ from ._reflection import reflect as reflect
 from ._selection import Selection as Selection
 from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED
+from .bundled import rgb_film as rgb_film

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 Plugin = dict[str, Any]
-Vector = tuple[float, float, float]
+Vector = Sequence[float]
 
 
 def cornell_box() -> Plugin:
@@ -319,27 +319,26 @@ def _base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: f
     """Return paths of at most 6 segments, and a camera of ``fov`` degrees with 64 samples per pixel."""
     import mitsuba as mi
 
-    width, height = resolution
-    film = {
-        "type": "hdrfilm",
-        "width": width,
-        "height": height,
-        "pixel_format": "rgb",
-        "component_format": "float32",
-        # With a box filter each sample contributes to one pixel only: pixels are independent estimates, and the
-        # gradient of a pixel does not leak into neighbouring objects.
-        "rfilter": {"type": "box"},
-    }
     sensor = {
         "type": "perspective",
         "fov": fov,
         "fov_axis": "smaller",  # a wider film shows more at the sides instead of less at top and bottom
         "near_clip": 0.01,
         "to_world": mi.ScalarTransform4f().look_at(origin=origin, target=target, up=(0, 0, 1)),
-        "film": film,
+        "film": rgb_film(*resolution),
         "sampler": {"type": "independent", "sample_count": 64},
     }
     return {"type": "scene", "integrator": {"type": "prb", "max_depth": 6}, "sensor": sensor}
+
+
+def rgb_film(width: int, height: int) -> Plugin:
+    """Return a film that records linear RGB.
+
+    With its box filter each sample contributes to one pixel only: pixels are independent estimates, and the
+    gradient of a pixel does not leak into neighbouring objects.
+    """
+    pixels = {"width": width, "height": height, "pixel_format": "rgb", "component_format": "float32"}
+    return {"type": "hdrfilm", **pixels, "rfilter": {"type": "box"}}
 
 
 def _rgb(red: float, green: float, blue: float) -> Plugin:
@@ -351,12 +350,8 @@ def _diffuse(red: float, green: float, blue: float) -> Plugin:
 
 
 def _glossy(red: float, green: float, blue: float, *, roughness: float) -> Plugin:
-    return {
-        "type": "principled",
-        "base_color": _rgb(red, green, blue),
-        "roughness": roughness,
-        "specular": 0.5,
-    }
+    color = _rgb(red, green, blue)
+    return {"type": "principled", "base_color": color, "roughness": roughness, "specular": 0.5}
 
 
 def _metal(element: str, *, roughness: float) -> Plugin:
@@ -399,7 +394,7 @@ def _panel(centre: Vector, u: Vector, v: Vector, material: str | Plugin) -> Plug
     return _shape("rectangle", material, to_world=mi.ScalarTransform4f(matrix.tolist()))
 
 
-def _box(centre: Sequence[float], size: Sequence[float], material: str, *, turn: float = 0.0) -> Plugin:
+def _box(centre: Vector, size: Vector, material: str, *, turn: float = 0.0) -> Plugin:
     """Return a box with the given edge lengths, rotated by ``turn`` degrees about the vertical."""
     import mitsuba as mi
 
@@ -409,8 +404,7 @@ def _box(centre: Sequence[float], size: Sequence[float], material: str, *, turn:
 
 def _span(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], material: str) -> Plugin:
     """Return the box that spans three intervals."""
-    centre, size = _centre_and_size(x, y, z)
-    return _box(centre, size, material)
+    return _box(*_centre_and_size(x, y, z), material)
 
 
 def _tube(start: Vector, end: Vector, radius: float, material: str) -> Plugin:
@@ -430,19 +424,15 @@ def _disk(centre: Vector, facing: Vector, radii: tuple[float, float], material: 
     return _shape("disk", material, to_world=place.scale((*radii, 1)))
 
 
-def _centre_and_size(*intervals: tuple[float, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _centre_and_size(*intervals: tuple[float, float]) -> tuple[Vector, Vector]:
     """Return the centres and the lengths of the intervals."""
     return tuple((a + b) / 2 for a, b in intervals), tuple(b - a for a, b in intervals)
 
 
 def _unit(v: Vector) -> Vector:
     length = sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    return (v[0] / length, v[1] / length, v[2] / length)
+    return tuple(x / length for x in v)
 
 
 def _offset(start: Vector, direction: Vector, distance: float) -> Vector:
-    return (
-        start[0] + distance * direction[0],
-        start[1] + distance * direction[1],
-        start[2] + distance * direction[2],
-    )
+    return tuple(x + distance * step for x, step in zip(start, direction, strict=True))
