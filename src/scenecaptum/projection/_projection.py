@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
@@ -159,7 +159,7 @@ def _entries(
     selected = _select(attribution, parameter)
     saliency = {name: value for name, value in attribution.saliency().items() if name in selected}
     total = {name: attribution[name].double().sum().item() for name in selected}
-    params_by_object = _params_by_object(attribution, surfaces, saliency)
+    params_by_object = used_by_objects(attribution, surfaces, saliency)
     textures = _texel_maps(attribution, surfaces, selected) if texels else {}
 
     objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
@@ -209,10 +209,8 @@ def _select(attribution: Attribution, parameter: Names) -> list[str]:
     return list(selected)
 
 
-def _params_by_object(
-    attribution: Attribution, surfaces: SurfaceMap, saliency: Mapping[str, float]
-) -> list[set[str]]:
-    """Return, for each object, the parameters or parameter groups that its appearance depends on."""
-    groups = attribution.info.get("groups") or {name: [name] for name in saliency}
-    group_of = {name: group for group, members in groups.items() for name in members if group in saliency}
+def used_by_objects(attribution: Attribution, surfaces: SurfaceMap, names: Collection[str]) -> list[set[str]]:
+    """Return, for each object, which of these parameters or groups its appearance depends on."""
+    groups = attribution.info.get("groups") or {name: [name] for name in names}
+    group_of = {name: group for group, members in groups.items() for name in members if group in names}
     return [{group_of[name] for name in used if name in group_of} for used in surfaces.parameters]
