@@ -7,7 +7,7 @@ cannot show whether they do. The individual paths of a pilot can.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -132,18 +132,16 @@ class Pilot:
         )
 
 
+@dataclass(eq=False, repr=False)
 class Pilots:
     """Pilots of a scene for one sensor; cached until the scene's own values change."""
 
-    def __init__(
-        self, live: LiveScene, parameters: SceneParameters, integrator: Any, importance_maps: ImportanceMaps
-    ) -> None:
-        self._live = live
-        self._parameters = parameters
-        self._integrator = integrator
-        self._importance_maps = importance_maps
-        self._pilots: dict[int, Pilot] = {}
-        self._originals: Values = {}  # those of the cached pilots
+    live: LiveScene
+    parameters: SceneParameters
+    integrator: Any
+    importance_maps: ImportanceMaps
+    _pilots: dict[int, Pilot] = field(default_factory=dict)
+    _originals: Values = field(default_factory=dict)  # those of the cached pilots
 
     def cumulants(
         self, values: Values, tracked: Sequence[str], adjoint: torch.Tensor, spp: int, replicates: int
@@ -154,12 +152,12 @@ class Pilots:
         without such light are left out, and so are low roughnesses that are differentiated by light tracing.
         """
         adjoint = adjoint.detach().float()
-        width, height = self._live.resolution
-        with self._live.exclusive():
-            routes = derivative_routes(self._parameters, {**self._live.original, **values}, tracked)
-            film = self._importance_maps.film
+        width, height = self.live.resolution
+        with self.live.exclusive():
+            routes = derivative_routes(self.parameters, {**self.live.original, **values}, tracked)
+            film = self.importance_maps.film
             magnitude = film.rms_adjoint(adjoint) if film else adjoint.norm(dim=-1)
-            replayed, *light_traced = self._importance_maps.groups(values, routes)
+            replayed, *light_traced = self.importance_maps.groups(values, routes)
             sampled = pixel_probabilities(magnitude, replayed.maps) * (width * height * spp)
             pilot = self._run(
                 max(1, min(PILOT_FACTOR * spp * replicates, MAX_PILOT_SAMPLES // (width * height)))
@@ -177,14 +175,14 @@ class Pilots:
         return {name: cumulants for name, cumulants in found.items() if cumulants is not None}
 
     def _run(self, spp: int) -> Pilot:
-        if self._originals is not self._live.original:
-            self._originals = self._live.original
+        if self._originals is not self.live.original:
+            self._originals = self.live.original
             self._pilots.clear()
         if spp not in self._pilots:
-            live = self._live
-            groups = find_parameter_groups(live.graph, self._parameters)
+            live = self.live
+            groups = find_parameter_groups(live.graph, self.parameters)
             with live.with_values({}):
-                self._pilots[spp] = run_pilot(self._integrator, live.scene, live.sensor, groups, spp, 0)
+                self._pilots[spp] = run_pilot(self.integrator, live.scene, live.sensor, groups, spp, 0)
         return self._pilots[spp]
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..projection import TexelMap
-from ..scene import SceneGraph
+from ._live_scene import LiveScene
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -138,24 +139,15 @@ class ShownTexture:
     coordinates: Callable[[Any, Any, Any], tuple[Any, ...]]
 
 
-def find_textures(
-    graph: SceneGraph, shapes: dict[str, tuple[int, ...]], with_texels: Callable[[str, Any], Any]
-) -> Iterator[ShownTexture]:
-    """Describe the named parameters that are texels of a bitmap or environment map, or attributes of a mesh.
-
-    Parameters
-    ----------
-    shapes
-        Their shapes by name.
-    with_texels
-        Returns a context manager that gives a texture other texels.
-    """
+def find_textures(live: LiveScene, shapes: dict[str, tuple[int, ...]]) -> Iterator[ShownTexture]:
+    """Describe the named parameters that are texels of a bitmap or environment map, or attributes of a mesh."""
+    graph = live.graph
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
     for name, shape in shapes.items():
         node = nodes[name]
         if node.class_name().startswith("BitmapTexture") and shape[-1] in (1, 3):
             texels = np.random.default_rng(0).random(shape, np.float32)
-            with with_texels(name, texels):
+            with live.with_values({name: torch.from_numpy(texels).to(live.device)}):
                 lookup = _bitmap_lookup(node, texels)
             users = [shape_index(shape) for shape in graph.shapes_using(node)]
             yield ShownTexture(name, lookup, users, _on_bitmap(node, lookup))
