@@ -49,24 +49,10 @@ class AdjointSampledIntegrator(RBIntegrator):
             ray, response, point = _camera_rays(sensor, sampler, pixel)
             adjoint_radiance = response * dr.gather(mi.Float, weight, pixel)
             adjoint_radiance *= filtered_adjoint(sensor.film(), adjoint, *profile, pixel, point)
-            *_, state = self.sample(
-                mode=dr.ADMode.Primal,
-                scene=scene,
-                sampler=sampler.clone(),
-                ray=ray,
-                active=mi.Bool(True),
-                light_traced=light_traced,
-            )
-            self.sample(
-                mode=dr.ADMode.Backward,
-                scene=scene,
-                sampler=sampler,
-                ray=ray,
-                active=mi.Bool(True),
-                state_in=state,
-                δL=adjoint_radiance,
-                light_traced=light_traced,
-            )
+            fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
+            *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
+            fixed |= {"state_in": state, "δL": adjoint_radiance}
+            self.sample(mode=dr.ADMode.Backward, sampler=sampler, **fixed)
             dr.eval()
 
     def rms_derivative(self, scene: Any, sensor: Any, spp: int, seed: Any, light_traced: Any) -> Any:
