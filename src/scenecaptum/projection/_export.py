@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
 from ..files import atomic_write
+from ..protocols import Attribution
 from ._projection import IMAGE, heatmap, surfaces_of
-
-if TYPE_CHECKING:
-    from ..protocols import Attribution
 
 
 def export(

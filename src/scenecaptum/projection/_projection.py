@@ -8,17 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
-
-if TYPE_CHECKING:
-    from ..protocols import Attribution
-    from ._surfaces import SurfaceMap, TexelMap
+from ..protocols import Attribution
+from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
 MapScale: TypeAlias = Literal["sqrt", "linear", "log"]
