@@ -25,8 +25,8 @@ def reflect(values: torch.Tensor, low: float, high: float, *, open_low: bool = F
     tensor([3., 7.])
 
     Values inside are returned unchanged. NaN stays NaN, and an infinity does not become finite. Unlike clipping,
-    reflection does not accumulate noisy values at the bounds, and the derivative is 1 or −1 everywhere, never 0; at
-    a bound it is the one from inside. With ``open_low``, ``low`` itself is excluded, and reflected values stay at
+    reflection does not accumulate noisy values at the bounds. The derivative is 1 or −1 everywhere, never 0; at a
+    bound it is the one from inside. With ``open_low``, ``low`` itself is excluded, and reflected values stay at
     least ``OPEN_MARGIN`` above it.
 
     Raises
