@@ -85,8 +85,7 @@ class Camera:
         right, down = principal_point_offset
         x = pitch * (_edges(width) - width * right)
         y = -pitch * (_edges(height) - height * down)
-        centre_x, centre_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
-        up, across = torch.meshgrid(centre_y, centre_x, indexing="ij")
+        up, across = _centres(y, x)
         rays = torch.stack([across, up, torch.ones_like(up)], -1)
         return cls(width, height, "perspective", fov, _unit(rays), _rectangles(x, y))
 
@@ -109,16 +108,9 @@ class Camera:
         radius = min(width, height) / 2
         scale = math.radians(angle) / 2 / radius
         x, y = _edges(width), -_edges(height)
-        up, across = torch.meshgrid((y[1:] + y[:-1]) / 2, (x[1:] + x[:-1]) / 2, indexing="ij")
-        return cls(
-            width,
-            height,
-            "fisheye",
-            angle,
-            _from_disc(across, up, scale),
-            _disc_pixels(across, up, radius, scale),
-            sees_hemisphere=angle >= 180.0,
-        )
+        up, across = _centres(y, x)
+        directions, solid_angles = _from_disc(across, up, scale), _disc_pixels(across, up, radius, scale)
+        return cls(width, height, "fisheye", angle, directions, solid_angles, sees_hemisphere=angle >= 180.0)
 
 
 def _angle(name: str, value: float, *, below: float, of: str) -> float:
@@ -131,6 +123,10 @@ def _angle(name: str, value: float, *, below: float, of: str) -> float:
 def _edges(count: int) -> torch.Tensor:
     """Return the ``count + 1`` pixel edges, in pixels from the centre."""
     return torch.arange(count + 1, dtype=torch.float64) - count / 2
+
+
+def _centres(y: torch.Tensor, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    return torch.meshgrid((y[1:] + y[:-1]) / 2, (x[1:] + x[:-1]) / 2, indexing="ij")
 
 
 def _unit(vectors: torch.Tensor) -> torch.Tensor:

@@ -14,6 +14,7 @@ import torch
 from ..backend import device, exclusively
 from ..scene import SceneGraph
 from ._bridge import call_with_torch
+from ._sensors import film_size
 from ._state import SceneState
 
 Values = Mapping[str, torch.Tensor]
@@ -97,7 +98,7 @@ class LiveScene:
                 return
             self._take_over_tracking()
             self.refresh_originals()
-            size = _film_size(self.sensor)
+            size = film_size(self.sensor)
             _resize(self.sensor, self.resolution)
             self._is_in_use = True
             try:
@@ -129,13 +130,8 @@ def _collector_paused() -> Iterator[None]:
             gc.enable()
 
 
-def _film_size(sensor: Any) -> tuple[int, int]:
-    width, height = sensor.film().crop_size()
-    return int(width), int(height)
-
-
 def _resize(sensor: Any, size: tuple[int, int]) -> None:
-    if _film_size(sensor) != size:
+    if film_size(sensor) != size:
         film = mi.traverse(sensor)
         film["film.size"] = list(size)
         film.update()

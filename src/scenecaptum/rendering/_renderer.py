@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
 import torch
@@ -36,9 +36,6 @@ from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
 from ._sensors import camera_of, choose_sensor, common_resolution
-
-if TYPE_CHECKING:
-    from ._view import View
 
 
 class SceneRenderer(torch.nn.Module):
@@ -172,7 +169,7 @@ class SceneRenderer(torch.nn.Module):
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
         self._guides: Guides | None = None
-        self._views: Sequence[View] = [
+        self._views = [
             make_view(
                 LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
                 self._table,

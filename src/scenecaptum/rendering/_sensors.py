@@ -116,9 +116,15 @@ def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None
     return sizes.pop()
 
 
+def film_size(sensor: Any) -> tuple[int, int]:
+    """Return the ``(width, height)`` of a sensor's film."""
+    width, height = sensor.film().crop_size()
+    return int(width), int(height)
+
+
 def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, int]:
     film = sensor.film()
-    width, height = (int(n) for n in film.crop_size())
+    width, height = film_size(sensor)
     if resolution is None:
         return width, height
     if list(film.crop_size()) != list(film.size()):
