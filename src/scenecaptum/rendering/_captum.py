@@ -45,7 +45,8 @@ def as_captum(
         """Evaluate the metric on the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
         outputs = []
         for row in _rows(tuple(own), tensors):
-            image = renderer(bound(row), seed=_fresh_seed() if seed is None else seed, spp=spp)
+            row_seed = int(torch.randint(2**32, ())) if seed is None else seed
+            image = renderer(bound(row), seed=row_seed, spp=spp)
             image = straight_through(image, guides) if denoise else image
             outputs.append(_evaluate(metric, image))
         return torch.stack(outputs)
@@ -119,7 +120,3 @@ def _evaluate(metric: Callable[[torch.Tensor], torch.Tensor], image: torch.Tenso
             f"it returned shape {tuple(output.shape)}. It sees one image at a time, not a batch."
         )
     return output
-
-
-def _fresh_seed() -> int:
-    return int(torch.randint(2**32, ()))

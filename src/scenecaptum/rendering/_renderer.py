@@ -509,13 +509,9 @@ class SceneRenderer(torch.nn.Module):
                 for number, view in enumerate(self._views)
             ]
         except NotFiniteError as error:
-            raise NotFiniteError(f"{error}{self._possible_causes()}") from error
+            causes = [f" {name!r} may be the cause: {p.fault}." for name, p in self._table.items() if p.fault]
+            raise NotFiniteError(f"{error}{''.join(causes[:3])}") from error
         return torch.stack(images) if self._stacked else images[0]
-
-    def _possible_causes(self) -> str:
-        """Return sentences that name values in the scene that are not finite or not physical."""
-        faults = [f" {name!r} may be the cause: {p.fault}." for name, p in self._table.items() if p.fault]
-        return "".join(faults[:3])
 
     def derivative_image(
         self,

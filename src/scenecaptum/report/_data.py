@@ -214,14 +214,11 @@ def default_titles(attributions: Sequence[Attribution]) -> list[str]:
     """Return titles from the metrics and, if these are equal, from another setting that differs."""
     names = [metric_name(attribution) for attribution in attributions]
     for key in (None, "scene", "sensor", "method", "resolution", "seed"):
-        titles = [_title(n, a, key) for n, a in zip(names, attributions, strict=True)]
+        details = [f" · {attribution.info.get(key)}" if key else "" for attribution in attributions]
+        titles = [f"{name}{detail}" for name, detail in zip(names, details, strict=True)]
         if len(set(titles)) == len(titles):
             return titles
     return [f"{name} ({index})" for index, name in enumerate(names, start=1)]
-
-
-def _title(name: str, attribution: Attribution, key: str | None) -> str:
-    return name if key is None else f"{name} · {attribution.info.get(key)}"
 
 
 def check(attributions: Sequence[Attribution], titles: Sequence[str] | None) -> None:

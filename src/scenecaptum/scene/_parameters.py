@@ -15,14 +15,7 @@ from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._naming import area_emitter_id
 from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
-from ._roles import (
-    EMITTER_BOUNDS,
-    EMITTER_POSES,
-    MATERIAL_ROLES,
-    MEDIUM_BOUNDS,
-    NON_NEGATIVE,
-    MaterialRole,
-)
+from ._roles import EMITTER_BOUNDS, EMITTER_POSES, MATERIAL_ROLES, MEDIUM_BOUNDS, NON_NEGATIVE, MaterialRole
 
 # Parts of a parameter's name that its label leaves out.
 _OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
