@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,15 +44,14 @@ def trace_surfaces(
     width, height = resolution
     objects = (*(name for name, _, _ in shapes), "background")
     object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
-    pixels, step = width * height, BATCH // RAYS
     parts = [
         _Part.of(
-            _trace(graph.scene, sensor, resolution, (first, min(step, pixels - first)), textures, through),
+            _trace(graph.scene, sensor, resolution, (first, count), textures, through),
             first,
             object_of_shape,
             textures,
         )
-        for first in range(0, pixels, step)
+        for first, count in batches(resolution)
     ]
     offsets = np.cumsum([0, *(len(part.pixel) for part in parts)])
     return SurfaceMap(
@@ -114,6 +114,12 @@ def _trace(
         np.broadcast_to(valid.numpy(), count * RAYS),
         [tuple(axis.numpy() for axis in axes) for axes in coordinates],
     )
+
+
+def batches(resolution: tuple[int, int]) -> Iterator[tuple[int, int]]:
+    """Yield the first and the number of the pixels that are traced at once."""
+    pixels, step = math.prod(resolution), BATCH // RAYS
+    yield from ((first, min(step, pixels - first)) for first in range(0, pixels, step))
 
 
 def camera_rays(
