@@ -43,6 +43,11 @@ class Camera:
     -----
     The solid angle of a pixel on a fisheye's image circle is that of the part inside the circle; its centre, and
     hence its direction, may lie outside.
+
+    Raises
+    ------
+    SceneCaptumError
+        If a size or an angle is out of range.
     """
 
     width: int
@@ -73,11 +78,6 @@ class Camera:
         principal_point_offset
             Offset of the principal point from the image centre: a fraction of the width to the right, and of the
             height downward.
-
-        Raises
-        ------
-        SceneCaptumError
-            If a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         fov = _angle("fov_x", fov_x, below=180.0, of="perspective camera")
@@ -85,8 +85,7 @@ class Camera:
         right, down = principal_point_offset
         x = pitch * (_edges(width) - width * right)
         y = -pitch * (_edges(height) - height * down)
-        centre_x, centre_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
-        up, across = torch.meshgrid(centre_y, centre_x, indexing="ij")
+        up, across = _centres(y, x)
         rays = torch.stack([across, up, torch.ones_like(up)], -1)
         return cls(width, height, "perspective", fov, _unit(rays), _rectangles(x, y))
 
@@ -103,27 +102,15 @@ class Camera:
             Image size in pixels.
         fov
             Field of view across the image circle, in degrees, above 0 and at most 360.
-
-        Raises
-        ------
-        SceneCaptumError
-            If a size or an angle is out of range.
         """
         width, height = whole_number("width", width), whole_number("height", height)
         angle = _angle("fov", fov, below=math.nextafter(360.0, math.inf), of="fisheye")
         radius = min(width, height) / 2
         scale = math.radians(angle) / 2 / radius
         x, y = _edges(width), -_edges(height)
-        up, across = torch.meshgrid((y[1:] + y[:-1]) / 2, (x[1:] + x[:-1]) / 2, indexing="ij")
-        return cls(
-            width,
-            height,
-            "fisheye",
-            angle,
-            _from_disc(across, up, scale),
-            _disc_pixels(across, up, radius, scale),
-            sees_hemisphere=angle >= 180.0,
-        )
+        up, across = _centres(y, x)
+        directions, solid_angles = _from_disc(across, up, scale), _disc_pixels(across, up, radius, scale)
+        return cls(width, height, "fisheye", angle, directions, solid_angles, sees_hemisphere=angle >= 180.0)
 
 
 def _angle(name: str, value: float, *, below: float, of: str) -> float:
@@ -136,6 +123,10 @@ def _angle(name: str, value: float, *, below: float, of: str) -> float:
 def _edges(count: int) -> torch.Tensor:
     """Return the ``count + 1`` pixel edges, in pixels from the centre."""
     return torch.arange(count + 1, dtype=torch.float64) - count / 2
+
+
+def _centres(y: torch.Tensor, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    return torch.meshgrid((y[1:] + y[:-1]) / 2, (x[1:] + x[:-1]) / 2, indexing="ij")
 
 
 def _unit(vectors: torch.Tensor) -> torch.Tensor:

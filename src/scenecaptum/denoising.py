@@ -31,15 +31,7 @@ class Guides:
 def straight_through(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
     """Return a denoised image with a straight-through gradient, since Open Image Denoise is not differentiable.
 
-    Parameters
-    ----------
-    image, guides
-        As for ``denoise``.
-
-    Raises
-    ------
-    SceneCaptumError
-        As ``denoise``.
+    ``image`` and ``guides`` are as for ``denoise``, and so are the errors.
     """
     return image + (denoise(image, guides) - image).detach()
 

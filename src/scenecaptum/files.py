@@ -17,8 +17,8 @@ _partial_files: set[Path] = set()  # temporary paths currently being written
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path to write to; it replaces ``path`` once the file is complete and flushed to disk.
 
-    If writing fails (disk full, read-only folder), the temporary file is deleted and an existing file stays
-    unchanged. A path that was yielded before is yielded unchanged, so writers can be nested.
+    If writing fails (disk full, read-only folder), a ``SceneCaptumError`` is raised, the temporary file is deleted
+    and an existing file stays unchanged. A path that was yielded before is yielded unchanged, for nested writers.
 
     Example
     -------
@@ -28,11 +28,6 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     ...         _ = partial.write_text("1 2 3")
     ...     os.listdir(folder)
     ['numbers.txt']
-
-    Raises
-    ------
-    SceneCaptumError
-        If the file cannot be written.
     """
     if Path(path) in _partial_files:
         yield Path(path)
@@ -52,7 +47,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         _partial_files.add(partial)
         try:
             yield partial
-            _flush(partial)
+            with partial.open("rb") as file:  # otherwise a crash could leave an empty file under the new name
+                os.fsync(file.fileno())
             os.replace(partial, path)
         finally:
             _partial_files.discard(partial)
@@ -68,9 +64,3 @@ def write_error(path: Path, error: Exception) -> SceneCaptumError:
         f"{path} cannot be written: {reason}. Free disk space or choose another path; existing files were not "
         "changed."
     )
-
-
-def _flush(path: Path) -> None:
-    """Flush a file to disk; otherwise a crash could leave an empty file under the new name."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())

@@ -8,13 +8,7 @@ from .errors import SceneCaptumError
 
 
 def channels_first(image: torch.Tensor) -> torch.Tensor:
-    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the image has another shape.
-    """
+    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks; raise for others."""
     check_image_shape(image)
     return image.movedim(-1, 0)[None]
 

@@ -11,9 +11,7 @@ Example
 """
 
 # What users call; the other names are for the rooms above.
-__all__ = [
-    "activate",
-]
+__all__ = ["activate"]
 
 from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import default_variant as default_variant

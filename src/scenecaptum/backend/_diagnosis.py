@@ -161,7 +161,10 @@ def diagnose() -> Diagnosis:
     chosen, variant, cuda = choose_llvm(libraries), default_variant(), _cuda_problem()
     packages = {name: _installed(package) for name, package in _PACKAGES.items()}
     fix = _first_fix(packages, usable=chosen is not None or cuda is None)
-    failure = _render_failure(chosen, cuda, tried=fix is None)
+    if fix is not None:
+        failure: str | None = "not tried"
+    else:  # CUDA was already tried, in ``_cuda_problem``
+        failure = None if cuda is None else trial_failure("llvm_ad_rgb", chosen)
     rows = (
         ("Python", platform.python_version()),
         *((name, version or "not installed") for name, version in packages.items()),
@@ -172,13 +175,6 @@ def diagnose() -> Diagnosis:
         ("Cores", str(_cores())),
     )
     return Diagnosis(rows, ok=failure is None, fix=fix)
-
-
-def _render_failure(chosen: LLVMLibrary | None, cuda: str | None, *, tried: bool) -> str | None:
-    if not tried:
-        return "not tried"
-    # CUDA was already tried, in ``_cuda_problem``.
-    return None if cuda is None else trial_failure("llvm_ad_rgb", chosen)
 
 
 _PACKAGES = {"torch": "torch", "Mitsuba": "mitsuba", "Dr.Jit": "drjit"}

@@ -194,12 +194,7 @@ def choose_llvm(libraries: list[LLVMLibrary] | None = None) -> LLVMLibrary | Non
 def trial_failure(variant: str, library: LLVMLibrary | None = None) -> str | None:
     """Render four pixels in a subprocess; return an error message, or None on success.
 
-    Parameters
-    ----------
-    variant
-        The Mitsuba variant to render with.
-    library
-        The LLVM library to render with; Dr.Jit's default if omitted.
+    Without a ``library`` it uses Dr.Jit's default.
     """
     environment = dict(os.environ)
     if library is not None:

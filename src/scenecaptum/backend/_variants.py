@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from ..errors import BackendError, near_misses
 from ._diagnosis import default_variant, no_llvm_message
@@ -84,10 +84,7 @@ def activate(variant: str | None = None) -> ModuleType:
 def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
     """Lock Mitsuba for this thread, under a differentiable variant, and restore the caller's variant afterwards.
 
-    Parameters
-    ----------
-    variant
-        The variant; by default the active one if it is a differentiable RGB variant, else ``default_variant()``.
+    By default it is the active variant if that is differentiable and RGB, else ``default_variant()``.
     """
     global _depth  # noqa: PLW0603 -- like the lock that guards it
     _refuse_after_fork()  # before the lock, which a thread of the parent process may have held
@@ -137,8 +134,7 @@ def _refuse_after_fork() -> None:
 
 def _active_variant() -> str | None:
     mi = sys.modules.get("mitsuba")
-    variant: str | None = mi.variant() if mi is not None else None
-    return variant
+    return cast("str | None", mi.variant()) if mi is not None else None
 
 
 def _import_mitsuba() -> ModuleType:
@@ -148,8 +144,7 @@ def _import_mitsuba() -> ModuleType:
         raise BackendError(
             f"Mitsuba cannot be imported: {error}. Fix: pip install 'mitsuba>=3.9,<3.10'"
         ) from error
-    module: ModuleType = mitsuba
-    return module
+    return cast(ModuleType, mitsuba)
 
 
 def _check_variant(wanted: str, known: list[str], *, asked: bool) -> None:

@@ -18,12 +18,8 @@ def with_checkpoint(renderer: Renderer, checkpoint: Folder) -> Any:
 
     A renderer other than ``SceneRenderer`` needs an attribute ``fingerprint``, a string that changes whenever its
     images change. If such a renderer is interrupted between forward and backward pass, the image is rendered again
-    on resumption, because torch's graph cannot be stored.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the renderer has no fingerprint, or the folder is not writable.
+    on resumption, because torch's graph cannot be stored. Raises if the renderer has no fingerprint, or the folder
+    is not writable.
     """
     if checkpoint is None:
         return renderer
@@ -97,11 +93,7 @@ class _Call:
             self.render(tensors)
         assert self.graph is not None
         leaves, image = self.graph
-        gradients = torch.autograd.grad(image, leaves, adjoint, retain_graph=True, allow_unused=True)
-        return tuple(
-            torch.zeros_like(leaf) if gradient is None else gradient
-            for gradient, leaf in zip(gradients, leaves, strict=True)
-        )
+        return torch.autograd.grad(image, leaves, adjoint, retain_graph=True, materialize_grads=True)
 
     def cache_inputs(self, kind: str, tensors: Tensors, *more: Any) -> Any:
         """Return everything that the result depends on."""

@@ -68,21 +68,9 @@ class Checkpoint:
     def get_or_render(
         self, inputs: Any, render: Callable[[], Tensors], device: torch.device | None = None
     ) -> Tensors:
-        """Return the cached result for ``inputs``; render and store it if there is none.
+        """Return the cached result for ``inputs`` on ``device``; call ``render`` and store it if there is none.
 
-        Parameters
-        ----------
-        inputs
-            Everything that the result depends on: strings, numbers and tensors, in tuples and mappings.
-        render
-            Called on a cache miss.
-        device
-            Device of the returned tensors when they are read from the folder.
-
-        Raises
-        ------
-        SceneCaptumError
-            If the folder is not writable.
+        ``inputs`` are everything that the result depends on: strings, numbers and tensors, in tuples and mappings.
         """
         key = digest(inputs)
         cached = self._read(key)
@@ -100,7 +88,7 @@ class Checkpoint:
     def get_or_decide(
         self, inputs: Any, decide: Callable[[], Sequence[int] | None]
     ) -> tuple[int, ...] | None:
-        """Return a stored decision that depended on the clock; decide and store it if there is none.
+        """Return the stored decision for ``inputs``, which depended on the clock; ``decide`` if there is none.
 
         A resumed job must repeat such decisions, or it would not find its cached renders.
         """

@@ -10,5 +10,6 @@ from ._projection import MapScale as MapScale
 from ._projection import heatmap as heatmap
 from ._projection import scaled as scaled
 from ._projection import shared_maximum as shared_maximum
+from ._projection import used_by_objects as used_by_objects
 from ._surfaces import SurfaceMap as SurfaceMap
 from ._surfaces import TexelMap as TexelMap

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
 from ..files import atomic_write
+from ..protocols import Attribution
 from ._projection import IMAGE, heatmap, surfaces_of
-
-if TYPE_CHECKING:
-    from ..protocols import Attribution
 
 
 def export(
@@ -84,16 +82,14 @@ class _Map:
 
 
 def _to_array(values: Any) -> NDArray[np.float32]:
-    if (
-        not isinstance(values, torch.Tensor)
-        or values.ndim not in (2, IMAGE)
-        or values.shape[2:] not in ((), (3,))
-    ):
-        actual = tuple(values.shape) if isinstance(values, torch.Tensor) else type(values).__name__
+    is_tensor = isinstance(values, torch.Tensor)
+    if not is_tensor or values.ndim not in (2, IMAGE) or values.shape[2:] not in ((), (3,)):
+        shape = tuple(values.shape) if is_tensor else type(values).__name__
         raise SceneCaptumError(
-            f"Only an attribution, a map (H, W) or an image (H, W, 3) can be written, not {actual}."
+            f"Only an attribution, a map (H, W) or an image (H, W, 3) can be written, not {shape}."
         )
-    return values.float().numpy(force=True)
+    array: NDArray[np.float32] = values.float().numpy(force=True)
+    return array
 
 
 def _encode_png(exported: _Map) -> bytes:
@@ -154,8 +150,4 @@ def _encode_npy(exported: _Map) -> bytes:
     return content.getvalue()
 
 
-_ENCODERS: dict[str, Callable[[_Map], bytes]] = {
-    ".png": _encode_png,
-    ".exr": _encode_exr,
-    ".npy": _encode_npy,
-}
+_ENCODERS = {".png": _encode_png, ".exr": _encode_exr, ".npy": _encode_npy}

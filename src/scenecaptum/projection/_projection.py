@@ -6,19 +6,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
-
-if TYPE_CHECKING:
-    from ..protocols import Attribution
-    from ._surfaces import SurfaceMap, TexelMap
+from ..protocols import Attribution
+from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
 MapScale: TypeAlias = Literal["sqrt", "linear", "log"]
@@ -133,24 +131,10 @@ def shared_maximum(
     texels: bool = False,
     surfaces: SurfaceMap | None = None,
 ) -> float:
-    """Return a common ``maximum`` for heatmaps that are to be compared: the largest of their own.
+    """Return a common ``maximum`` for heatmaps that are to be compared: the largest of their own, 0 if all are 0.
 
-    Parameters
-    ----------
-    attributions
-        The attributions of the heatmaps, in the same unit.
-    parameter, texels, surfaces
-        As for ``heatmap``.
-
-    Returns
-    -------
-    float
-        0 if all attributions are 0.
-
-    Raises
-    ------
-    SceneCaptumError
-        As ``heatmap``.
+    The ``attributions`` have the same unit; ``parameter``, ``texels``, ``surfaces`` and the errors are as for
+    ``heatmap``.
     """
     return max(
         (_entries(a, surfaces_of(a, surfaces), parameter, texels)[2] for a in attributions), default=0.0
@@ -173,7 +157,7 @@ def _entries(
     selected = _select(attribution, parameter)
     saliency = {name: value for name, value in attribution.saliency().items() if name in selected}
     total = {name: attribution[name].double().sum().item() for name in selected}
-    params_by_object = _params_by_object(attribution, surfaces, saliency)
+    params_by_object = used_by_objects(attribution, surfaces, saliency)
     textures = _texel_maps(attribution, surfaces, selected) if texels else {}
 
     objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
@@ -223,10 +207,8 @@ def _select(attribution: Attribution, parameter: Names) -> list[str]:
     return list(selected)
 
 
-def _params_by_object(
-    attribution: Attribution, surfaces: SurfaceMap, saliency: Mapping[str, float]
-) -> list[set[str]]:
-    """Return, for each object, the parameters or parameter groups that its appearance depends on."""
-    groups = attribution.info.get("groups") or {name: [name] for name in saliency}
-    group_of = {name: group for group, members in groups.items() for name in members if group in saliency}
+def used_by_objects(attribution: Attribution, surfaces: SurfaceMap, names: Collection[str]) -> list[set[str]]:
+    """Return, for each object, which of these parameters or groups its appearance depends on."""
+    groups = attribution.info.get("groups") or {name: [name] for name in names}
+    group_of = {name: group for group, members in groups.items() for name in members if group in names}
     return [{group_of[name] for name in used if name in group_of} for used in surfaces.parameters]

@@ -30,14 +30,9 @@ class TexelMap:
     weight: NDArray[np.float32]
 
     def density(self, gradient: NDArray[np.float32], entries: int) -> NDArray[np.float64]:
-        """Return the gradient per unit of texture of each entry, ``(entries, C)``.
+        """Return the gradient per unit of texture of each of the map's ``entries``, ``(entries, C)``.
 
-        Parameters
-        ----------
-        gradient
-            Gradient of the texels, ``(H, W, C)``, or of vertices or faces, ``(N, C)``.
-        entries
-            Number of entries of the ``SurfaceMap``.
+        ``gradient`` is that of the texels, ``(H, W, C)``, or of vertices or faces, ``(N, C)``.
         """
         texels = gradient.reshape(-1, gradient.shape[-1])
         columns = [

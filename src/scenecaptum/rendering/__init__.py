@@ -1,4 +1,7 @@
-"""θ → image as a torch function: the renderer, the plan it follows, and what each pixel shows."""
+"""θ → image as a torch function: the renderer, the plan it follows, and what each pixel shows.
+
+Modules that import ``mitsuba`` at their top are imported only once a variant is active (see ``SceneRenderer``).
+"""
 
 # What users see; the other names are for the rooms above.
 __all__ = ["RenderPlan", "SceneRenderer"]

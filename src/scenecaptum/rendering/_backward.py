@@ -1,7 +1,4 @@
-"""Backward passes with samples in arbitrary pixels: the base class of our integrators, and the film's filter.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Backward passes with samples in arbitrary pixels: the base class of our integrators, and the film's filter."""
 
 from __future__ import annotations
 
@@ -43,11 +40,8 @@ class AdjointSampledIntegrator(RBIntegrator):
             The row-major pixel index of each sample, and the weight of a sample in each pixel.
         profile
             Profile and radius of the film's filter: see ``FilmFilter``.
-        seed
-            Seed of the samples.
         light_traced
-            Mask of the shapes that light tracing handles, or None. With a mask, derivatives are propagated only
-            where the camera sees these shapes directly or by specular reflection.
+            As for ``ReplayIntegrator.sample``, or None.
         """
         pixel, weight = samples
         with dr.suspend_grad():
@@ -55,24 +49,10 @@ class AdjointSampledIntegrator(RBIntegrator):
             ray, response, point = _camera_rays(sensor, sampler, pixel)
             adjoint_radiance = response * dr.gather(mi.Float, weight, pixel)
             adjoint_radiance *= filtered_adjoint(sensor.film(), adjoint, *profile, pixel, point)
-            *_, state = self.sample(
-                mode=dr.ADMode.Primal,
-                scene=scene,
-                sampler=sampler.clone(),
-                ray=ray,
-                active=mi.Bool(True),
-                light_traced=light_traced,
-            )
-            self.sample(
-                mode=dr.ADMode.Backward,
-                scene=scene,
-                sampler=sampler,
-                ray=ray,
-                active=mi.Bool(True),
-                state_in=state,
-                δL=adjoint_radiance,
-                light_traced=light_traced,
-            )
+            fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
+            *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
+            fixed |= {"state_in": state, "δL": adjoint_radiance}
+            self.sample(mode=dr.ADMode.Backward, sampler=sampler, **fixed)
             dr.eval()
 
     def rms_derivative(self, scene: Any, sensor: Any, spp: int, seed: Any, light_traced: Any) -> Any:
@@ -121,19 +101,12 @@ PROFILE_STEPS = 1024  # intervals of a filter's tabulated profile
 class FilmFilter:
     """A film's reconstruction filter, tabulated.
 
-    Attributes
-    ----------
-    profile
-        The filter along an axis, at equidistant offsets from 0 to ``radius + 1`` pixels.
-    radius
-        How many pixels away from its own pixel a sample contributes.
-    filter_weight_sum
-        The filter weight that each pixel collects from a uniformly sampled film, by which the film normalises,
-        ``(H, W, 1)``.
+    ``filter_weight_sum``, ``(H, W, 1)``, is the filter weight that each pixel collects from a uniformly sampled
+    film, by which the film normalises.
     """
 
-    profile: torch.Tensor
-    radius: int
+    profile: torch.Tensor  # along an axis, at equidistant offsets from 0 to ``radius + 1`` pixels
+    radius: int  # how many pixels away from its own pixel a sample contributes
     filter_weight_sum: torch.Tensor
 
     def rms_adjoint(self, adjoint: torch.Tensor) -> torch.Tensor:

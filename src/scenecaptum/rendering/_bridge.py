@@ -1,8 +1,4 @@
-"""Calls of Dr.Jit functions with torch tensors.
-
-Imported only once a variant is active (see ``SceneRenderer``). ``dr.wrap`` converts the arrays. No graph of
-derivatives outlives a call.
-"""
+"""Calls of Dr.Jit functions with torch tensors; no graph of derivatives outlives a call."""
 
 from __future__ import annotations
 

@@ -24,20 +24,10 @@ def as_captum(
     bounds: Literal["raise", "reflect"] = "raise",
     denoise: bool = False,
 ) -> tuple[Callable[..., torch.Tensor], tuple[torch.Tensor, ...]]:
-    """Return ``(forward, inputs)`` for Captum's classes; see ``SceneRenderer.as_captum``.
+    """Return ``(forward, inputs)`` for Captum's classes, as ``SceneRenderer.as_captum``.
 
-    Parameters
-    ----------
-    renderer
-        Any callable ``renderer(inputs, *, seed, spp)`` with an ``inputs`` attribute, and with ``bounds`` for
-        reflection. Open bounds are taken from its ``parameters_table()``, if it has one.
-    metric, seed, bounds, denoise
-        As in ``SceneRenderer.as_captum``.
-
-    Raises
-    ------
-    SceneCaptumError
-        Where ``bounds`` or ``seed`` is wrong, or the renderer lacks what they need.
+    ``renderer`` needs an ``inputs`` attribute, and ``bounds`` for reflection. Open bounds are taken from its
+    ``parameters_table()``, if it has one.
     """
     if seed is not None:
         check_seed("seed", seed)
@@ -55,7 +45,8 @@ def as_captum(
         """Evaluate the metric on the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
         outputs = []
         for row in _rows(tuple(own), tensors):
-            image = renderer(bound(row), seed=_fresh_seed() if seed is None else seed, spp=spp)
+            row_seed = int(torch.randint(2**32, ())) if seed is None else seed
+            image = renderer(bound(row), seed=row_seed, spp=spp)
             image = straight_through(image, guides) if denoise else image
             outputs.append(_evaluate(metric, image))
         return torch.stack(outputs)
@@ -129,7 +120,3 @@ def _evaluate(metric: Callable[[torch.Tensor], torch.Tensor], image: torch.Tenso
             f"it returned shape {tuple(output.shape)}. It sees one image at a time, not a batch."
         )
     return output
-
-
-def _fresh_seed() -> int:
-    return int(torch.randint(2**32, ()))

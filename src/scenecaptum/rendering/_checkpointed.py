@@ -1,11 +1,9 @@
-"""An engine that stores its results in a checkpoint folder, and fingerprints of scenes to identify them.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""An engine that stores its results in a checkpoint folder, and fingerprints of scenes to identify them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -17,87 +15,54 @@ import torch
 from ..checkpoint import Checkpoint, digest
 from ..scene import without_addresses
 from ._engine import Engine
-from ._live_scene import Values
 
 
+@dataclass(eq=False)
 class CheckpointedEngine:
-    """An engine that computes only what the checkpoint does not contain.
+    """An engine that computes only what the checkpoint does not contain; its methods are those of ``Engine``."""
 
-    Parameters
-    ----------
-    engine
-        The engine that renders.
-    checkpoint
-        Where results are stored.
-    fingerprint
-        Hash of the scene and the render settings: everything but the arguments that a result depends on.
-    device
-        The device of images and gradients.
-    """
+    engine: Engine
+    checkpoint: Checkpoint
+    fingerprint: str  # of everything but the arguments that a result depends on
+    device: torch.device
 
-    def __init__(
-        self, engine: Engine, checkpoint: Checkpoint, fingerprint: str, device: torch.device
-    ) -> None:
-        self.engine = engine
-        self._checkpoint = checkpoint
-        self._fingerprint = fingerprint
-        self._device = device
-
-    def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
+    def primal(self, *arguments: Any) -> torch.Tensor:
         """Render, or return the stored image."""
-        (image,) = self._take(
-            "picture", (values, seed, spp), lambda: (self.engine.primal(values, seed, spp),)
-        )
-        return image
+        return self._take("picture", arguments, lambda: (self.engine.primal(*arguments),))[0]
 
-    def vjp(
-        self,
-        values: Values,
-        tracked: Sequence[str],
-        adjoint: torch.Tensor,
-        seed: int,
-        spp: int,
-        *,
-        importance_sampling: bool = False,
-    ) -> tuple[torch.Tensor, ...]:
-        """Return the vector–Jacobian product, as ``Engine.vjp``."""
+    def vjp(self, *arguments: Any, importance_sampling: bool = False) -> tuple[torch.Tensor, ...]:
+        """Return the vector–Jacobian product."""
         return self._take(
             "gradient",
-            (values, tuple(tracked), adjoint, seed, spp, importance_sampling),
-            lambda: self.engine.vjp(
-                values, tracked, adjoint, seed, spp, importance_sampling=importance_sampling
-            ),
+            (*arguments, importance_sampling),
+            lambda: self.engine.vjp(*arguments, importance_sampling=importance_sampling),
         )
 
-    def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
-        """Return the Jacobian–vector product, as ``Engine.jvp``."""
-        (image,) = self._take(
-            "derivative image",
-            (values, tangents, seed, spp),
-            lambda: (self.engine.jvp(values, tangents, seed, spp),),
-        )
-        return image
+    def jvp(self, *arguments: Any) -> torch.Tensor:
+        """Return the Jacobian–vector product."""
+        return self._take("derivative image", arguments, lambda: (self.engine.jvp(*arguments),))[0]
 
     def _take(
         self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]
     ) -> tuple[torch.Tensor, ...]:
-        return self._checkpoint.get_or_render((kind, self._fingerprint, arguments), render, self._device)
+        return self.checkpoint.get_or_render((kind, self.fingerprint, arguments), render, self.device)
 
 
 def scene_contents(scene: Any) -> str:
     """Return a hash of a scene: its plugins, their settings and all arrays, as far as Mitsuba exposes them."""
-    parameters = mi.traverse(scene)
-    numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
-    return digest((without_addresses(str(scene)), numbers))
+    return digest(_contents(scene))
 
 
 def fingerprint(scene: str, sensor: Any, settings: Mapping[str, Any]) -> str:
     """Return a hash of a scene's contents, a sensor, the render settings and the package versions."""
     versions = [version(package) for package in ("scenecaptum", "mitsuba", "drjit")]
-    parameters = mi.traverse(sensor)
-    numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118
-    camera = without_addresses(str(sensor)), numbers
-    return digest((scene, camera, dict(settings), versions, mi.variant()))
+    return digest((scene, _contents(sensor), dict(settings), versions, mi.variant()))
+
+
+def _contents(node: Any) -> tuple[str, dict[str, Any]]:
+    parameters = mi.traverse(node)
+    numbers = {name: _plain(parameters[name]) for name in parameters.keys()}  # noqa: SIM118 -- not a dict
+    return without_addresses(str(node)), numbers
 
 
 def _plain(value: Any) -> Any:

@@ -40,43 +40,21 @@ EMITTER_SCALES = {"sky_scale": "sun_scale", "sun_scale": "sky_scale"}
 
 @dataclass(frozen=True)
 class FiniteDifference:
-    """A finite difference with common random numbers.
+    """A finite difference with common random numbers."""
 
-    Attributes
-    ----------
-    points
-        Pairs of a shift from the value and the weight of the image rendered there.
-    off
-        Other parameters that are set to 0 in all of these renders.
-    """
-
-    points: tuple[tuple[torch.Tensor, torch.Tensor], ...]
-    off: tuple[str, ...] = ()
+    points: tuple[tuple[torch.Tensor, torch.Tensor], ...]  # shift from the value, weight of the image there
+    off: tuple[str, ...] = ()  # other parameters that are set to 0 in all of these renders
 
 
 @dataclass(frozen=True)
 class DerivativeRoute:
-    """How a parameter is differentiated at a value.
+    """How a parameter is differentiated at a value."""
 
-    Attributes
-    ----------
-    replay_value
-        Where path replay differentiates: the value, moved off a singularity.
-    difference
-        The finite difference that replaces path replay, or None where path replay is correct.
-    reason
-        Why path replay is not used; None where it is.
-    is_low_roughness
-        Whether light tracing has less noise than path replay.
-    is_constant
-        Whether the image does not depend on the parameter.
-    """
-
-    replay_value: torch.Tensor
-    difference: FiniteDifference | None
-    reason: str | None
-    is_low_roughness: bool
-    is_constant: bool
+    replay_value: torch.Tensor  # where path replay differentiates: the value, moved off a singularity
+    difference: FiniteDifference | None  # replaces path replay; None where that is correct
+    reason: str | None  # why path replay is not used; None where it is
+    is_low_roughness: bool  # whether light tracing has less noise than path replay
+    is_constant: bool  # whether the image does not depend on the parameter
 
 
 Routes = Mapping[str, DerivativeRoute]
@@ -128,7 +106,6 @@ def low_roughness_names(routes: Routes) -> list[str]:
 
 
 def _finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDifference:
-    """Return the finite difference of a parameter at a value."""
     if parameter.kind == "emitters" and parameter.role in EMITTER_SCALES:
         # Mitsuba divides its samples between sky and sun by brightness: the other would add noise and cost
         # samples.
@@ -137,13 +114,9 @@ def _finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDiffe
     step = _step(parameter, value)
     low, high = _smooth_interval(parameter, value)
     if bool((value - step > low).all() and (value + step < high).all()):
-        return FiniteDifference(_central(step))
+        return FiniteDifference(((step, 1 / (2 * step)), (-step, -1 / (2 * step))))
     upwards = value + 2 * step <= high
     return FiniteDifference(_one_sided(torch.where(upwards, step, -step)))
-
-
-def _central(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
-    return (h, 1 / (2 * h)), (-h, -1 / (2 * h))
 
 
 def _one_sided(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
@@ -170,18 +143,13 @@ def _clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.T
     """Return the value, moved away from where path replay would lose the derivative."""
     if value.ndim > 1:
         # Only textures with black texels are copied.
-        if not _has_black(parameter, value):
-            return value
-        return torch.where(value == 0, SINGULARITY_OFFSETS["reflectance"], value)
+        is_black = parameter.kind == "reflectance" and not bool(value.all())
+        return torch.where(value == 0, SINGULARITY_OFFSETS["reflectance"], value) if is_black else value
     if parameter.role == "eta" and "Plastic" in parameter.plugin:
         # At an index of exactly 1 there is no Fresnel term; closer to 1 its slope is lost to rounding.
         return torch.where(value == 1, JUST_ABOVE_ONE, value)
     offset = SINGULARITY_OFFSETS.get(parameter.kind)
     return value if offset is None else value.clamp_min(offset)
-
-
-def _has_black(parameter: Parameter, texels: torch.Tensor) -> bool:
-    return parameter.kind == "reflectance" and not bool(texels.all())
 
 
 def _is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:

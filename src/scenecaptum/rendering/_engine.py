@@ -1,7 +1,6 @@
 """Render, vector–Jacobian and Jacobian–vector products as pure functions of tensors.
 
-Imported only once a variant is active (see ``SceneRenderer``). Each call writes its own values into the scene, and
-its result does not depend on later changes of the scene.
+Each call writes its own values into the scene; later changes of the scene do not affect its result.
 """
 
 from __future__ import annotations
@@ -36,17 +35,7 @@ from ._state import flat, owned
 
 
 class Engine:
-    """Renders a scene and its derivatives for given parameter values.
-
-    Parameters
-    ----------
-    live, parameters
-        The scene and its parameters.
-    plan, integrator
-        How to render.
-    importance_maps
-        Where the samples of backward passes go.
-    """
+    """Renders a scene and its derivatives for given parameter values, by a plan and its integrator."""
 
     def __init__(
         self,

@@ -1,8 +1,7 @@
 """Frozen kernels: Dr.Jit traces the Python code of an integrator once, then only launches its kernels.
 
-Imported only once a variant is active (see ``SceneRenderer``). Tracing a room with dozens of materials takes 0.2 s
-each time. Numbers that Mitsuba stores outside Dr.Jit become literals in kernels, so they are arguments
-(``scalars``): with other numbers the code is traced again.
+Tracing a room with dozens of materials takes 0.2 s each time. Numbers that Mitsuba stores outside Dr.Jit become
+literals in kernels, so they are arguments (``scalars``): with other numbers the code is traced again.
 """
 
 from __future__ import annotations
@@ -27,16 +26,9 @@ class Kernels(NamedTuple):
 def make_kernels(
     integrator: Any, sensor: Any, forget_gradients: Callable[[], None], *, freeze: bool
 ) -> Kernels:
-    """Return the kernels of an integrator.
+    """Return the kernels of an integrator, frozen if frozen functions see every change of its scenes.
 
-    Parameters
-    ----------
-    integrator, sensor
-        What renders.
-    forget_gradients
-        Clears the gradients of a recording that has failed.
-    freeze
-        Whether frozen functions see every change of this integrator's scenes.
+    ``forget_gradients`` clears the gradients of a recording that has failed.
     """
 
     def render(scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:

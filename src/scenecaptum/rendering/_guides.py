@@ -1,7 +1,4 @@
-"""Guide images for a denoiser: albedo and shading normals, without noise.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Guide images for a denoiser: albedo and shading normals, without noise."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ import numpy as np
 import torch
 
 from ..denoising import Guides
-from ._visibility import BATCH, RAYS, camera_rays, follow_specular
+from ._visibility import RAYS, batches, camera_rays, follow_specular
 
 
 def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides:
@@ -24,11 +21,7 @@ def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides
     is 0.
     """
     width, height = resolution
-    pixels, step = width * height, BATCH // RAYS
-    parts = [
-        _guide_rays(scene, sensor, resolution, first, min(step, pixels - first))
-        for first in range(0, pixels, step)
-    ]
+    parts = [_guide_rays(scene, sensor, resolution, *pixels) for pixels in batches(resolution)]
     albedo, normal = (np.concatenate(part).reshape(height, width, 3) for part in zip(*parts, strict=True))
     return Guides(torch.from_numpy(albedo), torch.from_numpy(normal))
 

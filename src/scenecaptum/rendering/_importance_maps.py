@@ -1,11 +1,9 @@
-"""How the samples of a backward pass are distributed: importance maps of pixels, and light tracing from surfaces.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""How the samples of a backward pass are distributed: importance maps of pixels, and light-traced surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -46,46 +44,24 @@ class ReplayGroup(NamedTuple):
     light_traced: SampledShapes | None
 
 
+@dataclass(eq=False, repr=False)
 class ImportanceMaps:
-    """The importance maps of a scene, for one sensor; cached until the scene's own values change.
+    """The importance maps of a scene, for one sensor; cached until the scene's own values change."""
 
-    Parameters
-    ----------
-    live, parameters, plan
-        The scene, its parameters, and how to render it.
-    integrator
-        The planned integrator.
-    surface_map
-        Returns the map of the objects that each pixel shows.
-
-    Attributes
-    ----------
-    film : FilmFilter or None
-        None for a film whose samples cannot be weighted individually: its samples are uniform.
-    """
-
-    def __init__(
-        self,
-        live: LiveScene,
-        parameters: SceneParameters,
-        plan: RenderPlan,
-        integrator: Any,
-        surface_map: Callable[[], SurfaceMap],
-    ) -> None:
-        self._live = live
-        self._parameters = parameters
-        self._plan = plan
-        self._integrator = integrator
-        self._surface_map = surface_map
-        self._sampled_shapes: dict[tuple[str, ...], SampledShapes | None] = {}
-        self._maps: dict[Any, Maps] = {}
-        self._originals: Values = {}  # those of the cached maps
+    live: LiveScene
+    parameters: SceneParameters
+    plan: RenderPlan
+    integrator: Any
+    surface_map: Callable[[], SurfaceMap]
+    _sampled_shapes: dict[tuple[str, ...], SampledShapes | None] = field(default_factory=dict)
+    _maps: dict[Any, Maps] = field(default_factory=dict)
+    _originals: Values = field(default_factory=dict)  # those of the cached maps
 
     @cached_property
     def film(self) -> FilmFilter | None:
-        """The film's filter."""
-        with self._live.exclusive():  # which gives the film its size
-            return film_filter(self._live.sensor.film())
+        """The film's filter; None for a film whose samples cannot be weighted individually, but are uniform."""
+        with self.live.exclusive():  # which gives the film its size
+            return film_filter(self.live.sensor.film())
 
     def groups(self, values: Values, routes: Routes) -> list[ReplayGroup]:
         """Divide the replayed parameters into groups: low roughnesses that are light traced, and the others."""
@@ -100,11 +76,11 @@ class ImportanceMaps:
         ]
 
     def _find_sampled_shapes(self, names: tuple[str, ...]) -> SampledShapes | None:
-        with self._live.exclusive():
+        with self.live.exclusive():
             if names not in self._sampled_shapes:
-                params_by_shape = self._surface_map().parameters
+                params_by_shape = self.surface_map().parameters
                 self._sampled_shapes[names] = find_sampled_shapes(
-                    self._live.graph, params_by_shape, self._live.sensor, self._plan, names
+                    self.live.graph, params_by_shape, self.live.sensor, self.plan, names
                 )
             return self._sampled_shapes[names]
 
@@ -112,13 +88,13 @@ class ImportanceMaps:
         """Return importance maps and their mixture weights: the noise, and the noise equalized by surface."""
         if not names or self.film is None:
             return []
-        with self._live.exclusive():
+        with self.live.exclusive():
             # Highlights depend on the roughness, but a factor of 2 is precise enough to cache them.
             octaves = (
                 {n: values[n].clamp_min(1e-4).log2().round().exp2() for n in names} if light_traced else {}
             )
-            if self._originals is not self._live.original:
-                self._originals = self._live.original
+            if self._originals is not self.live.original:
+                self._originals = self.live.original
                 self._maps.clear()
                 self.__dict__.pop("_noise", None)
             key = tuple(names), tuple(value.numpy(force=True).tobytes() for value in octaves.values())
@@ -135,23 +111,23 @@ class ImportanceMaps:
 
         Otherwise small objects would get few samples beside the walls.
         """
-        surfaces = [n for n in names if self._parameters[n].kind not in ("emitters", "media")]
-        masks = (torch.from_numpy(self._surface_map().shown([name])) for name in surfaces)
+        surfaces = [n for n in names if self.parameters[n].kind not in ("emitters", "media")]
+        masks = (torch.from_numpy(self.surface_map().shown([name])) for name in surfaces)
         masked = [noise * mask for mask in masks]
         return sum((part / part.sum() for part in masked if part.any()), torch.zeros_like(noise))
 
     def _roughness_noise(self, light_traced: SampledShapes, values: Values) -> torch.Tensor:
         """Estimate the noise of each pixel's derivatives that light tracing leaves to path replay."""
-        width, height = self._live.resolution
+        width, height = self.live.resolution
         spp = max(1, min(MAX_ROUGHNESS_NOISE_SPP, ROUGHNESS_NOISE_SAMPLES // (width * height)))
-        scene, sensor, state = self._live.scene, self._live.sensor, self._live.state
+        scene, sensor, state = self.live.scene, self.live.sensor, self.live.state
 
         def rms_derivative() -> Any:
             state.set_tangents({name: mi.TensorXf(1.0, value.shape) for name, value in values.items()})
-            render = self._integrator.rms_derivative
+            render = self.integrator.rms_derivative
             return evaluate(render(scene, sensor, spp, dr.opaque(mi.UInt32, 0), light_traced.mask))
 
-        return _smooth(self._live.call(rms_derivative, values, values.keys()))
+        return _smooth(self.live.call(rms_derivative, values, values.keys()))
 
     @cached_property
     def _noise(self) -> torch.Tensor:
@@ -160,7 +136,7 @@ class ImportanceMaps:
         The noise of a pixel's derivatives is roughly proportional; directly visible lights have none. The scene's
         own values are rendered, so that the same seed samples the same pixels whatever was rendered before.
         """
-        live, plan = self._live, self._plan
+        live, plan = self.live, self.plan
         render = make_kernels(
             plan.create_integrator(hide_emitters=True),
             live.sensor,

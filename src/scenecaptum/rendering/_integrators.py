@@ -11,30 +11,14 @@ from ..backend import activate
 
 @dataclass(frozen=True)
 class IntegratorKind:
-    """An integrator and what the renderer must know of it.
+    """An integrator and what the renderer must know of it."""
 
-    Attributes
-    ----------
-    plugin
-        Its name in Mitsuba.
-    module
-        The module that registers it, in ``rendering.integrators``; None for Mitsuba's own.
-    media
-        Whether it renders participating media.
-    reason
-        Why a plan chooses it.
-    light_tracing
-        Whether the derivatives of low roughnesses can be left to light tracing.
-    freezable
-        Whether frozen kernels see every change of a scene. They do not see phase functions.
-    """
-
-    plugin: str
-    module: str | None
-    media: bool
-    reason: str
-    light_tracing: bool = False
-    freezable: bool = True
+    plugin: str  # its name in Mitsuba
+    module: str | None  # in ``rendering.integrators``, which registers it; None for Mitsuba's own
+    media: bool  # whether it renders participating media
+    reason: str  # why a plan chooses it
+    light_tracing: bool = False  # whether derivatives of low roughnesses can be left to light tracing
+    freezable: bool = True  # whether frozen kernels see every change of a scene; they see no phase functions
 
     @property
     def is_stock(self) -> bool:

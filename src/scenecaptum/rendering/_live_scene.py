@@ -1,7 +1,4 @@
-"""A live Mitsuba scene: who may use it, and the values that it has meanwhile.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""A live Mitsuba scene: who may use it, and the values that it has meanwhile."""
 
 from __future__ import annotations
 
@@ -17,6 +14,7 @@ import torch
 from ..backend import device, exclusively
 from ..scene import SceneGraph
 from ._bridge import call_with_torch
+from ._sensors import film_size
 from ._state import SceneState
 
 Values = Mapping[str, torch.Tensor]
@@ -27,23 +25,9 @@ _tracking: weakref.ref[LiveScene] | None = None
 
 
 class LiveScene:
-    """A scene as one of its sensors sees it. One thread at a time may use it.
+    """A scene as one of its sensors sees it, at a resolution of ``(width, height)``; one thread at a time uses it.
 
-    Parameters
-    ----------
-    graph, sensor
-        The scene and the sensor.
-    state
-        The scene's values, which all sensors share.
-    resolution
-        ``(width, height)`` in pixels.
-    borrowed
-        Whether the scene belongs to the caller and must be restored after each use.
-
-    Attributes
-    ----------
-    device
-        The device of images and gradients.
+    All sensors share the ``state``. A ``borrowed`` scene belongs to the caller and is restored after each use.
     """
 
     def __init__(
@@ -60,7 +44,7 @@ class LiveScene:
         self.sensor = sensor
         self.state = state
         self.resolution = resolution
-        self.device = device()
+        self.device = device()  # of images and gradients
         self._borrowed = borrowed
         self._variant = mi.variant()
         self._is_in_use = False
@@ -83,19 +67,10 @@ class LiveScene:
         tracked: Collection[str] | None = None,
         tensors: Collection[torch.Tensor] = (),
     ) -> Any:
-        """Give the scene these values and call a function of Dr.Jit tensors.
+        """Give the scene these values, and call a function of Dr.Jit tensors with torch tensors.
 
-        Parameters
-        ----------
-        function
-            Returns Dr.Jit tensors, which become torch tensors.
-        values
-            Values by parameter name; other parameters get the scene's own.
-        tracked
-            The parameters that Dr.Jit tracks. By default those that it tracks already: they do no harm to a primal
-            render, and writing them again would take time.
-        tensors
-            Arguments of the function.
+        Parameters that are not in ``values`` get the scene's own. Dr.Jit tracks those in ``tracked``, by default
+        those that it tracks already: they do no harm to a primal render, and writing them again would take time.
         """
         with self.exclusive():
             tracked = self.state.leaves.keys() if tracked is None else tracked
@@ -123,7 +98,7 @@ class LiveScene:
                 return
             self._take_over_tracking()
             self.refresh_originals()
-            size = _film_size(self.sensor)
+            size = film_size(self.sensor)
             _resize(self.sensor, self.resolution)
             self._is_in_use = True
             try:
@@ -155,13 +130,8 @@ def _collector_paused() -> Iterator[None]:
             gc.enable()
 
 
-def _film_size(sensor: Any) -> tuple[int, int]:
-    width, height = sensor.film().crop_size()
-    return int(width), int(height)
-
-
 def _resize(sensor: Any, size: tuple[int, int]) -> None:
-    if _film_size(sensor) != size:
+    if film_size(sensor) != size:
         film = mi.traverse(sensor)
         film["film.size"] = list(size)
         film.update()

@@ -30,16 +30,8 @@ MAX_FRACTION = 0.9
 def predict(resolution: tuple[int, int], spp: int, pictures: int, texels: int) -> int:
     """Return an upper bound on the bytes that rendering and differentiating allocates.
 
-    Parameters
-    ----------
-    resolution
-        ``(width, height)`` in pixels; for several cameras, their total width.
-    spp
-        Samples per pixel of each image. They are rendered in chunks of bounded size.
-    pictures
-        Number of images held at the same time: the replicates of an attribution.
-    texels
-        Number of tracked scalars.
+    ``resolution`` is ``(width, height)``, for several cameras with their total width; ``pictures`` the number of
+    images held at the same time, the replicates of an attribution; ``texels`` the number of tracked scalars.
     """
     pixels = math.prod(resolution)
     samples = min(spp * pixels, max(MAX_SAMPLES, pixels))
@@ -80,13 +72,7 @@ def _available_in_cgroups() -> list[int]:
 
 
 def require(resolution: tuple[int, int], spp: int, pictures: int, texels: int, free: int | None) -> None:
-    """Raise if a job does not fit into the free memory.
-
-    Raises
-    ------
-    SceneCaptumError
-        Names the predicted and the available memory, and settings that would fit.
-    """
+    """Raise if a job does not fit into the free memory, with both amounts and settings that would fit."""
     needed = predict(resolution, spp, pictures, texels)
     if free is None or needed <= MAX_FRACTION * free:
         return
@@ -101,15 +87,8 @@ def require(resolution: tuple[int, int], spp: int, pictures: int, texels: int, f
         remedies.append(f"replicates={count}")
     if (samples := _largest(spp, lambda n: fits(resolution, n, pictures))) > 0:
         remedies.append(f"{samples} samples per pixel in a replicate (spp={samples * pictures})")
-    smaller = next(
-        (
-            (max(width // k, 1), max(height // k, 1))
-            for k in range(2, max(resolution) + 1)
-            if fits((max(width // k, 1), max(height // k, 1)), spp, pictures)
-        ),
-        None,
-    )
-    if smaller:
+    sizes = ((max(width // k, 1), max(height // k, 1)) for k in range(2, max(resolution) + 1))
+    if smaller := next((size for size in sizes if fits(size, spp, pictures)), None):
         remedies.append(f"resolution={smaller}")
     job = f"{pictures} image{'s' if pictures > 1 else ''} of {width}×{height} pixels at {spp} spp each"
     remedy = (

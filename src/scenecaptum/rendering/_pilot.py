@@ -1,7 +1,5 @@
 """A pilot render: how much single paths contribute to the light of each object, by pixel.
 
-Imported only once a variant is active (see ``SceneRenderer``).
-
 A standard error from the spread of replicates is reliable where many paths make up that spread. Eight replicates
 cannot show whether they do. The individual paths of a pilot can.
 """
@@ -9,7 +7,7 @@ cannot show whether they do. The individual paths of a pilot can.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -34,19 +32,11 @@ MAX_VALUES = 2**22
 
 @dataclass(frozen=True)
 class ParameterGroups:
-    """Groups of surfaces and emitters that use the same parameters.
+    """Groups of surfaces and emitters that use the same parameters."""
 
-    Attributes
-    ----------
-    parameters
-        For each group, the parameters on which its light depends directly.
-    of_shape, of_emitter
-        The group of each of Dr.Jit's shape or emitter indices; the number of groups for any other.
-    """
-
-    parameters: tuple[frozenset[str], ...]
-    of_shape: mi.UInt32
-    of_emitter: mi.UInt32
+    parameters: tuple[frozenset[str], ...]  # on which the light of each group depends directly
+    of_shape: mi.UInt32  # the group of each of Dr.Jit's shape indices; the number of groups for any other
+    of_emitter: mi.UInt32  # likewise of emitter indices
 
 
 def find_parameter_groups(graph: SceneGraph, parameters: SceneParameters) -> ParameterGroups:
@@ -82,18 +72,9 @@ def _emitter_index(emitter: Any) -> int:
 class Moments:
     """Accumulates squares and fourth powers of the contributions of path vertices, by group and block of pixels.
 
-    Not a dataclass, whose fields Dr.Jit would make state variables of the integrator's loop.
-
-    Parameters
-    ----------
-    groups
-        The groups of surfaces and emitters.
-    block, blocks
-        The block of pixels of each lane, and the number of blocks.
-    response
-        The sensor response to each lane's radiance.
-    squares, fourths
-        The sums, ``groups · blocks`` elements each, in double precision because squares may overflow float32.
+    Not a dataclass, whose fields Dr.Jit would make state variables of the integrator's loop. ``block`` is that of
+    each lane, and ``response`` the sensor's to its radiance. The sums have ``groups · blocks`` elements each, in
+    double precision because squares may overflow float32.
     """
 
     def __init__(
@@ -122,43 +103,21 @@ class Moments:
 
 @dataclass(frozen=True)
 class Pilot:
-    """Second and fourth moments, over samples in a pixel, of path vertices' contributions to the light of groups.
+    """Second and fourth moments, over samples in a pixel, of vertices' contributions to the light of groups."""
 
-    Attributes
-    ----------
-    parameters
-        Those of each group.
-    squares, fourths
-        ``(groups, blocks)``.
-    block
-        The block of each pixel, ``(H·W,)``.
-    """
-
-    parameters: tuple[frozenset[str], ...]
-    squares: NDArray[np.float64]
+    parameters: tuple[frozenset[str], ...]  # of each group
+    squares: NDArray[np.float64]  # ``(groups, blocks)``
     fourths: NDArray[np.float64]
-    block: NDArray[np.intp]
+    block: NDArray[np.intp]  # of each pixel, ``(H·W,)``
 
     def cumulants(
         self, name: str, magnitude: NDArray[np.float64], samples: NDArray[np.float64]
     ) -> tuple[float, float] | None:
         """Return variance and fourth cumulant of an estimate of a parameter's light, weighted by an adjoint.
 
-        Contributions are modelled as rare events, so that their sum has a compound Poisson distribution.
-
-        Parameters
-        ----------
-        name
-            The parameter.
-        magnitude
-            Magnitude of the adjoint in each pixel, ``(H·W,)``.
-        samples
-            Number of samples of the estimate in each pixel, ``(H·W,)``.
-
-        Returns
-        -------
-        tuple or None
-            None where the parameter belongs to no surface and no emitter.
+        None where the parameter belongs to no surface and no emitter. ``magnitude`` is that of the adjoint in each
+        pixel, ``(H·W,)``, and ``samples`` the number of samples of the estimate there. Contributions are modelled
+        as rare events, so that their sum has a compound Poisson distribution.
         """
         groups = [group for group, names in enumerate(self.parameters) if name in names]
         if not groups:
@@ -173,28 +132,16 @@ class Pilot:
         )
 
 
+@dataclass(eq=False, repr=False)
 class Pilots:
-    """Pilots of a scene for one sensor; cached until the scene's own values change.
+    """Pilots of a scene for one sensor; cached until the scene's own values change."""
 
-    Parameters
-    ----------
-    live, parameters
-        The scene and its parameters.
-    integrator
-        The planned integrator.
-    importance_maps
-        Where the samples of backward passes go.
-    """
-
-    def __init__(
-        self, live: LiveScene, parameters: SceneParameters, integrator: Any, importance_maps: ImportanceMaps
-    ) -> None:
-        self._live = live
-        self._parameters = parameters
-        self._integrator = integrator
-        self._importance_maps = importance_maps
-        self._pilots: dict[int, Pilot] = {}
-        self._originals: Values = {}  # those of the cached pilots
+    live: LiveScene
+    parameters: SceneParameters
+    integrator: Any
+    importance_maps: ImportanceMaps
+    _pilots: dict[int, Pilot] = field(default_factory=dict)
+    _originals: Values = field(default_factory=dict)  # those of the cached pilots
 
     def cumulants(
         self, values: Values, tracked: Sequence[str], adjoint: torch.Tensor, spp: int, replicates: int
@@ -205,12 +152,12 @@ class Pilots:
         without such light are left out, and so are low roughnesses that are differentiated by light tracing.
         """
         adjoint = adjoint.detach().float()
-        width, height = self._live.resolution
-        with self._live.exclusive():
-            routes = derivative_routes(self._parameters, {**self._live.original, **values}, tracked)
-            film = self._importance_maps.film
+        width, height = self.live.resolution
+        with self.live.exclusive():
+            routes = derivative_routes(self.parameters, {**self.live.original, **values}, tracked)
+            film = self.importance_maps.film
             magnitude = film.rms_adjoint(adjoint) if film else adjoint.norm(dim=-1)
-            replayed, *light_traced = self._importance_maps.groups(values, routes)
+            replayed, *light_traced = self.importance_maps.groups(values, routes)
             sampled = pixel_probabilities(magnitude, replayed.maps) * (width * height * spp)
             pilot = self._run(
                 max(1, min(PILOT_FACTOR * spp * replicates, MAX_PILOT_SAMPLES // (width * height)))
@@ -228,14 +175,14 @@ class Pilots:
         return {name: cumulants for name, cumulants in found.items() if cumulants is not None}
 
     def _run(self, spp: int) -> Pilot:
-        if self._originals is not self._live.original:
-            self._originals = self._live.original
+        if self._originals is not self.live.original:
+            self._originals = self.live.original
             self._pilots.clear()
         if spp not in self._pilots:
-            live = self._live
-            groups = find_parameter_groups(live.graph, self._parameters)
+            live = self.live
+            groups = find_parameter_groups(live.graph, self.parameters)
             with live.with_values({}):
-                self._pilots[spp] = run_pilot(self._integrator, live.scene, live.sensor, groups, spp, 0)
+                self._pilots[spp] = run_pilot(self.integrator, live.scene, live.sensor, groups, spp, 0)
         return self._pilots[spp]
 
 

@@ -17,15 +17,6 @@ def sample_pixels(
     The samples are stratified: a pixel with an expected count of ``n`` samples gets ``n``, rounded up or down at
     random. A constant adjoint with constant importance therefore loses nothing: each pixel gets exactly ``spp``.
 
-    Parameters
-    ----------
-    magnitude, importance_maps
-        As for ``pixel_probabilities``.
-    spp
-        Mean samples per pixel.
-    seed
-        Seed of the random rounding.
-
     Returns
     -------
     pixel : Tensor
@@ -50,13 +41,8 @@ def pixel_probabilities(
 ) -> npt.NDArray[np.float64]:
     """Return the probability of each pixel, ``(H·W,)``: a mixture of ``|∂M/∂I| · importance`` and uniform.
 
-    Parameters
-    ----------
-    magnitude
-        Magnitude of the adjoint, ``|∂M/∂I|``, of shape ``(H, W)``.
-    importance_maps
-        Pairs of a mixture weight and a map ``(H, W)`` of how much the derivatives vary at each pixel. The
-        remaining weight is uniform, which bounds the sample weights.
+    ``magnitude`` is ``|∂M/∂I|``, ``(H, W)``. ``importance_maps`` are pairs of a mixture weight and a map
+    ``(H, W)`` of how much the derivatives vary at each pixel. The rest is uniform, which bounds sample weights.
 
     References
     ----------

@@ -102,10 +102,8 @@ class RenderPlan:
         """The decisions with their reasons, and the memory bound."""
         if not self.memory:
             return self.reasons
-        return (
-            *self.reasons,
-            (f"at most {format_bytes(self.memory)} of memory", "to render and differentiate one image"),
-        )
+        memory = f"at most {format_bytes(self.memory)} of memory"
+        return (*self.reasons, (memory, "to render and differentiate one image"))
 
 
 def make_plan(
@@ -118,55 +116,44 @@ def make_plan(
     """Choose the integrator, its settings and a derivative method for each input, given the scene's values."""
     mi = activate()
     own = graph.scene.integrator()
-    reasons: list[tuple[str, str]] = []
+    reasons: dict[str, str] = {}
 
     integrator = choose_integrator(media=graph.has(mi.Medium))
-    reasons.append((f"integrator {integrator.plugin}", integrator.reason))
-    reasons.append((f"variant {mi.variant()}", "linear RGB; spectra are converted when the scene is loaded"))
+    reasons[f"integrator {integrator.plugin}"] = integrator.reason
+    reasons[f"variant {mi.variant()}"] = "linear RGB; spectra are converted when the scene is loaded"
 
     depth, reason = _depth(own, max_depth)
-    reasons.append((f"max_depth {'unlimited' if depth == -1 else depth}", reason))
+    reasons[f"max_depth {'unlimited' if depth == -1 else depth}"] = reason
 
     if 0 < depth <= FULL_PATH_DEPTH:
         rr_depth = depth + 1
-        reasons.append(
-            ("no Russian roulette", f"paths of at most {FULL_PATH_DEPTH} segments are traced to their end")
+        reasons["no Russian roulette"] = (
+            f"paths of at most {FULL_PATH_DEPTH} segments are traced to their end"
         )
     else:
         rr_depth = _setting(own, "rr_depth") or 5
-        reasons.append(
-            (f"Russian roulette from depth {rr_depth}", "deeper paths end at random, without bias")
-        )
+        reasons[f"Russian roulette from depth {rr_depth}"] = "deeper paths end at random, without bias"
 
-    hide_emitters = bool(getattr(own, "hide_emitters", False))
-    if hide_emitters:
-        reasons.append(("lights hidden from the camera", "as set by the scene's integrator"))
-    reasons += _unused_integrator(own)
+    if hide_emitters := bool(getattr(own, "hide_emitters", False)):
+        reasons["lights hidden from the camera"] = "as set by the scene's integrator"
+    reasons |= _unused_integrator(own)
 
     left_out = sum(not p.problem for p in parameters.values()) - len(inputs)
-    reasons.append(
-        (f"{len(inputs)} inputs tracked", f"{left_out} other differentiable parameters are not tracked")
-    )
+    reasons[f"{len(inputs)} inputs tracked"] = f"{left_out} other differentiable parameters are not tracked"
     routes = derivative_routes(parameters, values, inputs)
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
-    if differences:
-        reasons.append(
-            (f"{len(differences)} of them by finite differences", "two or three more renders each, see below")
-        )
-    low_roughness = low_roughness_names(routes)
-    if low_roughness:
-        reasons.append(
-            (
-                f"{len(low_roughness)} of them by light tracing",
-                "low roughness (pinhole and lens cameras, no bump maps)",
-            )
+    if count := len(differences):
+        reasons[f"{count} of them by finite differences"] = "two or three more renders each, see below"
+    if count := len(low_roughness_names(routes)):
+        reasons[f"{count} of them by light tracing"] = (
+            "low roughness (pinhole and lens cameras, no bump maps)"
         )
     cautions = (
         *((name, f"{p.fault}; left out, and rendered as it is") for name, p in parameters.items() if p.fault),
         *((name, caution) for name in inputs if (caution := parameters[name].caution)),
     )
     return RenderPlan(
-        integrator.plugin, depth, rr_depth, hide_emitters, tuple(reasons), differences, cautions
+        integrator.plugin, depth, rr_depth, hide_emitters, tuple(reasons.items()), differences, cautions
     )
 
 
@@ -188,26 +175,20 @@ _EQUIVALENT_INTEGRATORS = {"PathIntegrator", "DirectIntegrator", "PRBIntegrator"
 _EQUIVALENT_INTEGRATORS |= {"ReplayIntegrator", "VolumetricReplayIntegrator"}
 
 
-def _unused_integrator(own: Any) -> list[tuple[str, str]]:
+def _unused_integrator(own: Any) -> dict[str, str]:
     """Return the decision not to use the scene's own integrator, where its results would differ."""
     if own is None:
-        return []
+        return {}
     # For a plugin written in Python, Mitsuba reports the name of the base class.
     name = type(own).__name__ if own.class_name() == "SamplingIntegrator" else str(own.class_name())
     if name in _EQUIVALENT_INTEGRATORS:
-        return []
+        return {}
     plugin, reason = _OTHER_INTEGRATORS.get(name, (name, "path replay renders the radiance"))
-    return [(f"the scene's integrator {plugin!r} is not used", reason)]
+    return {f"the scene's integrator {plugin!r} is not used": reason}
 
 
 def with_integrator(plan: RenderPlan, plugin: str) -> RenderPlan:
-    """Return the same plan with another integrator.
-
-    Raises
-    ------
-    SceneCaptumError
-        If there is no such integrator, or it does not render the scene's media.
-    """
+    """Return the same plan with another integrator; raise if there is none, or it does not render the media."""
     if plugin not in INTEGRATORS:
         raise SceneCaptumError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {plugin!r}.")
     kind = INTEGRATORS[plugin]

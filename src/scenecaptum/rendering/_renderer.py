@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
 import torch
@@ -37,9 +36,6 @@ from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
 from ._sensors import camera_of, choose_sensor, common_resolution
-
-if TYPE_CHECKING:
-    from ._view import View
 
 
 class SceneRenderer(torch.nn.Module):
@@ -169,25 +165,17 @@ class SceneRenderer(torch.nn.Module):
         """Create a view for each sensor, all on the same scene."""
         from ._live_scene import LiveScene
         from ._view import make_view
-        from ._visibility import trace_surfaces
 
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
-        self._surface_maps: dict[Any, SurfaceMap] = {}
         self._guides: Guides | None = None
-        self._views: Sequence[View] = [
+        self._views = [
             make_view(
                 LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
                 self._table,
                 self.plan,
-                partial(
-                    _cached_surface_map,
-                    self._surface_maps,
-                    index,
-                    partial(trace_surfaces, self._graph, self._table, sensor, resolution),
-                ),
             )
-            for index, sensor in enumerate(self._sensors)
+            for sensor in self._sensors
         ]
         self._attach_checkpoint()
 
@@ -252,18 +240,7 @@ class SceneRenderer(torch.nn.Module):
         return predict(*self._sizes(spp, pictures))
 
     def require_memory(self, *, spp: int | None = None, pictures: int = 1) -> None:
-        """Raise if ``memory`` exceeds the available memory, with settings that would fit.
-
-        Parameters
-        ----------
-        spp, pictures
-            As for ``memory``.
-
-        Raises
-        ------
-        SceneCaptumError
-            Names both amounts.
-        """
+        """Raise if ``memory`` with ``spp`` and ``pictures`` exceeds what is available; name what would fit."""
         sizes = self._sizes(spp, pictures)
         if (needed := predict(*sizes)) > self._granted_memory:
             require(*sizes, available() if self._device.type == "cpu" else None)
@@ -404,13 +381,7 @@ class SceneRenderer(torch.nn.Module):
         return self._table
 
     def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> SceneRenderer:
-        """Refuse what ``to``, ``double``, ``half``, … cannot change; torch calls this for each of them.
-
-        Raises
-        ------
-        SceneCaptumError
-            If the type or the device is not that of the renderer's images.
-        """
+        """Refuse another type or device than that of images; torch calls this for ``to``, ``double`` and more."""
         own = torch.zeros((), device=self._device)
         wanted = fn(own)
         if (wanted.dtype, wanted.device) != (own.dtype, own.device):
@@ -423,32 +394,25 @@ class SceneRenderer(torch.nn.Module):
     @property
     def surfaces(self) -> SurfaceMap | None:
         """The objects that each pixel shows; None for a list of sensors."""
-        return None if self._stacked else self._surface_map(0)
+        return self._surface_map(())
 
     def surfaces_with_texels(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
-        """Return ``surfaces`` with the texels that each pixel shows.
+        """Return ``surfaces`` with the texels that each pixel shows, of the named parameters, or of all inputs.
 
-        Parameters
-        ----------
-        names
-            Parameters that are texels of bitmaps or of the environment map, or vertex or face attributes of a
-            mesh; by default all such inputs. Others are ignored.
+        They are texels of bitmaps or of the environment map, or vertex or face attributes of a mesh; others are
+        ignored.
         """
-        return None if self._stacked else self._surface_map(0, self._textures(names))
+        return self._surface_map(names)
 
     def see_through(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
         """Return the objects that each pixel shows in mirrors and behind glass; None for a list of sensors.
 
         Rays continue at specular surfaces, up to 12 times, to the first surface that scatters or emits light.
         Where a surface reflects and transmits, its fraction of a pixel is split as its light is. Absorption is
-        ignored, so that fractions sum to 1. ``heatmap(surfaces=…)`` paints on the map.
-
-        Parameters
-        ----------
-        names
-            Textures whose texels the map contains, as in ``surfaces_with_texels``.
+        ignored, so that fractions sum to 1. ``heatmap(surfaces=…)`` paints on the map. ``names`` are as in
+        ``surfaces_with_texels``.
         """
-        return None if self._stacked else self._surface_map(0, self._textures(names), through=True)
+        return self._surface_map(names, through=True)
 
     @property
     def guides(self) -> Guides:
@@ -468,31 +432,14 @@ class SceneRenderer(torch.nn.Module):
             self._guides = Guides(*stacks) if self._stacked else guides[0]
         return self._guides
 
-    def _textures(self, names: Iterable[str] | None) -> tuple[str, ...]:
-        wanted = self._names if names is None else tuple(names)
-        return tuple(n for n in wanted if n in self._state.original and len(self._table[n].shape) in (2, 3))
-
-    def _surface_map(
-        self, index: int, textures: tuple[str, ...] = (), *, through: bool = False
-    ) -> SurfaceMap:
-        """Return a sensor's surface map. It is cached, because no input moves geometry."""
-        from ._texels import find_textures
-        from ._visibility import trace_surfaces
-
-        key = (index, textures, through)
-        if key not in self._surface_maps:
-            live = self._views[index].live
-
-            def with_texels(name: str, texels: Any) -> Any:
-                return live.with_values({name: torch.from_numpy(texels).to(self._device)})
-
-            with live.exclusive():
-                shapes = {name: self._table[name].shape for name in textures}
-                lookups = list(find_textures(self._graph, shapes, with_texels))
-                self._surface_maps[key] = trace_surfaces(
-                    self._graph, self._table, live.sensor, self.resolution, lookups, through=through
-                )
-        return self._surface_maps[key]
+    def _surface_map(self, names: Iterable[str] | None, *, through: bool = False) -> SurfaceMap | None:
+        """Return the sensor's surface map with the texels of these inputs; None for a list of sensors."""
+        if self._stacked:
+            return None
+        wanted = self._names if names is None else names
+        in_scene = (name for name in wanted if name in self._state.original)
+        textures = tuple(name for name in in_scene if len(self._table[name].shape) in (2, 3))
+        return self._views[0].surface_map(textures, through)
 
     def forward(
         self,
@@ -562,13 +509,9 @@ class SceneRenderer(torch.nn.Module):
                 for number, view in enumerate(self._views)
             ]
         except NotFiniteError as error:
-            raise NotFiniteError(f"{error}{self._possible_causes()}") from error
+            causes = [f" {name!r} may be the cause: {p.fault}." for name, p in self._table.items() if p.fault]
+            raise NotFiniteError(f"{error}{''.join(causes[:3])}") from error
         return torch.stack(images) if self._stacked else images[0]
-
-    def _possible_causes(self) -> str:
-        """Return sentences that name values in the scene that are not finite or not physical."""
-        faults = [f" {name!r} may be the cause: {p.fault}." for name, p in self._table.items() if p.fault]
-        return "".join(faults[:3])
 
     def derivative_image(
         self,
@@ -603,7 +546,7 @@ class SceneRenderer(torch.nn.Module):
         Returns
         -------
         Tensor
-            ``(H, W, 3)`` radiance per unit of ``direction``; ``(cameras, H, W, 3)`` for a list of sensors.
+            Like a render, per unit of ``direction``.
 
         Raises
         ------
@@ -647,10 +590,8 @@ class SceneRenderer(torch.nn.Module):
             The differentiated parameters and their values.
         adjoint
             The derivative of a metric with respect to the image, of the image's shape.
-        spp
-            Samples per pixel of a replicate; the renderer's by default.
-        replicates
-            Number of replicates.
+        spp, replicates
+            Samples per pixel of a replicate, the renderer's by default, and number of replicates.
 
         Returns
         -------
@@ -783,19 +724,6 @@ class SceneRenderer(torch.nn.Module):
             "A SceneRenderer can be neither copied nor pickled, because a Mitsuba scene cannot. Create it again "
             "from its scene file; with several processes, in each worker (spawn, not fork)."
         )
-
-
-def _cached_surface_map(
-    maps: dict[Any, SurfaceMap], index: int, trace: Callable[[], SurfaceMap]
-) -> SurfaceMap:
-    """Return a sensor's surface map.
-
-    Not a method: a view with a reference to its renderer would keep both, and the scene, in memory.
-    """
-    key = (index, (), False)
-    if key not in maps:
-        maps[key] = trace()
-    return maps[key]
 
 
 def _variant_of(scene: SceneLike) -> str | None:

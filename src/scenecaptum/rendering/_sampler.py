@@ -1,7 +1,5 @@
 """Low-discrepancy random numbers over all samples of a render: Owen-scrambled Sobol points.
 
-Imported only once a variant is active (see ``SceneRenderer``).
-
 References
 ----------
 Burley, "Practical Hash-based Owen Scrambling", Journal of Computer Graphics Techniques 9(4), 2020.

@@ -8,30 +8,20 @@ from typing import Any, NamedTuple
 
 from ..camera import Camera
 from ..errors import SceneCaptumError, whole_number
+from ..scene import rgb_film
 
 
 class SensorType(NamedTuple):
     """A type of sensor whose pixels have a known geometry.
 
-    The module ``sensors.NAME`` has its ``camera_of(sensor)``, and its plugin if Mitsuba has none.
-
-    Attributes
-    ----------
-    description
-        What it is, for the help text.
-    class_names
-        Names of its classes in Mitsuba.
-    plugin
-        For a type that ``sensor=`` can name, the Mitsuba plugin that is created with the pose of the scene's first
-        sensor.
-    connectable
-        Whether light tracing can connect to it, by ``sample_direction`` and ``near_clip``.
+    The module ``sensors.NAME`` has its ``camera_of(sensor)``, and its plugin if Mitsuba has none. A type that
+    ``sensor=`` can name has a ``plugin``, which is created with the pose of the scene's first sensor.
     """
 
-    description: str
-    class_names: tuple[str, ...]
+    description: str  # for the help text
+    class_names: tuple[str, ...]  # in Mitsuba
     plugin: str | None = None
-    connectable: bool = False
+    connectable: bool = False  # whether light tracing can use its ``sample_direction`` and ``near_clip``
 
 
 SENSORS = {
@@ -101,21 +91,13 @@ def _create(name: str, pose: Any, resolution: tuple[int, int]) -> Any:
     import mitsuba as mi
 
     _module(name)  # registers the plugin
-    width, height = resolution
     matrix = pose.world_transform().matrix
     rows = [[float(matrix[row, column][0]) for column in range(4)] for row in range(4)]
     return mi.load_dict(
         {
             "type": SENSORS[name].plugin,
             "to_world": mi.ScalarTransform4f(rows),
-            "film": {
-                "type": "hdrfilm",
-                "width": width,
-                "height": height,
-                "pixel_format": "rgb",
-                "component_format": "float32",
-                "rfilter": {"type": "box"},
-            },
+            "film": rgb_film(*resolution),
             "sampler": {"type": "independent", "sample_count": pose.sampler().sample_count()},
         }
     )
@@ -134,9 +116,15 @@ def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None
     return sizes.pop()
 
 
+def film_size(sensor: Any) -> tuple[int, int]:
+    """Return the ``(width, height)`` of a sensor's film."""
+    width, height = sensor.film().crop_size()
+    return int(width), int(height)
+
+
 def _resolution(sensor: Any, resolution: tuple[int, int] | None) -> tuple[int, int]:
     film = sensor.film()
-    width, height = (int(n) for n in film.crop_size())
+    width, height = film_size(sensor)
     if resolution is None:
         return width, height
     if list(film.crop_size()) != list(film.size()):

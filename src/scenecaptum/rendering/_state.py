@@ -1,7 +1,4 @@
-"""Parameter values of a live Mitsuba scene: reading, writing, tracking and restoring them.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Parameter values of a live Mitsuba scene: reading, writing, tracking and restoring them."""
 
 from __future__ import annotations
 
@@ -19,14 +16,9 @@ class SceneState:
     Writing is expensive (a rough plastic rebuilds its tables in 20 to 60 ms), so the scene keeps the last values
     until others are written or ``restore`` is called.
 
-    Parameters
-    ----------
-    scene
-        The live ``mi.Scene``.
-    shapes
-        The writable parameters and their shapes in torch. A parameter may be a number here but a colour in the
-        scene, where a material uses it as a number: then it reads as the mean of the channels, or as the luminance
-        of a bitmap, as in Mitsuba, and is written to all channels.
+    ``shapes`` are those of the writable parameters in torch. A parameter may be a number here but a colour in the
+    scene, where a material uses it as a number: then it reads as the mean of the channels, or as the luminance of
+    a bitmap, as in Mitsuba, and is written to all channels.
     """
 
     def __init__(self, scene: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -1,7 +1,4 @@
-"""Which texels of a texture, or rows of a mesh attribute, contribute at a point, in NumPy.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Which texels of a texture, or rows of a mesh attribute, contribute at a point, in NumPy."""
 
 from __future__ import annotations
 
@@ -12,10 +9,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..projection import TexelMap
-from ..scene import SceneGraph
+from ._live_scene import LiveScene
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -29,30 +27,16 @@ MAX_BILINEAR_TEXELS = 4
 
 @dataclass(frozen=True)
 class Lookup:
-    """How a texture looks up its texels.
-
-    Attributes
-    ----------
-    height, width
-        Size of the texture.
-    nearest
-        Whether the filter is nearest-neighbour, not bilinear.
-    wrap_x, wrap_y
-        Wrap modes: ``"repeat"``, ``"clamp"`` or ``"mirror"``.
-    stride, first
-        Texel ``(x, y)`` is element ``y * stride + x + first`` of the parameter.
-    row_share
-        For each row, the fraction of the whole texture that one of its texels covers.
-    """
+    """How a texture looks up its texels: ``(x, y)`` is element ``y * stride + x + first`` of the parameter."""
 
     height: int
     width: int
-    nearest: bool
-    wrap_x: str
+    nearest: bool  # whether the filter is nearest-neighbour, not bilinear
+    wrap_x: str  # one of ``WRAP_MODES``
     wrap_y: str
     stride: int
     first: int
-    row_share: Floats
+    row_share: Floats  # for each row, the fraction of the whole texture that one of its texels covers
 
     def nearest_texel(self, x: Floats, y: Floats) -> Indices:
         """Return the nearest texel of each point, ``(N,)``; texel centres have integer coordinates."""
@@ -91,18 +75,10 @@ class Lookup:
 
 @dataclass(frozen=True)
 class MeshLookup:
-    """How a mesh looks up an attribute of its vertices, or of its faces.
+    """How a mesh looks up an attribute of its vertices, or of its faces."""
 
-    Attributes
-    ----------
-    rows
-        ``(faces, 3)``, the row of each corner; or ``(faces, 1)``, the row of the face.
-    share
-        Fraction of the surface area that belongs to each row: a vertex has a third of its faces.
-    """
-
-    rows: Indices
-    share: Floats
+    rows: Indices  # ``(faces, 3)``, the row of each corner; or ``(faces, 1)``, the row of the face
+    share: Floats  # fraction of the surface area that belongs to each row: a vertex has a third of its faces
 
     @classmethod
     def of(cls, mesh: Any, attribute: str) -> MeshLookup:
@@ -115,7 +91,7 @@ class MeshLookup:
         return cls(rows, np.bincount(rows.ravel(), weights=weights).astype(np.float32))
 
     def shown(self, entry: Indices, coordinates: Sequence[Any], rays: Indices) -> TexelMap:
-        """Return the rows that rays hit; ``entry`` is that of each ray, ``rays`` the rays of each entry."""
+        """Return the rows that rays hit, as ``Lookup.shown``."""
         face, second, third = coordinates
         rows = self.rows[face]
         weight = (
@@ -152,43 +128,26 @@ def _wrap(index: Indices, size: int, mode: str) -> Indices:
 class ShownTexture:
     """A texture in a scene, or an attribute of a mesh.
 
-    Attributes
-    ----------
-    name
-        Of the parameter that holds its texels.
-    lookup
-        How it looks them up.
-    shapes
-        Dr.Jit's indices of the shapes that use it; None for an environment, which rays that hit nothing see.
-    coordinates
-        Maps a surface interaction, the preliminary one and the ray's direction to the coordinates that
-        ``lookup.shown`` takes, all in Dr.Jit arrays.
+    ``shapes`` are Dr.Jit's indices of those that use it; None for an environment, which rays that hit nothing see.
+    ``coordinates`` maps a surface interaction, the preliminary one and the ray's direction to the coordinates that
+    ``lookup.shown`` takes, all in Dr.Jit arrays.
     """
 
-    name: str
+    name: str  # of the parameter that holds its texels
     lookup: Lookup | MeshLookup
     shapes: Sequence[int] | None
     coordinates: Callable[[Any, Any, Any], tuple[Any, ...]]
 
 
-def find_textures(
-    graph: SceneGraph, shapes: dict[str, tuple[int, ...]], with_texels: Callable[[str, Any], Any]
-) -> Iterator[ShownTexture]:
-    """Describe the named parameters that are texels of a bitmap or environment map, or attributes of a mesh.
-
-    Parameters
-    ----------
-    shapes
-        Their shapes by name.
-    with_texels
-        Returns a context manager that gives a texture other texels.
-    """
+def find_textures(live: LiveScene, shapes: dict[str, tuple[int, ...]]) -> Iterator[ShownTexture]:
+    """Describe the named parameters that are texels of a bitmap or environment map, or attributes of a mesh."""
+    graph = live.graph
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
     for name, shape in shapes.items():
         node = nodes[name]
         if node.class_name().startswith("BitmapTexture") and shape[-1] in (1, 3):
             texels = np.random.default_rng(0).random(shape, np.float32)
-            with with_texels(name, texels):
+            with live.with_values({name: torch.from_numpy(texels).to(live.device)}):
                 lookup = _bitmap_lookup(node, texels)
             users = [shape_index(shape) for shape in graph.shapes_using(node)]
             yield ShownTexture(name, lookup, users, _on_bitmap(node, lookup))

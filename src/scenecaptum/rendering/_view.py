@@ -1,13 +1,11 @@
-"""A view: everything that renders a scene through one of its sensors.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""A view: everything that renders a scene through one of its sensors."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 
 import torch
 
@@ -20,28 +18,18 @@ from ._importance_maps import ImportanceMaps
 from ._live_scene import LiveScene
 from ._pilot import Pilots
 from ._plan import RenderPlan
+from ._texels import find_textures
+from ._visibility import trace_surfaces
 
 
 @dataclass(frozen=True)
 class View:
-    """What renders a scene through one of its sensors.
-
-    Attributes
-    ----------
-    live
-        The scene.
-    engine
-        Renders and differentiates.
-    pilots
-        Count effective samples; None for Mitsuba's own integrators.
-    surface_map
-        Returns the map of the objects that each pixel shows.
-    """
+    """What renders a scene through one of its sensors."""
 
     live: LiveScene
     engine: Engine | CheckpointedEngine
-    pilots: Pilots | None
-    surface_map: Callable[[], SurfaceMap]
+    pilots: Pilots | None  # None for Mitsuba's own integrators
+    surface_map: Callable[[tuple[str, ...], bool], SurfaceMap]  # with these texels, through specular surfaces
 
     def with_checkpoint(self, checkpoint: Checkpoint | None, fingerprint: str) -> View:
         """Return the view with an engine that uses a checkpoint, or none."""
@@ -53,17 +41,24 @@ class View:
 
     def describe_pixels(self, pixels: torch.Tensor) -> str:
         """Return a sentence that names the objects on a mask of pixels ``(H, W)``."""
-        names = self.surface_map().objects_on(pixels.numpy(force=True))
+        names = self.surface_map((), False).objects_on(pixels.numpy(force=True))
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         return f" They show {', '.join(names[:3])}{more}: look for an extreme value there, or in the lights."
 
 
-def make_view(
-    live: LiveScene, parameters: SceneParameters, plan: RenderPlan, surface_map: Callable[[], SurfaceMap]
-) -> View:
+def make_view(live: LiveScene, parameters: SceneParameters, plan: RenderPlan) -> View:
     """Create what the plan requires to render a live scene."""
+
+    @cache  # because no input moves geometry
+    def surface_map(textures: tuple[str, ...], through: bool) -> SurfaceMap:
+        with live.exclusive():
+            lookups = list(find_textures(live, {name: parameters[name].shape for name in textures}))
+            return trace_surfaces(
+                live.graph, parameters, live.sensor, live.resolution, lookups, through=through
+            )
+
     integrator = plan.create_integrator()
-    importance_maps = ImportanceMaps(live, parameters, plan, integrator, surface_map)
+    importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False))
     arguments = (live, parameters, plan, integrator, importance_maps)
     if plan.kind.is_stock:
         return View(live, StockEngine(*arguments), None, surface_map)

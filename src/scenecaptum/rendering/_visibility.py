@@ -1,11 +1,9 @@
-"""Primary rays: the objects and texels that each pixel shows, with the fraction of the pixel that each covers.
-
-Imported only once a variant is active (see ``SceneRenderer``).
-"""
+"""Primary rays: the objects and texels that each pixel shows, with the fraction of the pixel that each covers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,15 +44,14 @@ def trace_surfaces(
     width, height = resolution
     objects = (*(name for name, _, _ in shapes), "background")
     object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
-    pixels, step = width * height, BATCH // RAYS
     parts = [
         _Part.of(
-            _trace(graph.scene, sensor, resolution, (first, min(step, pixels - first)), textures, through),
+            _trace(graph.scene, sensor, resolution, (first, count), textures, through),
             first,
             object_of_shape,
             textures,
         )
-        for first in range(0, pixels, step)
+        for first, count in batches(resolution)
     ]
     offsets = np.cumsum([0, *(len(part.pixel) for part in parts)])
     return SurfaceMap(
@@ -75,17 +72,12 @@ def trace_surfaces(
 
 @dataclass
 class _Hits:
-    """The hit of each ray, pixel-major: NumPy arrays with ``RAYS`` elements per pixel.
+    """The hit of each ray, pixel-major: NumPy arrays with ``RAYS`` elements per pixel."""
 
-    ``shape`` is Dr.Jit's index of the hit shape, 0 for none. ``visible_shape`` is the same, but the instance's
-    index for a shape in an instance. ``valid`` is False for rays without a direction, outside a fisheye's
-    circle. ``coordinates`` are lookup coordinates of each texture.
-    """
-
-    visible_shape: Indices
-    shape: Indices
-    valid: NDArray[np.bool_]
-    coordinates: list[tuple[NDArray[Any], ...]]
+    visible_shape: Indices  # as ``shape``, but the instance's index for a shape in an instance
+    shape: Indices  # Dr.Jit's index of the hit shape, 0 for none
+    valid: NDArray[np.bool_]  # False for rays without a direction, outside a fisheye's circle
+    coordinates: list[tuple[NDArray[Any], ...]]  # lookup coordinates of each texture
 
 
 def _trace(
@@ -122,6 +114,12 @@ def _trace(
         np.broadcast_to(valid.numpy(), count * RAYS),
         [tuple(axis.numpy() for axis in axes) for axes in coordinates],
     )
+
+
+def batches(resolution: tuple[int, int]) -> Iterator[tuple[int, int]]:
+    """Yield the first and the number of the pixels that are traced at once."""
+    pixels, step = math.prod(resolution), BATCH // RAYS
+    yield from ((first, min(step, pixels - first)) for first in range(0, pixels, step))
 
 
 def camera_rays(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError
-from ..projection import SurfaceMap, heatmap, shared_maximum
+from ..projection import SurfaceMap, heatmap, shared_maximum, used_by_objects
 from ..protocols import Attribution, RankedParameter
 from ..visualization import (
     LOWERS,
@@ -64,12 +64,8 @@ def _index_in(items: list[Any], item: Any) -> int:
 def _view(surfaces: SurfaceMap) -> tuple[dict[str, Any], NDArray[np.int64]]:
     planes, shown = encode_surfaces(surfaces)
     height, width = surfaces.shape
-    return {
-        "width": width,
-        "height": height,
-        "names": [surfaces.objects[index] for index in shown],
-        **planes,
-    }, shown
+    names = [surfaces.objects[index] for index in shown]
+    return {"width": width, "height": height, "names": names, **planes}, shown
 
 
 def _result(
@@ -80,7 +76,9 @@ def _result(
     caution_index = {name: index for index, names in enumerate(cautions.values()) for name in names}
     untrusted = untrusted_groups(attribution)
     untrusted_index = {name: index for index, names in enumerate(untrusted.values()) for name in names}
-    object_rows = _object_rows(attribution, ranking, surfaces)
+    row_index = {row.name: row.rank - 1 for row in ranking}
+    used = used_by_objects(attribution, surfaces, row_index)
+    object_rows = [sorted(row_index[name] for name in names) for names in used]
     saliencies = [_object_saliency(ranking, rows) for rows in object_rows]
     value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
     return {
@@ -133,16 +131,6 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
             for name, signed in maps.items()
         },
     }
-
-
-def _object_rows(
-    attribution: Attribution, ranking: Sequence[RankedParameter], surfaces: SurfaceMap
-) -> list[list[int]]:
-    """Return for each object the indices of its parameters or groups in the ranking."""
-    index = {row.name: row.rank - 1 for row in ranking}
-    groups = attribution.info.get("groups") or {name: [name] for name in index}
-    row_of = {name: index[group] for group, members in groups.items() if group in index for name in members}
-    return [sorted({row_of[name] for name in names if name in row_of}) for names in surfaces.parameters]
 
 
 def _object_saliency(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> float:
@@ -226,14 +214,11 @@ def default_titles(attributions: Sequence[Attribution]) -> list[str]:
     """Return titles from the metrics and, if these are equal, from another setting that differs."""
     names = [metric_name(attribution) for attribution in attributions]
     for key in (None, "scene", "sensor", "method", "resolution", "seed"):
-        titles = [_title(n, a, key) for n, a in zip(names, attributions, strict=True)]
+        details = [f" · {attribution.info.get(key)}" if key else "" for attribution in attributions]
+        titles = [f"{name}{detail}" for name, detail in zip(names, details, strict=True)]
         if len(set(titles)) == len(titles):
             return titles
     return [f"{name} ({index})" for index, name in enumerate(names, start=1)]
-
-
-def _title(name: str, attribution: Attribution, key: str | None) -> str:
-    return name if key is None else f"{name} · {attribution.info.get(key)}"
 
 
 def check(attributions: Sequence[Attribution], titles: Sequence[str] | None) -> None:

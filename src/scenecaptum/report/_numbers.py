@@ -51,17 +51,7 @@ def json_text(attribution: SceneAttribution) -> str:
 def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
     """Write the ranking as CSV: one row for each parameter, with the gradient and the error of each channel.
 
-    Parameters
-    ----------
-    attribution
-        The result.
-    path
-        The file to write, atomically.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the file cannot be written.
+    ``attribution``, ``path`` and the errors are as for ``write_json``.
     """
     rows = attribution.ranking()
     channels = range(max((len(row.total) for row in rows), default=0))

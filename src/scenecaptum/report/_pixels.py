@@ -30,15 +30,10 @@ def encode_picture(image: torch.Tensor) -> str:
 
 
 def encode_surfaces(surfaces: SurfaceMap) -> tuple[dict[str, str], NDArray[np.int64]]:
-    """Return the objects that each pixel shows, and the indices of all visible objects.
+    """Return the objects that each pixel shows, and the indices of all visible objects in ``surfaces.objects``.
 
-    Returns
-    -------
-    dict
-        ``objects``: ``LAYERS`` planes of little-endian 16-bit indices into the visible objects, the largest first;
-        ``weights``: as many planes of bytes, the fraction that each covers. Both are deflated and in base64.
-    ndarray
-        Indices of the visible objects in ``surfaces.objects``.
+    ``objects`` are ``LAYERS`` planes of little-endian 16-bit indices into the visible objects, the largest first;
+    ``weights`` as many planes of bytes, the fraction that each covers. Both are deflated and in base64.
     """
     shown, local = np.unique(surfaces.object_index.astype(np.int64), return_inverse=True)
     pixel, fraction = surfaces.pixel.astype(np.int64), surfaces.fraction.astype(np.float64)
@@ -82,10 +77,7 @@ def color_maps() -> dict[str, str]:
         triples = np.ascontiguousarray(colormap(np.linspace(0, 1, 256), bytes=True)[:, :3])
         return base64.b64encode(triples.tobytes()).decode()
 
-    return {
-        "magnitude": table(colormaps["inferno"]),
-        "signed": table(diverging()),
-    }
+    return {"magnitude": table(colormaps["inferno"]), "signed": table(diverging())}
 
 
 def _deflate(data: bytes) -> str:

@@ -1,14 +1,7 @@
 """What is in a scene: loading it, its parameters with kind, bounds and owner, and the bundled rooms."""
 
 # What users see; the other names are for the rooms above.
-__all__ = [
-    "BUNDLED",
-    "Parameter",
-    "SceneParameters",
-    "discover",
-    "load_scene",
-    "select",
-]
+__all__ = ["BUNDLED", "Parameter", "SceneParameters", "discover", "load_scene", "select"]
 
 from ._checks import check_scale as check_scale
 from ._graph import SceneGraph as SceneGraph
@@ -27,3 +20,4 @@ from ._reflection import reflect as reflect
 from ._selection import Selection as Selection
 from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED
+from .bundled import rgb_film as rgb_film

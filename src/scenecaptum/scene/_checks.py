@@ -47,13 +47,7 @@ def _describe_fault(value: torch.Tensor, bad: torch.Tensor, reason: str) -> str:
 
 
 def check_scale(name: str, scene: Any) -> None:
-    """Raise if a scene is so small, or so far from the origin, that Mitsuba's ray offset skips nearby surfaces.
-
-    Raises
-    ------
-    SceneCaptumError
-        With the required translation or scale factor.
-    """
+    """Raise if a scene is so small, or so far from the origin, that Mitsuba's ray offset skips nearby surfaces."""
     box = scene.bbox()
     if not box.valid():
         return

@@ -33,17 +33,7 @@ _FILE_NAME = re.compile(r'filename="([^"]*)"')
 def check_xml(path: Path, values: Mapping[str, str]) -> None:
     """Raise if a scene file, or one that it includes, is nested too deeply or has exponentially growing defaults.
 
-    Parameters
-    ----------
-    path
-        Path of the file.
-    values
-        Values of its ``$name`` placeholders.
-
-    Raises
-    ------
-    SceneCaptumError
-        With the file and its fault.
+    ``values`` are those of its ``$name`` placeholders.
     """
     for file, text in _texts(path, values):
         depth = deepest = 0
@@ -81,7 +71,7 @@ class Placeholders:
 
     @classmethod
     def find(cls, path: Path, values: Mapping[str, str]) -> Placeholders:
-        """Find them in a file; ``values`` resolves placeholders in the paths of included files."""
+        """Find them in a file; ``values`` are as for ``check_xml``."""
         texts = [text for _, text in _texts(path, values)]
         used = (name for text in texts for name in _PLACEHOLDER.findall(text))
         defaults = (name for text in texts for name, _ in _DEFAULT.findall(text))

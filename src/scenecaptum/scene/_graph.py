@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -110,13 +110,12 @@ class SceneGraph:
 
     def shapes_using(self, node: Any) -> list[Any]:
         """Return every shape, in shape groups too, whose appearance directly depends on an object."""
-        mi = activate()
-        found, pending = {node: None}, [node]
-        while pending:
-            new = [parent for parent, _ in self._parents.get(pending.pop(), []) if parent not in found]
-            found.update(dict.fromkeys(new))
-            pending += [parent for parent in new if not isinstance(parent, mi.Shape)]
-        return [user for user in found if isinstance(user, mi.Shape)]
+        shape = activate().Shape
+
+        def users(node: Any) -> Iterator[Any]:
+            return (parent for parent, _ in self._parents.get(node, []) if not isinstance(node, shape))
+
+        return [user for user in _reachable(node, users) if isinstance(user, shape)]
 
     def background(self) -> set[Any]:
         """Return the environment emitter and its descendants; empty without an environment."""
@@ -137,13 +136,18 @@ class SceneGraph:
 
     def _descendants(self, node: Any) -> Iterator[Any]:
         """Yield ``node`` and everything below it, each object once."""
-        seen, pending = {node}, [node]
-        while pending:
-            current = pending.pop()
-            yield current
-            new = [child for _, child in self._children.get(current, []) if child not in seen]
-            seen.update(new)
-            pending += new
+        return _reachable(node, lambda parent: (child for _, child in self._children.get(parent, [])))
+
+
+def _reachable(start: Any, neighbours: Callable[[Any], Iterator[Any]]) -> Iterator[Any]:
+    """Yield an object and all that its neighbours lead to, each once."""
+    seen, pending = {start}, [start]
+    while pending:
+        current = pending.pop()
+        yield current
+        new = [node for node in neighbours(current) if node not in seen]
+        seen.update(new)
+        pending += new
 
 
 def mesh_attribute_size(node: Any, name: str) -> int | None:

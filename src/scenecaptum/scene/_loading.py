@@ -109,7 +109,9 @@ def _load_path_or_bundled(scene: str | os.PathLike[str], parameters: Mapping[str
     if _is_bundled(scene):
         return _instantiate(name, lambda config: mi.parser.parse_dict(config, BUNDLED[name]()))
     if os.path.isdir(path):
-        raise SceneCaptumError(f"{path} is a folder, not a scene file.{_xml_inside(path)}")
+        inside = sorted(path.glob("*.xml"))
+        hint = f"Did you mean {inside[0]}?" if inside else "It contains no .xml file either."
+        raise SceneCaptumError(f"{path} is a folder, not a scene file. {hint}")
     raise SceneCaptumError(
         f"There is no scene file {name!r}, and no bundled scene of that name "
         f"(bundled: {', '.join(BUNDLED)}).{near_misses(name, BUNDLED)}"
@@ -117,13 +119,7 @@ def _load_path_or_bundled(scene: str | os.PathLike[str], parameters: Mapping[str
 
 
 def format_parameters(parameters: XmlParameters | None) -> dict[str, str]:
-    """Convert the values of XML placeholders to strings.
-
-    Raises
-    ------
-    SceneCaptumError
-        If a name or a value is invalid.
-    """
+    """Convert the values of XML placeholders to strings; raise if a name or a value is invalid."""
     if parameters is not None and not isinstance(parameters, Mapping):
         raise SceneCaptumError(
             f"parameters= must be a mapping such as {{'spp': 64}}, not {type(parameters).__name__}."
@@ -177,11 +173,6 @@ def _unknown_placeholder(path: Path, name: str, parameters: Mapping[str, str]) -
 
 def _is_bundled(scene: str | os.PathLike[str]) -> bool:
     return not is_file(Path(scene)) and os.fspath(scene) in BUNDLED
-
-
-def _xml_inside(folder: Path) -> str:
-    inside = sorted(folder.glob("*.xml"))
-    return f" Did you mean {inside[0]}?" if inside else " It contains no .xml file either."
 
 
 @contextlib.contextmanager

@@ -31,12 +31,8 @@ def name_nodes(nodes: Sequence[Any]) -> None:
     """Assign ids to the parsed objects that ``mi.traverse`` would name after addresses; existing ids stay.
 
     A shape is named after its file (``Mesh090``), otherwise after its material and plugin (``Walls_rectangle``),
-    any other object after its plugin (``constant``). Duplicates are numbered from 2 in the order of the file.
-
-    Parameters
-    ----------
-    nodes
-        The nodes of a ``mi.parser.ParserState`` with resolved references.
+    any other object after its plugin (``constant``). Duplicates are numbered from 2 in the order of the file. The
+    ``nodes`` are those of a ``mi.parser.ParserState`` with resolved references.
     """
     kinds = activate().ObjectType
     unique = _unique_names(node.props.id() for node in nodes)
@@ -64,11 +60,6 @@ def name_objects(scene: Any) -> None:
 
     Like ``name_nodes``, as far as a loaded scene has the information. Meshes with the same name are numbered by
     their bounding box, because the order of meshes that Mitsuba has merged differs between processes.
-
-    Parameters
-    ----------
-    scene
-        An ``mi.Scene``.
     """
     mi = activate()
     objects = [child for _, child in children(scene)]

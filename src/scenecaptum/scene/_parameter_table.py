@@ -98,13 +98,7 @@ class Parameter:
 
 
 class SceneParameters(Mapping[str, Parameter]):
-    """The parameters of a scene by name, in the scene's order; prints as a table.
-
-    Parameters
-    ----------
-    parameters
-        The parameters, with unique names.
-    """
+    """The ``parameters`` of a scene by their unique names, in the scene's order; prints as a table."""
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._by_name = {parameter.name: parameter for parameter in parameters}
@@ -131,7 +125,6 @@ class SceneParameters(Mapping[str, Parameter]):
         return iter(())
 
     def __str__(self) -> str:
-        """Return a table with name, kind, shape, bounds, owner and status."""
         return _text(list(self.values()))
 
     __repr__ = __str__

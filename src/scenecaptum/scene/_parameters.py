@@ -15,14 +15,7 @@ from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._naming import area_emitter_id
 from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
-from ._roles import (
-    EMITTER_BOUNDS,
-    EMITTER_POSES,
-    MATERIAL_ROLES,
-    MEDIUM_BOUNDS,
-    NON_NEGATIVE,
-    MaterialRole,
-)
+from ._roles import EMITTER_BOUNDS, EMITTER_POSES, MATERIAL_ROLES, MEDIUM_BOUNDS, NON_NEGATIVE, MaterialRole
 
 # Parts of a parameter's name that its label leaves out.
 _OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
@@ -36,11 +29,6 @@ def discover(graph: SceneGraph) -> SceneParameters:
     >>> from scenecaptum.scene import load_scene
     >>> discover(SceneGraph(load_scene("office")))["desk.base_color.value"].kind
     'reflectance'
-
-    Parameters
-    ----------
-    graph
-        The objects of a loaded scene.
     """
     mi = activate()
     # Only read here; mi.traverse defines the names.
@@ -61,8 +49,9 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     own_name = name.rsplit(".", 1)[-1]
     user, role = graph.role(node, own_name)
     kind, bounds = _kind_and_bounds(user, role)
-    stored_shape = _shape(value, mesh_attribute_size(node, own_name))
-    shape = _scalar_shape(stored_shape) if _is_scalar(graph, node, stored_shape) else stored_shape
+    shape = stored_shape = _shape(value, mesh_attribute_size(node, own_name))
+    if _is_scalar(graph, node, shape):
+        shape = (*shape[:-1], 1) if len(shape) > 1 else ()
     tracked = _is_array(value) and not flags & _untracked_flags() and not _has_untracked_tables(user, role)
     problem = _problem(kind, role, user, shape, value, tracked)
     fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
@@ -98,9 +87,7 @@ def _kind_and_bounds(user: Any, role: str) -> tuple[str, Bounds]:
     if isinstance(user, mi.Shape):
         # A mesh attribute that no material reads.
         return ("surface", Bounds()) if mesh_attribute_size(user, role) else ("geometry", Bounds())
-    if isinstance(user, (mi.Sensor, mi.Film, mi.Sampler)):
-        return "camera", Bounds()
-    return "scene", Bounds()
+    return "camera" if isinstance(user, (mi.Sensor, mi.Film, mi.Sampler)) else "scene", Bounds()
 
 
 def _material_role(role: str) -> MaterialRole:
@@ -184,13 +171,8 @@ def _is_scalar(graph: SceneGraph, node: Any, shape: tuple[int, ...]) -> bool:
         return False
     uses = graph.uses(node)
     return bool(uses) and all(
-        isinstance(user, mi.BSDF) and MATERIAL_ROLES.get(role, MaterialRole()).is_number
-        for user, role in uses
+        isinstance(user, mi.BSDF) and _material_role(role).is_number for user, role in uses
     )
-
-
-def _scalar_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    return (*shape[:-1], 1) if len(shape) > 1 else ()
 
 
 def _to_tensor(value: Any, shape: tuple[int, ...]) -> torch.Tensor:

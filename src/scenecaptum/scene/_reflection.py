@@ -24,22 +24,10 @@ def reflect(values: torch.Tensor, low: float, high: float, *, open_low: bool = F
     >>> reflect(torch.tensor([-3.0, 7.0]), 0.0, math.inf)
     tensor([3., 7.])
 
-    Values inside are returned unchanged. Unlike clipping, reflection does not accumulate noisy values at the
-    bounds, and the derivative is 1 or −1 everywhere, never 0; at a bound it is the one from inside.
-
-    Parameters
-    ----------
-    values
-        Floating-point tensor of any shape.
-    low, high
-        The bounds; either may be infinite.
-    open_low
-        Whether ``low`` itself is excluded. Reflected values then stay at least ``OPEN_MARGIN`` above it.
-
-    Returns
-    -------
-    Tensor
-        Of the same shape. NaN stays NaN, and an infinity does not become finite.
+    Values inside are returned unchanged. NaN stays NaN, and an infinity does not become finite. Unlike clipping,
+    reflection does not accumulate noisy values at the bounds. The derivative is 1 or −1 everywhere, never 0; at a
+    bound it is the one from inside. With ``open_low``, ``low`` itself is excluded, and reflected values stay at
+    least ``OPEN_MARGIN`` above it.
 
     Raises
     ------

@@ -17,24 +17,14 @@ POSITIVE = Bounds(0.0, open_low=True)
 
 
 class MaterialRole(NamedTuple):
-    """A property of a material.
-
-    Attributes
-    ----------
-    kind
-        As in ``Parameter``.
-    bounds
-        The physically meaningful interval.
-    is_number
-        Whether materials read it as one number: the mean of a colour's channels, or a bitmap's luminance.
-    is_lobe_weight
-        Whether it weighs a lobe that is skipped, and so never sampled, where the weight is at a bound.
-    """
+    """A property of a material, with kind and bounds as in ``Parameter``."""
 
     kind: str = "surface"
     bounds: Bounds = Bounds()
-    is_number: bool = False
-    is_lobe_weight: bool = False
+    is_number: bool = False  # whether materials read the mean of a colour's channels, or a bitmap's luminance
+    is_lobe_weight: bool = (
+        False  # whether it weighs a lobe that is never sampled where the weight is at a bound
+    )
 
 
 _REFLECTANCE = MaterialRole("reflectance", UNIT)

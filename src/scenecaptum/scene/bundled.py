@@ -16,19 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 Plugin = dict[str, Any]
-Vector = tuple[float, float, float]
+Vector = Sequence[float]
 
 
 def cornell_box() -> Plugin:
     """Return the Cornell box: red left wall, green right wall, two boxes and a warm ceiling light.
 
     The room is the cube [-1, 1]³ in arbitrary units. Each surface has its own material, so each reflectance is a
-    separate parameter (``tall_box.reflectance.value``).
-
-    Returns
-    -------
-    dict
-        A Mitsuba scene of 256 × 256 pixels, 64 samples per pixel and at most 6 path segments.
+    separate parameter (``tall_box.reflectance.value``). The film has 256 × 256 pixels.
     """
     white = (0.885809, 0.698859, 0.666422)
     light = _panel((0, 0, 0.99), (0.46, 0, 0), (0, -0.38, 0), _diffuse(0.78, 0.78, 0.78))
@@ -36,11 +31,7 @@ def cornell_box() -> Plugin:
         **_base(resolution=(256, 256), origin=(0, -3.9, 0), target=(0, 0, 0), fov=38.0),
         "left_wall": _diffuse(0.570068, 0.0430135, 0.0443706),
         "right_wall": _diffuse(0.105421, 0.37798, 0.076425),
-        "floor": _diffuse(*white),
-        "ceiling": _diffuse(*white),
-        "back_wall": _diffuse(*white),
-        "short_box": _diffuse(*white),
-        "tall_box": _diffuse(*white),
+        **{name: _diffuse(*white) for name in ("floor", "ceiling", "back_wall", "short_box", "tall_box")},
         "left_wall_shape": _panel((-1, 0, 0), (0, 2, 0), (0, 0, 2), "left_wall"),
         "right_wall_shape": _panel((1, 0, 0), (0, -2, 0), (0, 0, 2), "right_wall"),
         "floor_shape": _panel((0, 0, -1), (2, 0, 0), (0, 2, 0), "floor"),
@@ -57,12 +48,7 @@ def office() -> Plugin:
 
     Lengths are in metres and radiances in W·m⁻²·sr⁻¹, so 179 lm/W times the Rec. 709 luminance of a pixel is its
     luminance in cd/m²: 3200 for the sky, 4000 for the luminaires, 5600 for the bulb, 50 to 150 for most of the
-    walls, and up to 550 where the desk reflects the window.
-
-    Returns
-    -------
-    dict
-        A Mitsuba scene of 640 × 360 pixels, 64 samples per pixel and at most 6 path segments.
+    walls, and up to 550 where the desk reflects the window. The film has 640 × 360 pixels.
     """
     return {
         **_base(resolution=(640, 360), origin=(-0.75, -0.55, 1.52), target=(-0.03, 4.6, 0.93), fov=40.0),
@@ -326,30 +312,29 @@ def _painting() -> npt.NDArray[np.float32]:
 
 
 def _base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: float) -> Plugin:
-    """Return the integrator and a camera with a field of view of ``fov`` degrees."""
+    """Return paths of at most 6 segments, and a camera of ``fov`` degrees with 64 samples per pixel."""
     import mitsuba as mi
 
-    width, height = resolution
-    film = {
-        "type": "hdrfilm",
-        "width": width,
-        "height": height,
-        "pixel_format": "rgb",
-        "component_format": "float32",
-        # With a box filter each sample contributes to one pixel only: pixels are independent estimates, and the
-        # gradient of a pixel does not leak into neighbouring objects.
-        "rfilter": {"type": "box"},
-    }
     sensor = {
         "type": "perspective",
         "fov": fov,
         "fov_axis": "smaller",  # a wider film shows more at the sides instead of less at top and bottom
         "near_clip": 0.01,
         "to_world": mi.ScalarTransform4f().look_at(origin=origin, target=target, up=(0, 0, 1)),
-        "film": film,
+        "film": rgb_film(*resolution),
         "sampler": {"type": "independent", "sample_count": 64},
     }
     return {"type": "scene", "integrator": {"type": "prb", "max_depth": 6}, "sensor": sensor}
+
+
+def rgb_film(width: int, height: int) -> Plugin:
+    """Return a film that records linear RGB.
+
+    With its box filter each sample contributes to one pixel only: pixels are independent estimates, and the
+    gradient of a pixel does not leak into neighbouring objects.
+    """
+    pixels = {"width": width, "height": height, "pixel_format": "rgb", "component_format": "float32"}
+    return {"type": "hdrfilm", **pixels, "rfilter": {"type": "box"}}
 
 
 def _rgb(red: float, green: float, blue: float) -> Plugin:
@@ -361,12 +346,8 @@ def _diffuse(red: float, green: float, blue: float) -> Plugin:
 
 
 def _glossy(red: float, green: float, blue: float, *, roughness: float) -> Plugin:
-    return {
-        "type": "principled",
-        "base_color": _rgb(red, green, blue),
-        "roughness": roughness,
-        "specular": 0.5,
-    }
+    color = _rgb(red, green, blue)
+    return {"type": "principled", "base_color": color, "roughness": roughness, "specular": 0.5}
 
 
 def _metal(element: str, *, roughness: float) -> Plugin:
@@ -409,7 +390,7 @@ def _panel(centre: Vector, u: Vector, v: Vector, material: str | Plugin) -> Plug
     return _shape("rectangle", material, to_world=mi.ScalarTransform4f(matrix.tolist()))
 
 
-def _box(centre: Sequence[float], size: Sequence[float], material: str, *, turn: float = 0.0) -> Plugin:
+def _box(centre: Vector, size: Vector, material: str, *, turn: float = 0.0) -> Plugin:
     """Return a box with the given edge lengths, rotated by ``turn`` degrees about the vertical."""
     import mitsuba as mi
 
@@ -419,8 +400,7 @@ def _box(centre: Sequence[float], size: Sequence[float], material: str, *, turn:
 
 def _span(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], material: str) -> Plugin:
     """Return the box that spans three intervals."""
-    centre, size = _centre_and_size(x, y, z)
-    return _box(centre, size, material)
+    return _box(*_centre_and_size(x, y, z), material)
 
 
 def _tube(start: Vector, end: Vector, radius: float, material: str) -> Plugin:
@@ -440,19 +420,15 @@ def _disk(centre: Vector, facing: Vector, radii: tuple[float, float], material: 
     return _shape("disk", material, to_world=place.scale((*radii, 1)))
 
 
-def _centre_and_size(*intervals: tuple[float, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _centre_and_size(*intervals: tuple[float, float]) -> tuple[Vector, Vector]:
     """Return the centres and the lengths of the intervals."""
     return tuple((a + b) / 2 for a, b in intervals), tuple(b - a for a, b in intervals)
 
 
 def _unit(v: Vector) -> Vector:
     length = sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    return (v[0] / length, v[1] / length, v[2] / length)
+    return tuple(x / length for x in v)
 
 
 def _offset(start: Vector, direction: Vector, distance: float) -> Vector:
-    return (
-        start[0] + distance * direction[0],
-        start[1] + distance * direction[1],
-        start[2] + distance * direction[2],
-    )
+    return tuple(x + distance * step for x, step in zip(start, direction, strict=True))

@@ -1,7 +1,5 @@
 """Derivatives of a material by light tracing that starts on its surface.
 
-Imported only once a variant is active (see ``SceneRenderer``).
-
 Path replay finds a surface outside the camera's view only by chance, and the emitter in its reflection by
 chance again. The derivative with respect to a low roughness is large, of one sign in the middle of the lobe and
 of the other sign around it, and cancels only over many samples of the lobe. Here a light subpath is built that
@@ -39,24 +37,12 @@ PATHS_PER_SAMPLE = 2  # light paths per path-replay sample, for direct and for i
 
 @dataclass
 class SampledShapes:
-    """Shapes whose surfaces are sampled, with their probabilities, in Dr.Jit arrays.
+    """Shapes whose surfaces are sampled, with their probabilities, in Dr.Jit arrays."""
 
-    Attributes
-    ----------
-    index
-        Indices into ``scene.shapes()``.
-    cdf
-        Cumulative probabilities of the shapes.
-    density
-        Probability density of a point, per unit of area.
-    mask
-        For each of Dr.Jit's shape indices, whether the shape is sampled.
-    """
-
-    index: mi.UInt32
-    cdf: mi.Float
-    density: mi.Float
-    mask: mi.Bool
+    index: mi.UInt32  # into ``scene.shapes()``
+    cdf: mi.Float  # cumulative probabilities of the shapes
+    density: mi.Float  # probability density of a point, per unit of area
+    mask: mi.Bool  # for each of Dr.Jit's shape indices, whether the shape is sampled
 
 
 def find_sampled_shapes(
@@ -143,18 +129,7 @@ def trace_light_backward(
 ) -> None:
     """Backpropagate an adjoint to the parameters of the sampled shapes, for the paths that path replay omits.
 
-    Parameters
-    ----------
-    integrator
-        A ``ReplayIntegrator``.
-    camera
-        Where light paths are connected.
-    shapes
-        Where light subpaths end.
-    seed
-        Seed of the samples.
-    samples
-        Number of samples of path replay.
+    ``integrator`` is a ``ReplayIntegrator``, and ``samples`` the number of samples of its path replay.
     """
     count = max(1, PATHS_PER_SAMPLE * samples // LOBE_STRATA)
     with dr.suspend_grad():

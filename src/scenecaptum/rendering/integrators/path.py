@@ -1,7 +1,5 @@
 """Path replay with derivatives of delta lobes, for parameters that do not move geometry.
 
-Imported only once a variant is active (see ``SceneRenderer``).
-
 Mitsuba's ``prb`` differentiates the BSDF value at the sampled direction. A delta lobe has no value there, so
 mirrors, smooth glass and masks get no derivative, and the specular samples of a smooth plastic get the
 derivative of its diffuse lobe. Here the *weight* of a delta sample is differentiated instead. ``prb``'s terms

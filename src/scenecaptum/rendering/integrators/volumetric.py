@@ -1,7 +1,5 @@
 """Path replay through fog, smoke and other participating media.
 
-Imported only once a variant is active (see ``SceneRenderer``).
-
 Surfaces are treated as in ``path``. Free-flight sampling keeps the variance of derivatives bounded where there is
 nothing to scatter: every crossing of a medium has a minimum probability of an interaction, even at density 0, and
 null collisions keep a positive weight. Transmittance through a homogeneous medium is analytic. Where a path weight

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ...camera import Camera
+from .._sensors import film_size
 from .base import PointSensor
 
 FOV = 180.0
@@ -41,5 +42,4 @@ mi.register_sensor("scenecaptum_fisheye", FisheyeSensor)
 
 def camera_of(sensor: FisheyeSensor) -> Camera:
     """Return the geometry of a sensor's pixels."""
-    width, height = (int(n) for n in sensor.film().crop_size())
-    return Camera.fisheye(width, height, sensor.fov)
+    return Camera.fisheye(*film_size(sensor), sensor.fov)

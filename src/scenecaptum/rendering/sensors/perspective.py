@@ -9,11 +9,12 @@ import mitsuba as mi
 import numpy as np
 
 from ...camera import Camera
+from .._sensors import film_size
 
 
 def camera_of(sensor: Any) -> Camera:
     """Return the geometry of a sensor's pixels."""
-    width, height = (int(n) for n in sensor.film().crop_size())
+    width, height = film_size(sensor)
     # From rays, which include crops and shifted principal points.
     edges = mi.Point2f([0.0, 1.0, 0.5], [0.5, 0.5, 0.0])
     ray, _ = sensor.sample_ray(sensor.shutter_open(), 0.5, edges, mi.Point2f(0.5))
