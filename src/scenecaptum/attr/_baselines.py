@@ -24,11 +24,7 @@ _NON_POWER_ROLES = {"cutoff_angle", "beam_width", "turbidity", "albedo", "sun_ap
 
 
 def resolve_baselines(
-    renderer: Renderer,
-    values: Values,
-    baselines: Baselines = None,
-    *,
-    default: Values | None = None,
+    renderer: Renderer, values: Values, baselines: Baselines = None, *, default: Values | None = None
 ) -> dict[str, torch.Tensor]:
     """Return the baseline of every parameter, a new tensor with the shape of its value.
 

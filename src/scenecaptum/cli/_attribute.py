@@ -96,9 +96,7 @@ def add_results(parser: argparse.ArgumentParser) -> None:
         help=f"{_arguments.describe(FORMATS)}; may be repeated (default: {', '.join(default_formats())})",
     )
     parser.add_argument(
-        "--report",
-        action="store_true",
-        help="also write report.html, an interactive page with all metrics",
+        "--report", action="store_true", help="also write report.html, an interactive page with all metrics"
     )
 
 

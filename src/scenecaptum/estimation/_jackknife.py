@@ -163,11 +163,7 @@ def _remaining_bias(half_drift: float, single_drift: float, count: float) -> flo
 
 
 def _transform_errors(
-    metric: TargetedMetric,
-    images: torch.Tensor,
-    fractions: torch.Tensor,
-    value: float,
-    adjoint: torch.Tensor,
+    metric: TargetedMetric, images: torch.Tensor, fractions: torch.Tensor, value: float, adjoint: torch.Tensor
 ) -> tuple[float, torch.Tensor]:
     """Return the errors of value and adjoint that are due to the choice of the image transform."""
     if metric.transform.more_accurate is not None:

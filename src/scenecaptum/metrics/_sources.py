@@ -146,11 +146,7 @@ def _labels(luminance: torch.Tensor, directions: torch.Tensor, grouping: str) ->
 
 
 def _background(
-    values: torch.Tensor,
-    weight: torch.Tensor,
-    solid_angle: torch.Tensor,
-    projected: torch.Tensor,
-    mode: str,
+    values: torch.Tensor, weight: torch.Tensor, solid_angle: torch.Tensor, projected: torch.Tensor, mode: str
 ) -> torch.Tensor:
     if mode == "hemisphere":
         mean = (weight * projected * values).sum() / torch.pi

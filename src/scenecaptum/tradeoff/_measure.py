@@ -28,13 +28,7 @@ from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau, spearman
 from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
-from ._statistics import (
-    Estimate,
-    kendall_of_resolved,
-    relative_bias,
-    relative_error,
-    top_agreement,
-)
+from ._statistics import Estimate, kendall_of_resolved, relative_bias, relative_error, top_agreement
 
 RUNS = 8
 
