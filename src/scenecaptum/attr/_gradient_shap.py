@@ -90,11 +90,8 @@ class GradientShapScene(GradientMethod):
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
         count = whole_number("n_samples", n_samples)
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")

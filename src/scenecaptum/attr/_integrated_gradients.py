@@ -100,11 +100,8 @@ class IntegratedGradientsScene(GradientMethod):
             On Ctrl-C after the first step, with the integral estimated from the steps so far.
         """
         rule = quadrature(method, n_steps)
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (
             interpolated_point(start, run.values, node, weight)

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 from tqdm import tqdm
@@ -43,7 +43,6 @@ from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, make_attribution, surfaces_of
 from ._data import metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
-from ._interruption import AttributionInterrupted
 
 Targets: TypeAlias = "Target | list[Target]"
 
@@ -55,59 +54,58 @@ INPUT_SAMPLE_FRACTION = 1 / 8
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Sampling):
     """Arguments common to all methods."""
 
-    seed: int
-    spp: int | None
-    replicates: int
-    show_progress: bool
     groups: Groups = None
     checkpoint: Folder = None
     denoise: Denoise = "auto"
-    picture_spp: int | None = None
+
+
+class NamedMethod(NamedTuple):
+    """A method in the registry of the command line, and a few words for its help text."""
+
+    create: Any  # from a renderer and a metric to an object with ``attribute``
+    description: str
+
+
+class AttributionInterrupted(KeyboardInterrupt):
+    """Raised on Ctrl-C during an attribution if the finished replicates already give a result.
+
+    Attributes
+    ----------
+    partial
+        The attribution from the finished replicates, with its standard errors.
+    partials
+        One such attribution for each target; ``partial`` is the first.
+    """
+
+    def __init__(self, partial: SceneAttribution, *others: SceneAttribution) -> None:
+        super().__init__("interrupted; .partial has the result of the finished replicates")
+        self.partial = partial
+        self.partials = (partial, *others)
 
 
 @dataclass(frozen=True)
 class InputEvaluation:
-    """The metric at the inputs, and their image.
-
-    Attributes
-    ----------
-    spp
-        Samples per pixel of the image, if known.
-    metric
-        With the image transform that was used.
-    """
+    """The metric at the inputs, and their image."""
 
     adjoints: Adjoints
     image: torch.Tensor
-    spp: int | None
-    metric: TargetedMetric
+    spp: int | None  # of the image, if known
+    metric: TargetedMetric  # with the image transform that was used
 
 
 @dataclass
 class Run:
-    """One call of ``attribute``.
-
-    Attributes
-    ----------
-    values
-        The inputs to attribute to.
-    metrics
-        One for each target.
-    returns_list
-        Whether the targets were given as a list.
-    members
-        The parameters of each group, or None without groups.
-    """
+    """One call of ``attribute``."""
 
     method: str
     renderer: Renderer
-    values: dict[str, torch.Tensor]
-    metrics: list[TargetedMetric]
-    returns_list: bool
-    members: dict[str, tuple[str, ...]] | None
+    values: dict[str, torch.Tensor]  # of the inputs to attribute to
+    metrics: list[TargetedMetric]  # one for each target
+    returns_list: bool  # the targets were given as a list
+    members: dict[str, tuple[str, ...]] | None  # the parameters of each group
     settings: Settings
     watch: Stopwatch = field(init=False)
     transform_selector: TransformSelector = field(init=False)
@@ -177,7 +175,6 @@ class Run:
     def _attribute_to_goal(
         self, point: Point, goal: Goal, first_spp: int | None, against: Any, **info: Any
     ) -> Result:
-        settings = self.settings
         planner = Planner(
             self.renderer,
             self.metrics,
@@ -185,9 +182,7 @@ class Run:
             point,
             self.members,
             goal,
-            Sampling(
-                settings.seed, first_spp, settings.replicates, settings.picture_spp, settings.show_progress
-            ),
+            dataclasses.replace(self.settings, spp=first_spp),
             against=against,
             prepare=lambda: surfaces_of(self.renderer, self.values),
         )
@@ -314,16 +309,7 @@ def _budget_info(budget: Budget, gradients: GradientEstimator) -> dict[str, Any]
 
 
 class GradientMethod:
-    """Base class of the gradient methods.
-
-    Parameters
-    ----------
-    renderer
-        A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image torch can
-        differentiate.
-    metric
-        A torch function from the image to a scalar, or to a vector indexed by ``target``.
-    """
+    """Base class of the gradient methods; the parameters are those of ``VanillaSceneGradient``."""
 
     def __init__(self, renderer: Renderer, metric: Metric) -> None:
         check_renderer_and_metric(renderer, metric)

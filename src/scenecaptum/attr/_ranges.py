@@ -23,12 +23,7 @@ def ranges(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the length of each parameter's physical range, a 0-d tensor.
 
     For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the largest
-    magnitude of its value, or 1 if that is 0.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the renderer has no ``bounds``.
+    magnitude of its value, or 1 if that is 0. Raises if the renderer has no ``bounds``.
     """
     bounds = _bounds(renderer)
     return {name: _length(value, *bounds.get(name, (-math.inf, math.inf))) for name, value in values.items()}
@@ -62,10 +57,10 @@ class Noise:
     def sample(self, seed: int) -> dict[str, torch.Tensor]:
         """Return noisy values. Each parameter has its own random stream."""
         seeds = derived_seeds(seed, Stream.PARAMETER_NOISE, len(self.values))
-        noisy = {}
-        for (name, value), state in zip(self.values.items(), seeds, strict=True):
-            noisy[name] = self._noisy(name, value, state) if self._scales[name] else value
-        return noisy
+        return {
+            name: self._noisy(name, value, state) if self._scales[name] else value
+            for (name, value), state in zip(self.values.items(), seeds, strict=True)
+        }
 
     def _noisy(self, name: str, value: torch.Tensor, seed: int) -> torch.Tensor:
         noise = torch.randn(value.shape, generator=torch.Generator().manual_seed(seed)).to(value)

@@ -31,8 +31,8 @@ class Sampling:
     seed: int
     spp: int | None
     replicates: int
-    picture_spp: int | None = None
     show_progress: bool = False
+    picture_spp: int | None = None
 
 
 @dataclass(frozen=True)
