@@ -56,10 +56,7 @@ class TargetedMetric:
     def value_and_adjoint(self, image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return the metric's value at an image and its derivative with respect to every pixel.
 
-        Raises
-        ------
-        SceneCaptumError
-            If the metric does not return a finite scalar that depends on the image.
+        Raises if the metric does not return a finite scalar that depends on the image.
         """
         metric_image = self.transform(image.detach())
         value, adjoint = self.value_and_adjoint_at(metric_image)
@@ -126,13 +123,7 @@ class TargetedMetric:
         return value.item(), adjoint if adjoint is not None and torch.isfinite(adjoint).all() else None
 
     def value_of(self, output: Any) -> float:
-        """Return the attributed value from an output of the metric.
-
-        Raises
-        ------
-        SceneCaptumError
-            If it is not a finite scalar.
-        """
+        """Return the attributed value from an output of the metric; raise if it is not a finite scalar."""
         return self.check_value(self._scalar(output).item())
 
     def check_value(self, value: float) -> float:

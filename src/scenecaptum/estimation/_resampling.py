@@ -9,23 +9,16 @@ import torch
 
 
 def pseudo_values(statistic: Callable[[torch.Tensor], torch.Tensor], count: int) -> torch.Tensor:
-    """Return the ``(count, …)`` pseudo-values of a statistic by the delete-one jackknife.
+    """Return the ``(count, …)`` pseudo-values of a statistic of at least 2 samples, given by their indices.
 
-    They are ``n·T − (n − 1)·T₋ᵢ``, where ``T₋ᵢ`` leaves out sample ``i``. Their mean has no bias of order ``1/n``;
-    its standard error is that of a mean of independent numbers.
+    By the delete-one jackknife they are ``n·T − (n − 1)·T₋ᵢ``, where ``T₋ᵢ`` leaves out sample ``i``. Their mean
+    has no bias of order ``1/n``; its standard error is that of a mean of independent numbers.
 
     Example
     -------
     >>> samples = torch.tensor([1.0, 2.0, 4.0, 5.0])
     >>> pseudo_values(lambda kept: samples[kept].mean(), len(samples))
     tensor([1., 2., 4., 5.])
-
-    Parameters
-    ----------
-    statistic
-        Function of the indices of samples, ``(n,)`` int64, that returns a tensor of any shape.
-    count
-        Number of samples, at least 2.
 
     References
     ----------
