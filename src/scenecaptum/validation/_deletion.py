@@ -209,12 +209,8 @@ class DeletionInsertion:
         part: Any = figure or new_figure(WIDTH, 3.6)
         left, right = part.subplots(1, 2, sharey=True)
         name = shorten([self.metric], _NAME_WIDTH)[0]
-        style_axes(
-            left,
-            "Deletion",
-            x="parameters at their baselines",
-            y=f"change of {name}\nfrom the original scene",
-        )
+        y = f"change of {name}\nfrom the original scene"
+        style_axes(left, "Deletion", x="parameters at their baselines", y=y)
         style_axes(right, "Insertion", x="parameters at their own values")
         moved = self.moved.numpy()
         style: dict[str, Any] = {"marker": "o", "markersize": 3, "capsize": 2, "label": self.method}

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from tqdm import tqdm
 
-from ..attr import target_list
+from ..attr import Result, Targets, target_list
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
 from ..estimation import (
@@ -29,9 +28,6 @@ from ..estimation import (
 from ..protocols import Capabilities, Renderer
 from ..visualization import align_with_errors, format_with_error, grid, pluralize, shorten
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
-
-if TYPE_CHECKING:
-    from ..attr import Result, Targets
 
 _REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
 _NAME_WIDTH, _MAX_ROWS = 34, 40

@@ -109,9 +109,8 @@ def hessian_vector_product(
     -----
     If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the noise cancels.
     """
-    renderer = with_checkpoint(renderer, checkpoint)
-    scenes = Scenes(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
-    options = {"seed": seed, "spp": spp, "replicates": replicates}
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
+    scenes = Scenes(with_checkpoint(renderer, checkpoint), metric, target, **options)
     return product_of(scenes, direction, scenes.values, **options)
 
 
@@ -121,7 +120,7 @@ def product_of(
     """Return the elements of ``H v`` for the named parameters; options as for ``VanillaSceneGradient``."""
     direction = _check_direction(direction, scenes.values)
     stencil = choose_stencil(scenes, direction)
-    slope = _Slope(scenes.metric, stencil)
+    slope = _slope(scenes.metric, stencil)
     renderer = _StencilRenderer(scenes, direction, stencil.offsets)
     values = {name: scenes.values[name] for name in names}
     product: SceneAttribution = VanillaSceneGradient(renderer, slope).attribute(
@@ -165,17 +164,15 @@ def _stack(guides: Guides | None, count: int) -> Guides | None:
     return Guides(*(guide.expand(count, *guide.shape) for guide in (guides.albedo, guides.normal)))
 
 
-class _Slope:
-    """The slope of a metric as a metric of its own, of the stack of images of a stencil."""
+def _slope(metric: TargetedMetric, stencil: Stencil) -> Metric:
+    """Return the slope of a metric as a metric of its own, of the stack of images of a stencil."""
 
-    def __init__(self, metric: TargetedMetric, stencil: Stencil) -> None:
-        self.metric = metric.metric
-        self.weights = stencil.weights
-        self.__name__ = f"slope of {TargetedMetric(metric.metric).name}"
+    def slope(images: torch.Tensor) -> torch.Tensor:
+        pairs = zip(stencil.weights, images, strict=True)
+        return torch.stack([weight * metric.metric(image) for weight, image in pairs]).sum(0)
 
-    def __call__(self, images: torch.Tensor) -> torch.Tensor:
-        values = [weight * self.metric(image) for weight, image in zip(self.weights, images, strict=True)]
-        return torch.stack(values).sum(0)
+    slope.__name__ = f"slope of {TargetedMetric(metric.metric).name}"
+    return slope
 
 
 def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:

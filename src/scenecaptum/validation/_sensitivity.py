@@ -6,13 +6,13 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr import target_list
+from ..attr import Result, Targets, target_list
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..estimation import (
@@ -32,9 +32,6 @@ from ..protocols import Capabilities, Renderer
 from ._dgsm import Derivatives, interval_gradients, render_count, sample_derivatives
 from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
 from ._sensitivity_result import SensitivityComparison, SensitivityIndex
-
-if TYPE_CHECKING:
-    from ..attr import Result, Targets
 
 RESOLVED = 2.0  # standard errors between two ranks that count as distinct
 _MIN_SAMPLES = 2  # of any kind, for an error estimate
@@ -184,23 +181,19 @@ def _local(black_box: _BlackBox, top: int) -> list[SensitivityIndex]:
         gradients = GradientEstimator(black_box.renderer, black_box.metrics, budget, transform_selector, bar)
         point = Point(black_box.values, factors=position_factors(black_box.scalars))
         estimates = interval_gradients(gradients, 0, point, black_box.scalars)
-    seconds = watch.seconds
+    seconds, method = watch.seconds, "gradient × range"
     indices = []
     for replicates, adjoints in estimates:
         count = len(replicates)
-        means = replicates.cumsum(0) / torch.arange(1, count + 1)[:, None]
-        indices.append(
-            _index(
-                "gradient × range",
-                black_box.scalars,
-                means.abs().numpy(),
-                (replicates.std(0) / math.sqrt(count)).numpy(),
-                render_count(adjoints) / count,
-                top,
-                seconds,
-            )
-        )
+        running = _running_means(replicates).abs().numpy()
+        errors = (replicates.std(0) / math.sqrt(count)).numpy()
+        renders = render_count(adjoints) / count
+        indices.append(_index(method, black_box.scalars, running, errors, renders, top, seconds))
     return indices
+
+
+def _running_means(samples: torch.Tensor) -> torch.Tensor:
+    return samples.cumsum(0) / torch.arange(1, len(samples) + 1)[:, None]
 
 
 def _dgsm(
@@ -214,10 +207,9 @@ def _dgsm(
             f"The metric is {metric[0]:g} in every sampled scene: there is nothing to rank."
         )
     nu, nu_error = delete_one_jackknife(lambda kept: derivatives.squares[kept].mean(0), count)
-    means = derivatives.squares.cumsum(0) / torch.arange(1, count + 1)[:, None]
     scale = 1 / (math.pi**2 * variance)
     error = scale * torch.hypot(nu_error, nu * variance_error / variance)
-    bounds = (scale * means).numpy()
+    bounds = (scale * _running_means(derivatives.squares)).numpy()
     return _index("DGSM bound", scalars, bounds, error.numpy(), derivatives.renders, top, derivatives.seconds)
 
 
@@ -309,6 +301,7 @@ def _index(
     names = [scalar.name for scalar in scalars]
     order = np.argsort(-running[-1], kind="stable")
     last, following = order[top - 1], order[top]
+    margin = running[-1, last] - running[-1, following]
     stable_after = _samples_until_stable(running, top)
     return SensitivityIndex(
         method=method,
@@ -318,10 +311,7 @@ def _index(
         renders_until_stable=stable_after * renders_per_sample,
         stable=stable_after < len(running),
         top=tuple(names[k] for k in order[:top]),
-        resolved=bool(
-            running[-1, last] - running[-1, following]
-            > RESOLVED * math.hypot(errors[last], errors[following])
-        ),
+        resolved=bool(margin > RESOLVED * math.hypot(errors[last], errors[following])),
         seconds=seconds,
     )
 
