@@ -97,13 +97,12 @@ class GradientShapScene(GradientMethod):
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")
         starts = [resolve_baselines(self.renderer, run.values, baseline) for baseline in given]
         noise = Noise(self.renderer, run.values, stdevs)
-        budget = run.budget(count, pairs=1)
         points = _points(noise, starts, count, seed)
-        sums, gradients, interrupted = run.sums(points, budget, random_points=True)
+        sums, gradients, interrupted = run.sums(points, count, pairs=1, random_points=True)
         images, *references = run.render_scenes([run.values, *starts], sums)
         results = [
             with_convergence(
-                run.result(metric, total, evaluation, budget, gradients, interrupted=interrupted),
+                run.result(metric, total, evaluation, gradients, interrupted),
                 metric_difference(evaluation.metric, images, references),
             )
             for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True)

@@ -127,32 +127,17 @@ class Run:
 
         ``moment`` computes another statistic from all points, each of which then has several replicates.
         """
-        budget = self.budget(count, pairs=1 if random_points and moment is None else count)
+        pairs = 1 if random_points and moment is None else count
         sums, gradients, interrupted = self.sums(
-            points, budget, random_points=random_points, keep_points=moment is not None
+            points, count, pairs=pairs, random_points=random_points, keep_points=moment is not None
         )
         if count == 1:
-            evaluations = [
-                InputEvaluation(
-                    total.adjoints,
-                    gradients.image,
-                    gradients.total_image_spp,
-                    metric.with_transform(total.adjoints.transform),
-                )
-                for metric, total in zip(self.metrics, sums, strict=True)
-                if total.adjoints is not None
-            ]
+            evaluations = self._evaluations(sums, gradients)
         else:
             evaluations = self.evaluate_inputs(self.render_scenes([self.values], sums)[0])
         results = [
             self.result(
-                metric,
-                moment(total) if moment else total,
-                evaluation,
-                budget,
-                gradients,
-                interrupted=interrupted,
-                **info,
+                metric, moment(total) if moment else total, evaluation, gradients, interrupted, **info
             )
             for metric, total, evaluation in zip(self.metrics, sums, evaluations, strict=True)
         ]
@@ -187,38 +172,44 @@ class Run:
             prepare=lambda: surfaces_of(self.renderer, self.values),
         )
         interrupted, rounds = planner.run(), planner.rounds
+        evaluated = zip(self.metrics, planner.sums, self._evaluations(planner.sums, rounds), strict=True)
         results = []
-        for number, (metric, total) in enumerate(zip(self.metrics, planner.sums, strict=True)):
-            adjoints = total.adjoints
-            assert adjoints is not None
-            used = metric.with_transform(adjoints.transform)
-            evaluation = InputEvaluation(adjoints, rounds.image, rounds.total_image_spp, used)
+        for number, arguments in enumerate(evaluated):
             info["planner"] = planner.report(number, interrupted=interrupted)
-            results.append(
-                self.result(metric, total, evaluation, rounds.budget, rounds, interrupted=interrupted, **info)
-            )
+            results.append(self.result(*arguments, rounds, interrupted, **info))
         return self.return_results(results, interrupted=interrupted)
 
-    def budget(self, points: int, *, pairs: int | None = None) -> Budget:
-        """Split the samples over the points; the first ``pairs`` points have at least two replicates."""
-        settings = self.settings
-        budget = Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
-        budget = budget.with_picture_spp(settings.picture_spp, budget.total)
-        require_memory(self.renderer, budget.spp, max(budget.replicates))
-        return budget
+    def _evaluations(
+        self, sums: Sequence[GradientSum], gradients: GradientEstimator
+    ) -> list[InputEvaluation]:
+        """Return the metrics at the inputs, the only point where gradients were estimated."""
+        image, spp = gradients.image, gradients.total_image_spp
+        return [
+            InputEvaluation(adjoints, image, spp, metric.with_transform(adjoints.transform))
+            for metric, total in zip(self.metrics, sums, strict=True)
+            if (adjoints := total.adjoints) is not None
+        ]
 
     def sums(
         self,
         points: Iterable[Point],
-        budget: Budget,
+        count: int,
         *,
+        pairs: int,
         random_points: bool = False,
         keep_points: bool = False,
     ) -> tuple[list[GradientSum], GradientEstimator, bool]:
-        """Sum the gradients of the points for each target; also return whether Ctrl-C interrupted it."""
+        """Sum the gradients of ``count`` points for each target; also return whether Ctrl-C interrupted it.
+
+        The samples are split over the points, of which the first ``pairs`` have at least two replicates.
+        """
+        settings = self.settings
+        budget = Budget.split(settings.spp, settings.replicates, settings.seed, count, pairs=pairs)
+        budget = budget.with_picture_spp(settings.picture_spp, budget.total)
+        require_memory(self.renderer, budget.spp, max(budget.replicates))
         with tqdm(
             total=2 * sum(budget.replicates),
-            disable=not self.settings.show_progress,
+            disable=not settings.show_progress,
             desc=self.metrics[0].name,
             unit="replicate",
         ) as bar:
@@ -254,9 +245,7 @@ class Run:
         metric: TargetedMetric,
         total: GradientSum,
         evaluation: InputEvaluation,
-        budget: Budget,
         gradients: GradientEstimator,
-        *,
         interrupted: bool,
         **info: Any,
     ) -> SceneAttribution:
@@ -273,8 +262,8 @@ class Run:
                 "method": self.method,
                 "metric": metric.name,
                 "seed": self.settings.seed,
-                "spp": budget.total,
-                "budget": _budget_info(budget, gradients),
+                "spp": gradients.budget.total,
+                "budget": _budget_info(gradients),
                 "picture": describe_picture(
                     adjoints.transform,
                     adjoints.value,
@@ -298,7 +287,8 @@ class Run:
         return results if self.returns_list else results[0]
 
 
-def _budget_info(budget: Budget, gradients: GradientEstimator) -> dict[str, Any]:
+def _budget_info(gradients: GradientEstimator) -> dict[str, Any]:
+    budget = gradients.budget
     counts = [spp for spp in budget.spp if spp is not None]
     return {
         "points": gradients.n_points,

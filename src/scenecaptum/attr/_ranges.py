@@ -32,15 +32,8 @@ def ranges(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
 class Noise:
     """Gaussian noise on parameters, relative to their ranges and reflected at their bounds.
 
-    Parameters
-    ----------
-    renderer
-        Provides ``bounds``, and kinds if it has a ``parameters_table()``.
-    values
-        The values without noise.
-    stdevs
-        Standard deviation as a fraction of each parameter's range: a number, or a mapping from names, globs or
-        kinds to numbers, 0 for all others.
+    ``stdevs`` are fractions of each parameter's range: a number, or a mapping from names, globs or kinds to
+    numbers, 0 for all others. The renderer must have ``bounds``, and for kinds a ``parameters_table()``.
     """
 
     def __init__(self, renderer: Renderer, values: Tensors, stdevs: float | Mapping[str, float]) -> None:

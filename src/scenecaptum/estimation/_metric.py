@@ -67,11 +67,12 @@ class TargetedMetric:
         leaf = metric_image.detach().requires_grad_()
         with torch.enable_grad():
             value = self._scalar(self.output(leaf))
-        if not value.requires_grad:
-            raise SceneCaptumError(self._does_not_depend())
-        (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
+        adjoint = torch.autograd.grad(value, leaf, allow_unused=True)[0] if value.requires_grad else None
         if adjoint is None:
-            raise SceneCaptumError(self._does_not_depend())
+            raise SceneCaptumError(
+                f"The metric {self.name} does not depend on the image through differentiable torch operations: "
+                "look for .detach(), torch.no_grad(), rounding, comparisons or an integer result."
+            )
         bad = ~torch.isfinite(adjoint)
         location = describe_location(bad, "camera") if bad.any() else ""
         if not torch.isfinite(value):
@@ -169,12 +170,6 @@ class TargetedMetric:
         return (
             f"The metric {self.name} modifies its input image in place. Write image = image * 2 instead of "
             "image *= 2 or image.mul_(2), or begin with image = image.clone()."
-        )
-
-    def _does_not_depend(self) -> str:
-        return (
-            f"The metric {self.name} does not depend on the image through differentiable torch operations: "
-            "look for .detach(), torch.no_grad(), rounding, comparisons or an integer result."
         )
 
 

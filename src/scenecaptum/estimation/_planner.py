@@ -197,7 +197,8 @@ class Planner:
     def _next_size(self) -> tuple[int, int] | None:
         """Return the replicates of the next round and their spp, or None to stop."""
         sampled = self.sums[0].weight
-        if self._is_over() or not self._remaining_spp():
+        is_reached = all(map(self.is_reached, self.assessments))
+        if is_reached or len(self.round_seconds) == MAX_ROUNDS or not self._remaining_spp():
             return None
         # The prediction is as uncertain as the errors that it is based on.
         degrees = min(assessment.degrees for assessment in self.assessments)
@@ -227,9 +228,6 @@ class Planner:
         """Return the remaining samples per pixel, or 0 if they are fewer than those of the first round."""
         remaining = MAX_SPP - int(self.sums[0].weight)
         return remaining if remaining >= self.replicates * self.first_spp else 0
-
-    def _is_over(self) -> bool:
-        return len(self.round_seconds) == MAX_ROUNDS or all(map(self.is_reached, self.assessments))
 
     def is_reached(self, assessment: Assessment) -> bool:
         """Whether the goal is reached, based on more than the first round's estimate of its own noise.
