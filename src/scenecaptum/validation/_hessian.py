@@ -148,20 +148,14 @@ class _StencilRenderer:
         self.spp = offered.spp
         self.labels = offered.labels or {}
         self.info = offered.info or {}
-        self.guides = _stack(offered.guides, len(offsets))
+        guides, count = offered.guides, len(offsets)
+        self.guides = guides and Guides(*(g.expand(count, *g.shape) for g in (guides.albedo, guides.normal)))
         self.accepted_keywords = accepted_keywords(renderer)
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
         values = {**self.values, **inputs}
         scenes = [{**values, **_moved(values, self.direction, offset)} for offset in self.offsets]
         return torch.stack([self.renderer(scene, **options) for scene in scenes])
-
-
-def _stack(guides: Guides | None, count: int) -> Guides | None:
-    """Repeat the denoiser's guides for a stack of images of one camera."""
-    if guides is None:
-        return None
-    return Guides(*(guide.expand(count, *guide.shape) for guide in (guides.albedo, guides.normal)))
 
 
 def _slope(metric: TargetedMetric, stencil: Stencil) -> Metric:
