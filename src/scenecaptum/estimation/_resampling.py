@@ -8,6 +8,11 @@ from collections.abc import Callable
 import torch
 
 
+def mean_and_error(samples: torch.Tensor) -> tuple[float, float]:
+    """Return the mean of independent samples and its standard error."""
+    return samples.mean().item(), (samples.std() / math.sqrt(len(samples))).item()
+
+
 def pseudo_values(statistic: Callable[[torch.Tensor], torch.Tensor], count: int) -> torch.Tensor:
     """Return the ``(count, …)`` pseudo-values of a statistic of at least 2 samples, given by their indices.
 

@@ -101,8 +101,8 @@ class Quantity:
         return (variance + math.sqrt(variance**2 + 4 * bias * allowed)) / (2 * allowed)
 
 
-def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: float = LEVEL) -> float:
-    """Return ``q`` such that, with probability ``level``, every quantity's error is at most ``q`` times ``error``.
+def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int) -> float:
+    """Return ``q`` such that, with probability ``LEVEL``, every quantity's error is at most ``q`` times ``error``.
 
     The errors of all quantities are sampled jointly from their covariance over the replicates. Each is divided by
     a standard error with the uncertainty of these degrees of freedom, or fewer for heavy-tailed rows. For a single
@@ -131,4 +131,4 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
         squares = errors.square().sum(1).reshape(_DRAWS, degrees + 1)
         variance = squares[:, 1 : quantity.degrees_of_freedom(degrees) + 1].mean(1)
         largest = torch.maximum(largest, squares[:, 0] / variance)
-    return largest.quantile(level).sqrt().item()
+    return largest.quantile(LEVEL).sqrt().item()

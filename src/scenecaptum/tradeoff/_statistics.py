@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 
+from ..estimation import mean_and_error
 from ..ranks import kendall_tau_of_pairs
 
 SIGNIFICANT_Z = 3.0  # standard deviations of a normal distribution
@@ -22,7 +23,7 @@ class Estimate(NamedTuple):
     @classmethod
     def of(cls, values: torch.Tensor) -> Estimate:
         """Return the mean of independent values."""
-        return cls(values.mean().item(), (values.std() / math.sqrt(len(values))).item())
+        return cls(*mean_and_error(values))
 
 
 @dataclass(frozen=True)

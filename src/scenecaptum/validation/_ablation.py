@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, student_t
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, mean_and_error, student_t
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau_of_pairs
 from ..visualization import (
@@ -38,7 +38,6 @@ from ._scenes import (
     Scenes,
     denoise_of,
     distances_to_bounds,
-    mean_and_error,
     unit_gradient,
 )
 

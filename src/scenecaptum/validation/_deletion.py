@@ -15,7 +15,7 @@ import torch
 from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, random_generator
+from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, mean_and_error, random_generator
 from ..protocols import Renderer
 from ..visualization import (
     RAISES,
@@ -31,7 +31,7 @@ from ..visualization import (
     with_error,
 )
 from ._faithfulness import contributions, measure_without
-from ._scenes import Scenes, mean_and_error
+from ._scenes import Scenes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure

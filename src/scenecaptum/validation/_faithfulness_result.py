@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from ..estimation import delete_one_jackknife
+from ..estimation import delete_one_jackknife, mean_and_error
 from ..visualization import (
     RAISES,
     UNCLEAR,
@@ -22,7 +22,6 @@ from ..visualization import (
     shorten,
     style_axes,
 )
-from ._scenes import mean_and_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

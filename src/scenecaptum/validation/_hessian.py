@@ -14,9 +14,9 @@ from ..attr import SceneAttribution, VanillaSceneGradient, ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric, mean_and_error
 from ..protocols import Capabilities, Renderer, accepted_keywords
-from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
+from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds
 
 # Reduce a stencil until the truncation error of its lower-order formula is at most this fraction of the slope.
 MAX_TRUNCATION_ERROR, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.02, 2.0, 8

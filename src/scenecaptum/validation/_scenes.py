@@ -95,8 +95,3 @@ def distances_to_bounds(
     """Return the step along a direction at which each element reaches a bound; infinite where it stays."""
     distance = torch.where(direction > 0, high - value, value - low)
     return torch.where(direction == 0, math.inf, distance / direction.abs())
-
-
-def mean_and_error(replicates: torch.Tensor) -> tuple[float, float]:
-    """Return the mean of independent replicates and its standard error."""
-    return replicates.mean().item(), (replicates.std() / math.sqrt(len(replicates))).item()
