@@ -10,7 +10,7 @@ import torch
 
 
 class NamedMetric(NamedTuple):
-    """A metric that can be created from a camera and options alone, and what it measures in one line.
+    """A metric that can be created from a camera and options alone; ``description`` says what it measures.
 
     ``create`` is the metric's class, or a function that returns it. It is given the camera as ``camera`` and every
     option of the command line under its own name, as far as it has these parameters.
