@@ -28,10 +28,10 @@ from scenecaptum.estimation import (
     channel_totals,
     describe_picture,
     jackknife,
+    mean_and_error,
     student_t,
     with_image_transform,
 )
-from scenecaptum.validation._scenes import mean_and_error
 
 RATINGS = {"ugr": metrics.UnifiedGlareRating, "dgp": metrics.DaylightGlareProbability}
 

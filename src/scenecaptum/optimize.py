@@ -145,6 +145,10 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
     optimizer = _BoundedAdam(renderer, {row.name: values[row.name] for row in top_rows}, change)
+
+    def optimized() -> dict[str, torch.Tensor]:
+        return values | {name: value.detach() for name, value in optimizer.values().items()}
+
     history: list[float] = []
     before = after = measure(values)
     for step_seed in tqdm(step_seeds, disable=not show_progress, desc=metric_name, unit="step"):
@@ -153,14 +157,14 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         history.append(value)
         # The value of a step is biased low, since the optimizer fits its noise: check with independent samples.
         if value < below:
-            after = measure(values | _detached(optimizer.values()))
+            after = measure(optimized())
             if after.is_below(below):
                 break
         optimizer.step(image, adjoint)
     else:
-        after = measure(values | _detached(optimizer.values()))
+        after = measure(optimized())
     return Optimization(
-        values=values | _detached(optimizer.values()),
+        values=optimized(),
         moved=optimizer.summary({row.name: row.label for row in top_rows}),
         before=before,
         after=after,
@@ -213,10 +217,6 @@ class _BoundedAdam:
             Moved(name, labels[name], before[name], after[name], self._offsets[name].abs().max().item())
             for name in self.start
         )
-
-
-def _detached(values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    return {name: value.detach() for name, value in values.items()}
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,9 @@ import torch
 
 T = TypeVar("T")
 
-ANY_KEYWORD = "**"
-
 
 def accepted_keywords(function: Any) -> frozenset[str]:
-    """Return the keywords that a callable takes, with ``ANY_KEYWORD`` for arbitrary ones.
+    """Return the keywords that a callable names in its signature.
 
     A wrapper passes on those of what it wraps in an attribute ``accepted_keywords``; for anything else they are
     read from the signature, of a module that of its ``forward``.
@@ -27,7 +25,9 @@ def accepted_keywords(function: Any) -> frozenset[str]:
         parameters = inspect.signature(getattr(function, "forward", function)).parameters
     except (TypeError, ValueError):  # not callable, or built in
         return frozenset()
-    return frozenset(ANY_KEYWORD if p.kind is p.VAR_KEYWORD else name for name, p in parameters.items())
+    return frozenset(
+        name for name, parameter in parameters.items() if parameter.kind is not parameter.VAR_KEYWORD
+    )
 
 
 def takes_keyword(function: Any, keyword: str) -> bool:
@@ -89,8 +89,8 @@ class Capabilities:
     require_memory = _Offer[Callable[..., None]]("Raises if images do not fit into memory.")
     replace = _Offer[Callable[..., Any]]("The same renderer with other options.")
 
-    def __init__(self, renderer: Any) -> None:
-        self.renderer = renderer
+    def __init__(self, renderer: object) -> None:
+        self.renderer: Any = renderer
 
     @property
     def fingerprint(self) -> str | None:

@@ -43,14 +43,9 @@ def kendall_tau(a: Values, b: Values) -> float:
 
 
 def kendall_tau_of_pairs(a: Values, b: Values, pairs: torch.Tensor) -> float:
-    """Return the mean agreement, from −1 to 1, of the order of chosen pairs; NaN for none.
+    """Return the mean agreement, from −1 to 1, of the order of the chosen ``(n, n)`` pairs; NaN for none.
 
-    Parameters
-    ----------
-    a, b
-        The values of both rankings. A pair that is tied in one of them counts as 0.
-    pairs
-        ``(n, n)`` bool: which pairs count.
+    A pair that is tied in one of the rankings counts as 0.
     """
     return float((_pair_signs(a) * _pair_signs(b))[pairs].mean())
 

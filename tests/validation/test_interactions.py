@@ -12,10 +12,10 @@ from seeds import seeds, shifted
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.estimation import channel_totals
+from scenecaptum.estimation import channel_totals, mean_and_error
 from scenecaptum.validation import Interactions, hessian_vector_product, interactions
 from scenecaptum.validation._hessian import CENTRAL, ONE_SIDED
-from scenecaptum.validation._scenes import Scenes, mean_and_error, unit_gradient
+from scenecaptum.validation._scenes import Scenes, unit_gradient
 
 LAMP = "light.emitter.radiance.value"
 PASSES = 8

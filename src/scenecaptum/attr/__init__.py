@@ -20,24 +20,24 @@ from ._baselines import Baselines as Baselines
 from ._baselines import resolve_baselines as resolve_baselines
 from ._baselines import table_of as table_of
 from ._data import Ranked as Ranked
+from ._data import summarize as summarize
 from ._feature_ablation import FeatureAblationScene as FeatureAblationScene
 from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene
 from ._integrated_gradients import IntegratedGradientsScene as IntegratedGradientsScene
-from ._interruption import AttributionInterrupted as AttributionInterrupted
+from ._method import AttributionInterrupted as AttributionInterrupted
 from ._method import GradientMethod as GradientMethod
+from ._method import NamedMethod as NamedMethod
 from ._method import Result as Result
 from ._method import Settings as Settings
 from ._method import Targets as Targets
 from ._method import target_list as target_list
-from ._named import NamedMethod as NamedMethod
 from ._occlusion import OcclusionScene as OcclusionScene
 from ._perturbation import Perturbation as Perturbation
 from ._ranges import Noise as Noise
 from ._ranges import ranges as ranges
 from ._shapley_value import ShapleyValueScene as ShapleyValueScene
 from ._smooth_grad import SmoothGradScene as SmoothGradScene
-from ._values import summarize as summarize
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient
 
 # By their names on the command line.

@@ -12,22 +12,19 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..errors import SceneCaptumError
-from ..estimation import Adjoints
+from ..estimation import Adjoints, GradientSum
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..visualization import DEFAULT_TOP
-from ._data import AttributionData, Tensors, covariances
+from ._data import AttributionData, Tensors, covariances, summarize
 from ._difference import subtract
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
-from ._values import summarize
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ..estimation import GradientSum
 
 
 @dataclass(frozen=True, repr=False)
@@ -241,7 +238,7 @@ def make_attribution(
             "metric_bias": adjoints.bias,
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **(Capabilities(renderer).info or {}),
-            "versions": _versions(),
+            "versions": versions(),
         },
     )
 
@@ -254,11 +251,8 @@ def _effective_samples(
     if estimate is None or spp is None or not gradients.degrees_of_freedom:
         return {}
     adjoint = torch.stack(adjoints.per_replicate).mean(0)
-    spp_per_replicate = max(1, spp // gradients.replicates)
-    counts: dict[str, float] = estimate(
-        values, adjoint, spp=spp_per_replicate, replicates=gradients.replicates
-    )
-    return counts
+    count = gradients.replicates
+    return estimate(values, adjoint, spp=max(1, spp // count), replicates=count)
 
 
 def surfaces_of(renderer: Renderer, names: Iterable[str]) -> SurfaceMap | None:
@@ -276,6 +270,7 @@ def _error(gradients: GradientSum, name: str) -> torch.Tensor:
     return error / gradients.weight
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that determine a result."""
     packages = ("scenecaptum", "torch", "mitsuba", "drjit")
     return {"python": platform.python_version(), **{p: importlib.metadata.version(p) for p in packages}}

@@ -24,11 +24,7 @@ _NON_POWER_ROLES = {"cutoff_angle", "beam_width", "turbidity", "albedo", "sun_ap
 
 
 def resolve_baselines(
-    renderer: Renderer,
-    values: Values,
-    baselines: Baselines = None,
-    *,
-    default: Values | None = None,
+    renderer: Renderer, values: Values, baselines: Baselines = None, *, default: Values | None = None
 ) -> dict[str, torch.Tensor]:
     """Return the baseline of every parameter, a new tensor with the shape of its value.
 
@@ -41,10 +37,9 @@ def resolve_baselines(
 
     Parameters
     ----------
-    renderer
-        Provides kinds and bounds by ``parameters_table()``, or else bounds by ``bounds``; both are optional.
-    values
-        The current values by parameter name.
+    renderer, values
+        The current values. The renderer may provide kinds by ``parameters_table()``, and bounds by it or
+        ``bounds``.
     baselines
         - None: emitters and reflectances are 0, and everything else keeps its current value, since a roughness or
           an index of refraction of 0 is unphysical. Without a ``parameters_table()`` everything is 0.
@@ -134,25 +129,19 @@ def _is_reflectance(parameter: Parameter) -> bool:
 def _other_scene(values: Values, others: Values) -> dict[str, Any]:
     missing = [name for name in values if name not in others]
     if missing:
+        more = f" (nor {len(missing) - 1} more)" if len(missing) > 1 else ""
         raise SceneCaptumError(
-            f"The scene given as baselines has no input {missing[0]!r}{_and_more(missing)}."
+            f"The scene given as baselines has no input {missing[0]!r}{more}."
             f"{near_misses(missing[0], others)} Build its renderer with the same inputs=, or give a mapping."
         )
     return {name: others[name] for name in values}
 
 
-def _and_more(names: list[str]) -> str:
-    return f" (nor {len(names) - 1} more)" if len(names) > 1 else ""
-
-
 def _from_mapping(renderer: Renderer, values: Values, baselines: Mapping[Any, Any]) -> dict[str, Any]:
     """Return the baselines given by a mapping; more specific keys override less specific ones."""
-    ranked: list[tuple[int, dict[str, Any]]] = []
-    for key, baseline in reversed(list(baselines.items())):
-        rank, names = _matches(renderer, values, key)
-        ranked.append((rank, dict.fromkeys(names, baseline)))
-    ranked.sort(key=lambda entry: entry[0])
-    return {name: baseline for _, matched in ranked for name, baseline in matched.items()}
+    matched = [(*_matches(renderer, values, key), baselines[key]) for key in reversed(list(baselines))]
+    matched.sort(key=lambda entry: entry[0])
+    return {name: baseline for _, names, baseline in matched for name in names}
 
 
 def _matches(renderer: Renderer, values: Values, key: Any) -> tuple[int, list[str]]:
@@ -161,16 +150,15 @@ def _matches(renderer: Renderer, values: Values, key: Any) -> tuple[int, list[st
         raise SceneCaptumError(f"baselines must be keyed by names, globs or kinds, not {type(key).__name__}.")
     if key in values:
         return 2, [key]
-    table = table_of(renderer)
-    if key in KINDS and table is None:
-        raise SceneCaptumError(
-            f"baselines names the kind {key!r}, but this renderer has no parameters_table(). "
-            f"Use the names of its parameters: {', '.join(values)}."
-        )
-    if key in KINDS and table is not None:
+    rank, names = 1, [name for name in values if fnmatchcase(name, key)]
+    if key in KINDS:
+        table = table_of(renderer)
+        if table is None:
+            raise SceneCaptumError(
+                f"baselines names the kind {key!r}, but this renderer has no parameters_table(). "
+                f"Use the names of its parameters: {', '.join(values)}."
+            )
         rank, names = 0, [name for name in values if table[name].kind == key]
-    else:
-        rank, names = 1, [name for name in values if fnmatchcase(name, key)]
     if not names:
         raise SceneCaptumError(
             f"baselines names {key!r}, which matches none of the {len(values)} inputs."

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
-from ..estimation import TargetedMetric, covariance_of_mean, pseudo_values
+from ..estimation import TargetedMetric, covariance_of_mean, mean_and_error, pseudo_values
 from ._attribution import SceneAttribution
 from ._convergence import convergence
 from ._method import Result, Run
@@ -30,8 +30,7 @@ def metric_difference(
 
     if len(images) == 1:
         return difference(torch.arange(1)).item(), None
-    values = pseudo_values(difference, len(images))
-    return values.mean().item(), values.std().item() / math.sqrt(len(values))
+    return mean_and_error(pseudo_values(difference, len(images)))
 
 
 def with_convergence(

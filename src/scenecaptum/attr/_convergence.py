@@ -19,14 +19,8 @@ ROUNDING = 16 * torch.finfo(torch.float32).eps
 def convergence(delta: float, error: float | None, explained: float, magnitude: float) -> dict[str, Any]:
     """Return the entries of ``info`` about convergence.
 
-    Parameters
-    ----------
-    delta, error
-        The sum of the attributions minus the explained difference, and its standard error or None.
-    explained
-        The difference.
-    magnitude
-        The sum of the attributions' magnitudes, which determines the rounding error.
+    ``delta`` is the sum of the attributions minus the ``explained`` difference, ``error`` its standard error, and
+    ``magnitude`` the sum of the attributions' magnitudes, which determines the rounding error.
     """
     rounding = ROUNDING * (magnitude + abs(explained))
     return {

@@ -15,6 +15,8 @@ from ..protocols import ResultKind
 
 Tensors = Mapping[str, torch.Tensor]
 
+_MAX_NUMBERS = 16  # of a value in a summary: a 4 × 4 transform
+
 
 class Ranked(NamedTuple):
     """One row of a ranking.
@@ -161,6 +163,12 @@ def covariances(replicates: Tensors, bias: Tensors | None) -> dict[str, torch.Te
     """Return the covariance of each parameter's channel totals."""
     bias_totals = {} if bias is None else {name: channel_totals(value) for name, value in bias.items()}
     return {name: covariance_of_mean(rows, bias_totals.get(name)) for name, rows in replicates.items()}
+
+
+def summarize(values: Tensors) -> dict[str, torch.Tensor]:
+    """Return small values as they are, means over the texels of textures, and nothing for long vectors."""
+    means = {n: v.reshape(-1, v.shape[-1]).mean(0) if v.ndim > 1 else v for n, v in values.items()}
+    return {n: value.detach().clone() for n, value in means.items() if 0 < value.numel() <= _MAX_NUMBERS}
 
 
 def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:

@@ -15,7 +15,7 @@ from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
-from ._perturbation import Arm, Effect, Effects, Perturbation
+from ._perturbation import Arm, Effect, Effects, Perturbation, measured_drops
 
 
 class FeatureAblationScene(Perturbation):
@@ -107,15 +107,15 @@ class FeatureAblationScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(feature.description, partial(_ablate, feature, values, absent)) for feature in features]
-        measured = self._measure(
-            arms,
-            target,
-            Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise)
+        measured = self._measure(arms, target, settings)
         templates = dict(values) if members is None else {group: torch.zeros(()) for group in members}
+        parts = [(feature.owner, feature.channel or 0) for feature in features]
+        sizes = {owner: channel_totals(template).numel() for owner, template in templates.items()}
 
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
-            return _effects(pseudo_values, features, templates), None
+            drops = measured_drops(pseudo_values, parts, sizes)
+            return {owner: Effect.of_totals(own, templates[owner]) for owner, own in drops.items()}, None
 
         info = {"quantity": ResultKind.ABLATION.value}
         grouped = {} if members is None else {"groups": {g: list(names) for g, names in members.items()}}
@@ -164,18 +164,3 @@ def _ablate(feature: _Feature, values: Values, absent: Values) -> dict[str, torc
     changed = values[name].clone(memory_format=torch.contiguous_format)
     _channel(changed, feature.channel).copy_(_channel(absent[name], feature.channel))
     return {**values, name: changed}
-
-
-def _effects(pseudo_values: torch.Tensor, features: list[_Feature], templates: Values) -> Effects:
-    """Return the effect of every parameter or group whose features have all been measured."""
-    effects: Effects = {}
-    finished = len(pseudo_values) - 1
-    for owner, template in templates.items():
-        owned = [(index, f.channel or 0) for index, f in enumerate(features) if f.owner == owner]
-        if any(index >= finished for index, _ in owned):
-            continue
-        totals = pseudo_values.new_zeros(pseudo_values.shape[1], channel_totals(template).numel())
-        for index, channel in owned:
-            totals[:, channel] = pseudo_values[0] - pseudo_values[1 + index]
-        effects[owner] = Effect.of_totals(totals, template)
-    return effects

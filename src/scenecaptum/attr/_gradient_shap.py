@@ -90,23 +90,19 @@ class GradientShapScene(GradientMethod):
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
         count = whole_number("n_samples", n_samples)
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")
         starts = [resolve_baselines(self.renderer, run.values, baseline) for baseline in given]
         noise = Noise(self.renderer, run.values, stdevs)
-        budget = run.budget(count, pairs=1)
         points = _points(noise, starts, count, seed)
-        sums, gradients, interrupted = run.sums(points, budget, random_points=True)
+        sums, gradients, interrupted = run.sums(points, count, pairs=1, random_points=True)
         images, *references = run.render_scenes([run.values, *starts], sums)
         results = [
             with_convergence(
-                run.result(metric, total, evaluation, budget, gradients, interrupted=interrupted),
+                run.result(metric, total, evaluation, gradients, interrupted),
                 metric_difference(evaluation.metric, images, references),
             )
             for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True)

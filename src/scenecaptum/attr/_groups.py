@@ -36,10 +36,8 @@ def resolve_groups(
 
     Parameters
     ----------
-    renderer
-        Provides kinds and owners by ``parameters_table()``, and the objects that use a parameter by ``surfaces``.
-    names
-        The parameters to be grouped.
+    renderer, names
+        The parameters to be grouped, and where their kinds, owners and objects come from.
     groups
         - None: each parameter is a group, named like the parameter.
         - ``"kind"``: reflectances, roughnesses, emitters, ….

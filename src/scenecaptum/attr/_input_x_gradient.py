@@ -76,11 +76,8 @@ class InputXGradientScene(GradientMethod):
         SceneCaptumError, AttributionInterrupted
             As ``VanillaSceneGradient``.
         """
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         goal = Goal(tolerance, share, top, time_limit)
         point = Point(run.values, factors=run.values)
         return run.attribute_point(point, goal, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)

@@ -100,25 +100,19 @@ class IntegratedGradientsScene(GradientMethod):
             On Ctrl-C after the first step, with the integral estimated from the steps so far.
         """
         rule = quadrature(method, n_steps)
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (
             interpolated_point(start, run.values, node, weight)
             for node, weight in zip(rule.nodes, rule.weights, strict=True)
         )
         # The first nodes of a rule are spread over the whole path.
-        budget = run.budget(len(rule.nodes), pairs=replicates)
-        sums, gradients, interrupted = run.sums(points, budget)
+        sums, gradients, interrupted = run.sums(points, len(rule.nodes), pairs=replicates)
         images, reference = run.render_scenes([run.values, start], sums)
         results = []
         for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True):
-            result = run.result(
-                metric, total, evaluation, budget, gradients, interrupted=interrupted, quadrature=method
-            )
+            result = run.result(metric, total, evaluation, gradients, interrupted, quadrature=method)
             result = with_quadrature_error(result, rule, total, run.members)
             explained = metric_difference(evaluation.metric, images, [reference])
             results.append(with_convergence(result, explained, error_of_sum(rule, total)))

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 from tqdm import tqdm
@@ -43,7 +43,6 @@ from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, make_attribution, surfaces_of
 from ._data import metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
-from ._interruption import AttributionInterrupted
 
 Targets: TypeAlias = "Target | list[Target]"
 
@@ -55,59 +54,58 @@ INPUT_SAMPLE_FRACTION = 1 / 8
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Sampling):
     """Arguments common to all methods."""
 
-    seed: int
-    spp: int | None
-    replicates: int
-    show_progress: bool
     groups: Groups = None
     checkpoint: Folder = None
     denoise: Denoise = "auto"
-    picture_spp: int | None = None
+
+
+class NamedMethod(NamedTuple):
+    """A method in the registry of the command line, and a few words for its help text."""
+
+    create: Any  # from a renderer and a metric to an object with ``attribute``
+    description: str
+
+
+class AttributionInterrupted(KeyboardInterrupt):
+    """Raised on Ctrl-C during an attribution if the finished replicates already give a result.
+
+    Attributes
+    ----------
+    partial
+        The attribution from the finished replicates, with its standard errors.
+    partials
+        One such attribution for each target; ``partial`` is the first.
+    """
+
+    def __init__(self, partial: SceneAttribution, *others: SceneAttribution) -> None:
+        super().__init__("interrupted; .partial has the result of the finished replicates")
+        self.partial = partial
+        self.partials = (partial, *others)
 
 
 @dataclass(frozen=True)
 class InputEvaluation:
-    """The metric at the inputs, and their image.
-
-    Attributes
-    ----------
-    spp
-        Samples per pixel of the image, if known.
-    metric
-        With the image transform that was used.
-    """
+    """The metric at the inputs, and their image."""
 
     adjoints: Adjoints
     image: torch.Tensor
-    spp: int | None
-    metric: TargetedMetric
+    spp: int | None  # of the image, if known
+    metric: TargetedMetric  # with the image transform that was used
 
 
 @dataclass
 class Run:
-    """One call of ``attribute``.
-
-    Attributes
-    ----------
-    values
-        The inputs to attribute to.
-    metrics
-        One for each target.
-    returns_list
-        Whether the targets were given as a list.
-    members
-        The parameters of each group, or None without groups.
-    """
+    """One call of ``attribute``."""
 
     method: str
     renderer: Renderer
-    values: dict[str, torch.Tensor]
-    metrics: list[TargetedMetric]
-    returns_list: bool
-    members: dict[str, tuple[str, ...]] | None
+    values: dict[str, torch.Tensor]  # of the inputs to attribute to
+    metrics: list[TargetedMetric]  # one for each target
+    returns_list: bool  # the targets were given as a list
+    members: dict[str, tuple[str, ...]] | None  # the parameters of each group
     settings: Settings
     watch: Stopwatch = field(init=False)
     transform_selector: TransformSelector = field(init=False)
@@ -129,32 +127,17 @@ class Run:
 
         ``moment`` computes another statistic from all points, each of which then has several replicates.
         """
-        budget = self.budget(count, pairs=1 if random_points and moment is None else count)
+        pairs = 1 if random_points and moment is None else count
         sums, gradients, interrupted = self.sums(
-            points, budget, random_points=random_points, keep_points=moment is not None
+            points, count, pairs=pairs, random_points=random_points, keep_points=moment is not None
         )
         if count == 1:
-            evaluations = [
-                InputEvaluation(
-                    total.adjoints,
-                    gradients.image,
-                    gradients.total_image_spp,
-                    metric.with_transform(total.adjoints.transform),
-                )
-                for metric, total in zip(self.metrics, sums, strict=True)
-                if total.adjoints is not None
-            ]
+            evaluations = self._evaluations(sums, gradients)
         else:
             evaluations = self.evaluate_inputs(self.render_scenes([self.values], sums)[0])
         results = [
             self.result(
-                metric,
-                moment(total) if moment else total,
-                evaluation,
-                budget,
-                gradients,
-                interrupted=interrupted,
-                **info,
+                metric, moment(total) if moment else total, evaluation, gradients, interrupted, **info
             )
             for metric, total, evaluation in zip(self.metrics, sums, evaluations, strict=True)
         ]
@@ -177,7 +160,6 @@ class Run:
     def _attribute_to_goal(
         self, point: Point, goal: Goal, first_spp: int | None, against: Any, **info: Any
     ) -> Result:
-        settings = self.settings
         planner = Planner(
             self.renderer,
             self.metrics,
@@ -185,45 +167,49 @@ class Run:
             point,
             self.members,
             goal,
-            Sampling(
-                settings.seed, first_spp, settings.replicates, settings.picture_spp, settings.show_progress
-            ),
+            dataclasses.replace(self.settings, spp=first_spp),
             against=against,
             prepare=lambda: surfaces_of(self.renderer, self.values),
         )
         interrupted, rounds = planner.run(), planner.rounds
+        evaluated = zip(self.metrics, planner.sums, self._evaluations(planner.sums, rounds), strict=True)
         results = []
-        for number, (metric, total) in enumerate(zip(self.metrics, planner.sums, strict=True)):
-            adjoints = total.adjoints
-            assert adjoints is not None
-            used = metric.with_transform(adjoints.transform)
-            evaluation = InputEvaluation(adjoints, rounds.image, rounds.total_image_spp, used)
+        for number, arguments in enumerate(evaluated):
             info["planner"] = planner.report(number, interrupted=interrupted)
-            results.append(
-                self.result(metric, total, evaluation, rounds.budget, rounds, interrupted=interrupted, **info)
-            )
+            results.append(self.result(*arguments, rounds, interrupted, **info))
         return self.return_results(results, interrupted=interrupted)
 
-    def budget(self, points: int, *, pairs: int | None = None) -> Budget:
-        """Split the samples over the points; the first ``pairs`` points have at least two replicates."""
-        settings = self.settings
-        budget = Budget.split(settings.spp, settings.replicates, settings.seed, points, pairs=pairs)
-        budget = budget.with_picture_spp(settings.picture_spp, budget.total)
-        require_memory(self.renderer, budget.spp, max(budget.replicates))
-        return budget
+    def _evaluations(
+        self, sums: Sequence[GradientSum], gradients: GradientEstimator
+    ) -> list[InputEvaluation]:
+        """Return the metrics at the inputs, the only point where gradients were estimated."""
+        image, spp = gradients.image, gradients.total_image_spp
+        return [
+            InputEvaluation(adjoints, image, spp, metric.with_transform(adjoints.transform))
+            for metric, total in zip(self.metrics, sums, strict=True)
+            if (adjoints := total.adjoints) is not None
+        ]
 
     def sums(
         self,
         points: Iterable[Point],
-        budget: Budget,
+        count: int,
         *,
+        pairs: int,
         random_points: bool = False,
         keep_points: bool = False,
     ) -> tuple[list[GradientSum], GradientEstimator, bool]:
-        """Sum the gradients of the points for each target; also return whether Ctrl-C interrupted it."""
+        """Sum the gradients of ``count`` points for each target; also return whether Ctrl-C interrupted it.
+
+        The samples are split over the points, of which the first ``pairs`` have at least two replicates.
+        """
+        settings = self.settings
+        budget = Budget.split(settings.spp, settings.replicates, settings.seed, count, pairs=pairs)
+        budget = budget.with_picture_spp(settings.picture_spp, budget.total)
+        require_memory(self.renderer, budget.spp, max(budget.replicates))
         with tqdm(
             total=2 * sum(budget.replicates),
-            disable=not self.settings.show_progress,
+            disable=not settings.show_progress,
             desc=self.metrics[0].name,
             unit="replicate",
         ) as bar:
@@ -259,9 +245,7 @@ class Run:
         metric: TargetedMetric,
         total: GradientSum,
         evaluation: InputEvaluation,
-        budget: Budget,
         gradients: GradientEstimator,
-        *,
         interrupted: bool,
         **info: Any,
     ) -> SceneAttribution:
@@ -278,8 +262,8 @@ class Run:
                 "method": self.method,
                 "metric": metric.name,
                 "seed": self.settings.seed,
-                "spp": budget.total,
-                "budget": _budget_info(budget, gradients),
+                "spp": gradients.budget.total,
+                "budget": _budget_info(gradients),
                 "picture": describe_picture(
                     adjoints.transform,
                     adjoints.value,
@@ -303,7 +287,8 @@ class Run:
         return results if self.returns_list else results[0]
 
 
-def _budget_info(budget: Budget, gradients: GradientEstimator) -> dict[str, Any]:
+def _budget_info(gradients: GradientEstimator) -> dict[str, Any]:
+    budget = gradients.budget
     counts = [spp for spp in budget.spp if spp is not None]
     return {
         "points": gradients.n_points,
@@ -314,16 +299,7 @@ def _budget_info(budget: Budget, gradients: GradientEstimator) -> dict[str, Any]
 
 
 class GradientMethod:
-    """Base class of the gradient methods.
-
-    Parameters
-    ----------
-    renderer
-        A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image torch can
-        differentiate.
-    metric
-        A torch function from the image to a scalar, or to a vector indexed by ``target``.
-    """
+    """Base class of the gradient methods; the parameters are those of ``VanillaSceneGradient``."""
 
     def __init__(self, renderer: Renderer, metric: Metric) -> None:
         check_renderer_and_metric(renderer, metric)

@@ -18,7 +18,7 @@ from ..estimation import DEFAULT_REPLICATES, Denoise, covariance_of_mean, input_
 from ..protocols import ResultKind
 from ._baselines import Baselines, Values, resolve_baselines
 from ._method import Result, Settings, Targets
-from ._perturbation import Arm, Effect, Effects, Perturbation
+from ._perturbation import Arm, Effect, Effects, Perturbation, measured_drops
 
 Extent: TypeAlias = "int | tuple[int, ...]"
 Extents: TypeAlias = "Extent | Mapping[str, Extent] | None"
@@ -46,11 +46,8 @@ class OcclusionScene(Perturbation):
 
     Parameters
     ----------
-    renderer
-        A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image.
-    metric
-        A torch function from the image to a scalar, or to a vector indexed by ``target``; it need not be
-        differentiable.
+    renderer, metric
+        As for ``FeatureAblationScene``.
 
     References
     ----------
@@ -84,8 +81,7 @@ class OcclusionScene(Perturbation):
         strides
             Strides of the window, in the same format; by default the window size, without overlap.
         baselines
-            Values of occluded patches: by default the mean of the texture in each channel; otherwise ``"dark"``,
-            ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
+            Values of occluded patches, as for ``FeatureAblationScene``; by default each channel's mean.
         target, seed, spp, replicates, denoise, checkpoint, show_progress
             As for ``FeatureAblationScene``.
 
@@ -120,14 +116,15 @@ class OcclusionScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(patch.description, partial(_occlude, patch, values, occluded)) for patch in patches]
-        measured = self._measure(
-            arms,
-            target,
-            Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise)
+        measured = self._measure(arms, target, settings)
+
+        parts = [(patch.name, patch.index) for patch in patches]
+        sizes = {name: len(own_windows) for name, own_windows in windows.items()}
 
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
-            return _effects(pseudo_values, patches, windows, textures), None
+            drops = measured_drops(pseudo_values, parts, sizes)
+            return {name: _effect(own, windows[name], textures[name]) for name, own in drops.items()}, None
 
         return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION.value)
 
@@ -149,7 +146,10 @@ class _Patch:
 def _textures(values: Values, *, explicit: bool) -> dict[str, torch.Tensor]:
     others = [name for name, value in values.items() if value.ndim < 3]
     if explicit and others:
-        raise SceneCaptumError(_no_texture(others[0], values[others[0]]))
+        raise SceneCaptumError(
+            f"{others[0]!r} has shape {tuple(values[others[0]].shape)}; occlusion slides a window over textures, "
+            "(H, W, C). Leave it out, or use FeatureAblationScene."
+        )
     textures = {name: value for name, value in values.items() if name not in others}
     if not textures:
         raise SceneCaptumError(
@@ -158,13 +158,6 @@ def _textures(values: Values, *, explicit: bool) -> dict[str, torch.Tensor]:
             "FeatureAblationScene."
         )
     return textures
-
-
-def _no_texture(name: str, value: torch.Tensor) -> str:
-    return (
-        f"{name!r} has shape {tuple(value.shape)}; occlusion slides a window over textures, (H, W, C). "
-        "Leave it out, or use FeatureAblationScene."
-    )
 
 
 def _all_windows(textures: Values, shapes: Extents, strides: Extents) -> dict[str, list[Window]]:
@@ -234,23 +227,6 @@ def _occlude(patch: _Patch, values: Values, occluded: Values) -> dict[str, torch
     changed = values[patch.name].clone()
     changed[patch.window] = occluded[patch.name][patch.window]
     return {**values, patch.name: changed}
-
-
-def _effects(
-    pseudo_values: torch.Tensor, patches: list[_Patch], windows: Mapping[str, list[Window]], textures: Values
-) -> Effects:
-    """Return the effects on every texture whose patches have all been measured."""
-    effects: Effects = {}
-    finished = len(pseudo_values) - 1
-    for name, texture in textures.items():
-        own = [(arm, patch.index) for arm, patch in enumerate(patches) if patch.name == name]
-        if any(arm >= finished for arm, _ in own):
-            continue
-        drops = pseudo_values.new_zeros(pseudo_values.shape[1], len(windows[name]))
-        for arm, index in own:
-            drops[:, index] = pseudo_values[0] - pseudo_values[1 + arm]
-        effects[name] = _effect(drops, windows[name], texture)
-    return effects
 
 
 def _effect(drops: torch.Tensor, windows: list[Window], texture: torch.Tensor) -> Effect:

@@ -27,11 +27,10 @@ from ..estimation import (
 )
 from ..finite import error_context
 from ..protocols import Capabilities, Renderer
-from ._attribution import SceneAttribution, _versions, surfaces_of
+from ._attribution import SceneAttribution, surfaces_of, versions
 from ._convergence import convergence
-from ._interruption import AttributionInterrupted
-from ._method import Result, Settings, Targets, target_list
-from ._values import summarize
+from ._data import summarize
+from ._method import AttributionInterrupted, Result, Settings, Targets, target_list
 
 
 @dataclass(frozen=True)
@@ -46,24 +45,15 @@ class Arm:
 class ArmMeasurements:
     """The metric of each arm; after an interruption only of the finished arms.
 
-    Attributes
-    ----------
-    pseudo_values
-        ``(arms, replicates, targets)`` jackknife pseudo-values in float64: ``R·M(mean image) − (R − 1)·M(mean
-        without image r)``. An effect is a difference of two arms. Its mean over the replicates is free of the bias
-        of order ``1/R`` that noise causes in a non-linear metric, and its variance gives the standard error.
-    values
-        ``(targets,)``: the metric at the mean image of the first arm, the unchanged scene.
-    image
-        The mean image of the unchanged scene.
-    inputs
-        Summary of the values of the unchanged scene.
+    ``pseudo_values`` are those of the jackknife in float64, ``R·M(mean image) − (R − 1)·M(mean without image r)``.
+    An effect is a difference of two arms. Its mean over the replicates is free of the bias of order ``1/R`` that
+    noise causes in a non-linear metric, and its variance gives the standard error.
     """
 
-    pseudo_values: torch.Tensor
-    values: torch.Tensor
-    image: torch.Tensor
-    inputs: Mapping[str, torch.Tensor]
+    pseudo_values: torch.Tensor  # (arms, replicates, targets)
+    values: torch.Tensor  # (targets,): the metric at the mean image of the first arm, the unchanged scene
+    image: torch.Tensor  # the mean image of the unchanged scene
+    inputs: Mapping[str, torch.Tensor]  # a summary of its values
     metrics: tuple[TargetedMetric, ...]
     budget: Budget
     interrupted: bool
@@ -72,17 +62,11 @@ class ArmMeasurements:
 
 @dataclass(frozen=True)
 class Effect:
-    """An attribution with its errors (None for a single replicate).
-
-    Attributes
-    ----------
-    totals
-        ``(replicates, C)``: the channel totals of every replicate, or None if there are other sources of error.
-    """
+    """An attribution with its errors (None for a single replicate)."""
 
     value: torch.Tensor
     error: torch.Tensor | None
-    totals: torch.Tensor | None
+    totals: torch.Tensor | None  # (replicates, C): of the channels; None if there are other sources of error
     covariance: torch.Tensor | None
 
     @classmethod
@@ -157,15 +141,11 @@ class Perturbation:
         effects_of: Callable[[torch.Tensor], tuple[Effects, Residual | None]],
         **info: Any,
     ) -> Result:
-        """Return a result for each target.
+        """Return a result for each target; raise if the measurement was interrupted.
 
         ``effects_of`` computes the effects from ``(arms, replicates)`` pseudo-values, and a residual if the
-        effects explain a difference.
-
-        Raises
-        ------
-        AttributionInterrupted
-            If the measurement was interrupted, with the finished effects; KeyboardInterrupt if there are none.
+        effects explain a difference. AttributionInterrupted has the finished effects; KeyboardInterrupt is raised
+        if there are none.
         """
         results = []
         for index in range(len(measured.metrics)):
@@ -207,7 +187,7 @@ class Perturbation:
             "metric_bias": bias,
             "picture": describe_picture(measured.metrics[index].transform, value, drift, spp_per_arm),
             "interrupted": measured.interrupted,
-            "versions": _versions(),
+            "versions": versions(),
             **info,
         }
         if residual is not None:
@@ -230,6 +210,23 @@ class Perturbation:
             surfaces=surfaces_of(self.renderer, effects),
             info=result_info,
         )
+
+
+def measured_drops(
+    pseudo_values: torch.Tensor, parts: Sequence[tuple[str, int]], sizes: Mapping[str, int]
+) -> dict[str, torch.Tensor]:
+    """Return how much each part lowers the metric, ``(replicates, size)`` by the owner of the parts.
+
+    Arm ``1 + k`` lacks part ``k``: its owner and its index there. Owners with an unmeasured part are left out.
+    """
+    drops = {}
+    for owner, size in sizes.items():
+        own = [(1 + arm, index) for arm, (name, index) in enumerate(parts) if name == owner]
+        if all(arm < len(pseudo_values) for arm, _ in own):
+            drops[owner] = pseudo_values.new_zeros(pseudo_values.shape[1], size)
+            for arm, index in own:
+                drops[owner][:, index] = pseudo_values[0] - pseudo_values[arm]
+    return drops
 
 
 def _images(renderer: Renderer, arm: Arm, budget: Budget) -> list[torch.Tensor]:

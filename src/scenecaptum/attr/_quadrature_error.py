@@ -15,10 +15,7 @@ A = TypeVar("A", bound=AttributionData)
 
 
 def with_quadrature_error(
-    attribution: A,
-    rule: Quadrature,
-    total: GradientSum,
-    members: Mapping[str, tuple[str, ...]] | None = None,
+    attribution: A, rule: Quadrature, total: GradientSum, members: Mapping[str, tuple[str, ...]] | None = None
 ) -> A:
     """Return the attribution with standard errors that include the estimated quadrature error.
 

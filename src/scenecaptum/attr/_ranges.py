@@ -23,12 +23,7 @@ def ranges(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the length of each parameter's physical range, a 0-d tensor.
 
     For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the largest
-    magnitude of its value, or 1 if that is 0.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the renderer has no ``bounds``.
+    magnitude of its value, or 1 if that is 0. Raises if the renderer has no ``bounds``.
     """
     bounds = _bounds(renderer)
     return {name: _length(value, *bounds.get(name, (-math.inf, math.inf))) for name, value in values.items()}
@@ -37,15 +32,8 @@ def ranges(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
 class Noise:
     """Gaussian noise on parameters, relative to their ranges and reflected at their bounds.
 
-    Parameters
-    ----------
-    renderer
-        Provides ``bounds``, and kinds if it has a ``parameters_table()``.
-    values
-        The values without noise.
-    stdevs
-        Standard deviation as a fraction of each parameter's range: a number, or a mapping from names, globs or
-        kinds to numbers, 0 for all others.
+    ``stdevs`` are fractions of each parameter's range: a number, or a mapping from names, globs or kinds to
+    numbers, 0 for all others. The renderer must have ``bounds``, and for kinds a ``parameters_table()``.
     """
 
     def __init__(self, renderer: Renderer, values: Tensors, stdevs: float | Mapping[str, float]) -> None:
@@ -62,10 +50,10 @@ class Noise:
     def sample(self, seed: int) -> dict[str, torch.Tensor]:
         """Return noisy values. Each parameter has its own random stream."""
         seeds = derived_seeds(seed, Stream.PARAMETER_NOISE, len(self.values))
-        noisy = {}
-        for (name, value), state in zip(self.values.items(), seeds, strict=True):
-            noisy[name] = self._noisy(name, value, state) if self._scales[name] else value
-        return noisy
+        return {
+            name: self._noisy(name, value, state) if self._scales[name] else value
+            for (name, value), state in zip(self.values.items(), seeds, strict=True)
+        }
 
     def _noisy(self, name: str, value: torch.Tensor, seed: int) -> torch.Tensor:
         noise = torch.randn(value.shape, generator=torch.Generator().manual_seed(seed)).to(value)

@@ -47,11 +47,8 @@ class ShapleyValueScene(Perturbation):
 
     Parameters
     ----------
-    renderer
-        A ``SceneRenderer``, or any callable ``renderer(inputs, *, seed, spp)`` that returns an image.
-    metric
-        A torch function from the image to a scalar, or to a vector indexed by ``target``; it need not be
-        differentiable.
+    renderer, metric
+        As for ``FeatureAblationScene``.
 
     References
     ----------
@@ -82,8 +79,7 @@ class ShapleyValueScene(Perturbation):
         inputs, target, denoise, checkpoint, show_progress
             As for ``VanillaSceneGradient``.
         baselines
-            Values of players that have not joined: None (emitters and reflectances 0, everything else unchanged),
-            ``"dark"``, ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
+            Values of players that have not joined, as for ``FeatureAblationScene``.
         groups
             The players: ``"kind"``, ``"material"``, ``"object"``, or a mapping from a player's name to the
             names or globs of its parameters. Parameters in no group are players of their own.
@@ -93,12 +89,8 @@ class ShapleyValueScene(Perturbation):
             their baselines do not count.
         seed
             Random seed, for the permutations and the renders. All subsets use common random numbers.
-        spp
-            Total samples per pixel over all subsets of players that are rendered; the renderer's by default. They
-            are split evenly over subsets and replicates, rounded up to at least one each.
-        replicates
-            Number of independent replicates, whose variance gives the rendering part of the standard errors. With
-            1 there are no errors, and no correction of the bias that image noise causes in a non-linear metric.
+        spp, replicates
+            As for ``FeatureAblationScene``, with the subsets of players that are rendered as scenes.
 
         Returns
         -------
@@ -124,11 +116,8 @@ class ShapleyValueScene(Perturbation):
             Arm(_description(coalition, players), partial(_scene, coalition, members, values, absent))
             for coalition in game.coalitions
         ]
-        measured = self._measure(
-            arms,
-            target,
-            Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise)
+        measured = self._measure(arms, target, settings)
 
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, Residual | None]:
             return _effects(game, pseudo_values, members)
@@ -141,9 +130,8 @@ class ShapleyValueScene(Perturbation):
             quantity=ResultKind.SHAPLEY_VALUE.value,
             groups={group: list(names) for group, names in members.items()},
             permutations="all" if orders is None else 2 * pairs,
-            replicates=count
-            if orders is None
-            else min(count, pairs),  # sets the degrees of freedom of the errors
+            # These set the degrees of freedom of the errors.
+            replicates=count if orders is None else min(count, pairs),
         )
 
 

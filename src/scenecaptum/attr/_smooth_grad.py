@@ -122,11 +122,8 @@ class SmoothGradScene(GradientMethod):
             raise SceneCaptumError(
                 f"nt_type={nt_type!r} requires replicates of 2 or more, to estimate the rendering noise."
             )
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         noisy_count = count - 1 if noise_free_last else count
         noise = Noise(self.renderer, run.values, stdevs if noisy_count else 0.0)
         return run.attribute(

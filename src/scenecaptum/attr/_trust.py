@@ -25,10 +25,7 @@ FEW_SAMPLES = "too few samples contribute to its variance for a reliable error: 
 
 
 def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
-    """Return the parameters whose standard error is unreliable, each with the reason.
-
-    The test for a dominating replicate has a Bonferroni correction for all parameters.
-    """
+    """Return the parameters whose standard error is unreliable, each with the reason."""
     if attribution.covariance is None:
         return {}
     replicates = attribution.info.get("replicates", MIN_REPLICATES)
@@ -49,7 +46,7 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
         if count < MIN_EFFECTIVE_SAMPLES and name in attribution
     }
     for name, rows in attribution.replicates.items():
-        if has_dominating_replicate(rows, FALSE_ALARM_RATE / len(attribution)):
+        if has_dominating_replicate(rows, FALSE_ALARM_RATE / len(attribution)):  # Bonferroni correction
             reasons[name] = (
                 "one replicate has nearly all of the spread: a rare bright path, and others may be missing"
             )
@@ -57,12 +54,7 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
 
 
 def median_of_means(attribution: A) -> A:
-    """Return the result with the median over the replicates, each of which is a mean over its samples.
-
-    References
-    ----------
-    Nemirovsky and Yudin, "Problem Complexity and Method Efficiency in Optimization", 1983 (medians of means).
-    """
+    """Return the result with the median over the replicates; see ``SceneAttribution.median_of_means``."""
     _check(attribution)
     rows = {name: rows_of_median(original) for name, original in attribution.replicates.items()}
     covariance = covariances(rows, attribution.bias)

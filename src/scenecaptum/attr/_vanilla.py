@@ -138,11 +138,8 @@ class VanillaSceneGradient(GradientMethod):
         AttributionInterrupted
             On Ctrl-C after at least one backward pass, with the result so far.
         """
-        run = self._start(
-            inputs,
-            target,
-            Settings(seed, spp, replicates, show_progress, groups, checkpoint, denoise, picture_spp),
-        )
+        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        run = self._start(inputs, target, settings)
         factors = _factors(scale, self.renderer, run.values)
         point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)

@@ -63,11 +63,7 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options for results and progress."""
     parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out"),
-        metavar="DIR",
-        help="output folder (default: %(default)s)",
+        "--out", type=Path, default=Path("out"), metavar="DIR", help="output folder (default: %(default)s)"
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")

@@ -96,9 +96,7 @@ def add_results(parser: argparse.ArgumentParser) -> None:
         help=f"{_arguments.describe(FORMATS)}; may be repeated (default: {', '.join(default_formats())})",
     )
     parser.add_argument(
-        "--report",
-        action="store_true",
-        help="also write report.html, an interactive page with all metrics",
+        "--report", action="store_true", help="also write report.html, an interactive page with all metrics"
     )
 
 
@@ -127,13 +125,7 @@ def attribute(options: argparse.Namespace) -> int:
 
 
 def _method_arguments(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the arguments of the method's ``attribute``.
-
-    Raises
-    ------
-    SceneCaptumError
-        If an option has no effect on the method.
-    """
+    """Return the arguments of the method's ``attribute``; raise if an option has no effect on it."""
     accepted = inspect.signature(METHODS[options.method].create.attribute).parameters
     goals = {name: getattr(options, name) for name in ("picture_spp", "tolerance", "time_limit")}
     given = {name: value for name, value in goals.items() if value is not None}

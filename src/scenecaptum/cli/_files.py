@@ -21,24 +21,12 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class OutputFormat(Generic[Result]):
-    """A file that a command writes.
-
-    Attributes
-    ----------
-    file
-        Its name.
-    description
-        Its content, in one line.
-    write
-        Writes a result to a path.
-    by_default
-        Whether it is written unless other formats are selected.
-    """
+    """A file that a command writes."""
 
     file: str
-    description: str
+    description: str  # of its content, in one line
     write: Callable[[Result, Path], None]
-    by_default: bool = True
+    by_default: bool = True  # unless other formats are selected
 
 
 def figure_writer(draw: Callable[[Result], Figure]) -> Callable[[Result, Path], None]:

@@ -70,9 +70,7 @@ def _write_csv(test: AblationTest, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, ["rank", *(field.name for field in dataclasses.fields(Ablated))])
         writer.writeheader()
-        writer.writerows(
-            {"rank": rank, **dataclasses.asdict(row)} for rank, row in enumerate(test.rows, start=1)
-        )
+        writer.writerows({"rank": rank, **dataclasses.asdict(row)} for rank, row in enumerate(test.rows, 1))
 
 
 def _json(test: AblationTest) -> str:

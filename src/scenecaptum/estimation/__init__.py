@@ -47,15 +47,14 @@ from ._replicates import channel_totals as channel_totals
 from ._replicates import covariance_of_mean as covariance_of_mean
 from ._replicates import render_images as render_images
 from ._resampling import delete_one_jackknife as delete_one_jackknife
+from ._resampling import mean_and_error as mean_and_error
 from ._resampling import pseudo_values as pseudo_values
-from ._rounds import ReplicateTime as ReplicateTime
 from ._rounds import Rounds as Rounds
 from ._rounds import RoundSum as RoundSum
 from ._rounds import TimeLimit as TimeLimit
 from ._seeds import Stream as Stream
 from ._seeds import derived_seeds as derived_seeds
 from ._seeds import random_generator as random_generator
-from ._simultaneous import LEVEL as LEVEL
 from ._simultaneous import Quantity as Quantity
 from ._simultaneous import simultaneous_quantile as simultaneous_quantile
 from ._student import student_t as student_t

@@ -56,10 +56,7 @@ def differences(
 ) -> list[GradientSum]:
     """Return the gradient of each metric with the other renderer, minus that with the first.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        If it was interrupted.
+    Raises KeyboardInterrupt if it is interrupted.
     """
     pair = _RendererPair(renderer, other)
     # No denoising: the bias that noise causes in the two metrics largely cancels.

@@ -54,27 +54,15 @@ def _is_number(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Assessment:
-    """What is known about the gradients of one metric after a round.
+    """What is known about the gradients of one metric after a round."""
 
-    Attributes
-    ----------
-    significant
-        The parameters that may have the share; they are reported.
-    criteria
-        The quantities that the goal requires to be accurate: parameters, or differences between neighbours.
-    quantiles
-        Of ``significant`` and of ``criteria``.
-    order
-        All parameters by descending saliency.
-    degrees
-        Degrees of freedom of the errors.
-    """
-
-    significant: list[Quantity]
-    criteria: list[Quantity]
-    quantiles: tuple[float, float]
-    order: list[str]
-    degrees: int
+    significant: list[Quantity]  # the parameters that may have the share; they are reported
+    criteria: list[
+        Quantity
+    ]  # what the goal requires to be accurate: parameters, or differences of neighbours
+    quantiles: tuple[float, float]  # of ``significant`` and of ``criteria``
+    order: list[str]  # all parameters by descending saliency
+    degrees: int  # of freedom of the errors
 
     @property
     def half_widths(self) -> dict[str, float]:
@@ -131,10 +119,7 @@ def assess(
     members: Mapping[str, tuple[str, ...]] | None,
     effective_samples: Mapping[str, float] | None = None,
 ) -> Assessment:
-    """Compare the errors with the goal.
-
-    ``effective_samples`` are the effective numbers of samples behind the variance of each parameter's gradient, if
-    the renderer provides them.
+    """Compare the errors with the goal; ``effective_samples`` are those behind the variance of each gradient.
 
     A parameter is accurate enough if its half-width is within the tolerance, or if the upper limit of its saliency
     is below the share of the lower limit of the total saliency. A small estimate alone does not suffice as long as
@@ -171,24 +156,17 @@ def totals(
 ) -> list[Quantity]:
     """Return the channel totals of every parameter or group, by descending size."""
     scale = 1 / gradients.weight
-    vectors = {
-        name: (
-            scale * channel_totals(mean).double(),
-            scale * gradients.deviations(name)
-            if gradients.degrees_of_freedom
-            else torch.zeros_like(channel_totals(mean).double())[None],
-            scale
-            * channel_totals(
-                torch.zeros_like(mean) if gradients.bias is None else gradients.bias[name]
-            ).double(),
-        )
-        for name, mean in gradients.mean.items()
-    }
+    vectors = {}
+    for name, mean in gradients.mean.items():
+        total = scale * channel_totals(mean).double()
+        zeros = torch.zeros_like(total)
+        deviations = scale * gradients.deviations(name) if gradients.degrees_of_freedom else zeros[None]
+        bias = zeros if gradients.bias is None else scale * channel_totals(gradients.bias[name]).double()
+        vectors[name] = (total, deviations, bias)
     # 0 means that the pilot has found no path: nothing is known.
     counts = {name: count for name, count in effective_samples.items() if count > 0}
     if members is not None:
-        deviations = {name: vector[1] for name, vector in vectors.items()}
-        counts = _group_effective_samples(counts, deviations, members)
+        counts = _group_effective_samples(counts, {n: vector[1] for n, vector in vectors.items()}, members)
         vectors = {
             group: (
                 torch.stack([vectors[name][0].sum() for name in names]).sum(0, keepdim=True),

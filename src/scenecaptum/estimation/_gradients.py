@@ -37,21 +37,11 @@ MIN_METRIC_SPP = 16
 
 @dataclass(frozen=True)
 class Point:
-    """A point of parameter space where the gradient is evaluated, and its weight in the sum.
-
-    Attributes
-    ----------
-    values
-        Parameter values.
-    weight
-        The weights of all points sum to 1.
-    factors
-        Elementwise factors of the gradients, by parameter name; missing names mean 1.
-    """
+    """A point of parameter space where the gradient is evaluated."""
 
     values: Tensors
-    weight: float = 1.0
-    factors: Tensors = field(default_factory=dict)
+    weight: float = 1.0  # in the sum; the weights of all points sum to 1
+    factors: Tensors = field(default_factory=dict)  # of the gradients, elementwise; missing names mean 1
 
 
 def interpolated_point(start: Tensors, end: Tensors, fraction: float, weight: float) -> Point:
@@ -63,27 +53,13 @@ def interpolated_point(start: Tensors, end: Tensors, fraction: float, weight: fl
 
 @dataclass
 class PointGradient:
-    """The gradients at a point, times its factors.
+    """The gradients at a point, times its factors."""
 
-    Attributes
-    ----------
-    statistics
-        Mean and standard error over the replicates, by parameter name.
-    adjoints
-        The metric's value and adjoint images at the point.
-    weight
-        Weight of the point in a sum.
-    spp
-        Samples per pixel of each replicate, or 1 for the renderer's default.
-    bias
-        Estimated bias due to image noise, by parameter name; missing names mean 0. None if unknown.
-    """
-
-    statistics: dict[str, ReplicateStatistics]
-    adjoints: Adjoints
-    weight: float
-    spp: int = 1
-    bias: dict[str, torch.Tensor] | None = None
+    statistics: dict[str, ReplicateStatistics]  # mean and standard error over the replicates
+    adjoints: Adjoints  # the metric's value and adjoint images at the point
+    weight: float  # in a sum
+    spp: int = 1  # of each replicate, or 1 for the renderer's default
+    bias: dict[str, torch.Tensor] | None = None  # due to image noise; missing names mean 0, None unknown
 
     @property
     def replicates(self) -> int:
@@ -98,35 +74,16 @@ class GradientSum:
     assumed to have the same noise, scaled by their weight and samples. For random points, the error is estimated
     from the variance between points, which includes that of the replicates.
 
-    Parameters
-    ----------
-    values
-        Define the names and shapes.
-    random_points
-        Whether the points are independent random samples.
-    keep_points
-        Whether to store all points in ``points``.
-
-    Attributes
-    ----------
-    bias
-        Estimated bias of the sum due to image noise, or None if unknown.
-    weight
-        Sum of the weights so far: below 1 after an interruption.
-    adjoints
-        The metric's value and adjoint images at the last point.
-    points
-        All points, or None.
-    totals
-        For each point, the channel totals of its replicates by parameter name.
+    ``values`` define the names and shapes; ``random_points`` are independent random samples.
     """
 
     def __init__(self, values: Tensors, *, random_points: bool = False, keep_points: bool = False) -> None:
+        # Of the sum, due to image noise; None if unknown.
         self.bias: dict[str, torch.Tensor] | None = {n: torch.zeros_like(v) for n, v in values.items()}
-        self.weight = 0.0
-        self.adjoints: Adjoints | None = None
+        self.weight = 0.0  # sum of the weights so far: below 1 after an interruption
+        self.adjoints: Adjoints | None = None  # at the last point
         self.points: list[PointGradient] | None = [] if keep_points else None
-        self.totals: list[dict[str, list[torch.Tensor]]] = []
+        self.totals: list[dict[str, list[torch.Tensor]]] = []  # of the replicates of each point
         self._counts: list[int] = []  # replicates of each point
         self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
         self._error = {name: torch.zeros_like(value) for name, value in values.items()}
@@ -231,27 +188,7 @@ class GradientSum:
 class GradientEstimator:
     """Estimates gradients at points, for several metrics at once: each point is rendered once for all metrics.
 
-    Parameters
-    ----------
-    renderer
-        As for every attribution method.
-    metrics
-        The metrics to differentiate.
-    budget
-        Samples and seeds for every point and replicate.
-    transform_selector
-        Decides whether non-linear metrics are evaluated on denoised images.
-    bar
-        Updated after every render and every backward pass.
-
-    Attributes
-    ----------
-    image
-        Mean image of the last point.
-    image_spp
-        Samples per pixel in each image of the last point.
-    extra_spp
-        Samples per pixel that were added for the metric images, over all points.
+    The ``bar`` is updated after every render and every backward pass.
     """
 
     def __init__(
@@ -267,9 +204,9 @@ class GradientEstimator:
         self.budget = budget
         self.transform_selector = transform_selector
         self.bar = bar
-        self.image = torch.zeros(())
-        self.image_spp: int | None = None
-        self.extra_spp = 0
+        self.image = torch.zeros(())  # mean image of the last point
+        self.image_spp: int | None = None  # of each of its images
+        self.extra_spp = 0  # added for the metric images, over all points
         self._first_adjoints: list[Adjoints] = []
         # A renderer without seed_grad is called twice per replicate.
         self._render_with_seed_grad = Capabilities(renderer).with_seed_grad
@@ -288,12 +225,8 @@ class GradientEstimator:
     def estimate(self, index: int, point: Point) -> tuple[list[PointGradient], bool]:
         """Estimate the gradients at a point, number ``index`` of the budget.
 
-        Returns
-        -------
-        gradients
-            One for each metric, from the finished replicates.
-        interrupted
-            Whether Ctrl-C was pressed before the last backward pass finished.
+        Returns those of each metric, from the finished replicates, and whether Ctrl-C was pressed before the last
+        backward pass finished.
         """
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
         images, graphs = self._render(index, leaves)
@@ -476,10 +409,7 @@ def input_values(renderer: Renderer, inputs: Tensors | None) -> dict[str, torch.
 def require_memory(renderer: Renderer, spp: Iterable[int | None], pictures: int) -> None:
     """Raise if this number of images will not fit into memory at the same time, where the renderer can predict it.
 
-    Raises
-    ------
-    SceneCaptumError
-        The message suggests settings that would fit.
+    The message suggests settings that would fit.
     """
     check = Capabilities(renderer).require_memory
     if check is not None:

@@ -37,17 +37,11 @@ def has_dominating_replicate(rows: torch.Tensor, level: float = FALSE_ALARM_RATE
     ----------
     Grubbs, "Sample criteria for testing outlying observations", Annals of Mathematical Statistics 21(1), 1950.
     """
-    return _largest_fraction(rows) > _critical_fraction(len(rows), level)
-
-
-def _largest_fraction(rows: torch.Tensor) -> float:
-    """Return the largest fraction of the squared deviations in one replicate; 0 if these are only rounding."""
     rows = rows.double()
-    deviations = rows - rows.mean(0)
-    squares = deviations.square().sum(1)
+    squares = (rows - rows.mean(0)).square().sum(1)
     if squares.sum() <= ROUNDING**2 * rows.square().sum():
-        return 0.0
-    return float(squares.max() / squares.sum())
+        return False
+    return float(squares.max() / squares.sum()) > _critical_fraction(len(rows), level)
 
 
 def _critical_fraction(replicates: int, level: float) -> float:

@@ -21,22 +21,15 @@ def describe_picture(
 ) -> dict[str, Any]:
     """Return a plain description of the metric image.
 
-    Parameters
-    ----------
-    transform, value, drift, denoised
-        As in ``Adjoints``.
-    spp
-        Samples per pixel, or None if unknown.
-    interval, half_class
-        The 95 % interval of the value, and half the class width of metrics that have classes.
+    ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
+    of the value, and ``half_class`` half the class width of metrics that have classes.
     """
+    raw, smooth = transform.raw_error, transform.denoised_error
     return {
         "spp": spp,
         "denoised": transform.denoises,
-        "relative_error": None if transform.raw_error is None else transform.raw_error**0.5,
-        "relative_error_denoised": None
-        if transform.denoised_error is None
-        else transform.denoised_error**0.5,
+        "relative_error": None if raw is None else raw**0.5,
+        "relative_error_denoised": None if smooth is None else smooth**0.5,
         "caution": _caution(value, drift, spp, denoised) or _too_wide(interval, half_class),
     }
 

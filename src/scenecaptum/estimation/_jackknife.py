@@ -27,37 +27,21 @@ _BIAS_SIGMAS = 2.0  # a bias of which only the magnitude is known counts as this
 
 @dataclass(frozen=True)
 class Adjoints:
-    """The metric's value and adjoint images, estimated from the primal images.
+    """The metric's value and adjoint images, estimated from the primal images."""
 
-    Attributes
-    ----------
-    value, standard_error, bias
-        The metric at the mean image, the jackknife estimate of its standard error, and the estimated remaining
-        bias due to the finite number of samples (None for a single replicate). The standard error includes the
-        bias.
-    per_replicate
-        The adjoint image for each backward pass.
-    bias_adjoint
-        Estimated bias of the adjoint, due to the finite number of samples or to the denoiser; None for a linear
-        metric.
-    drift
-        The metric at half of the samples minus that at all samples, on average, and the standard error without the
-        bias. None for a linear metric or a single replicate.
-    denoised
-        The metric at the denoised image, if that is estimated to be more accurate but denoising was switched off.
-        The difference is part of the standard error.
-    transform
-        From the render to the metric image.
-    """
-
-    value: float
-    standard_error: float | None
-    bias: float | None
-    per_replicate: tuple[torch.Tensor, ...]
+    value: float  # of the metric at the mean image
+    standard_error: float | None  # estimated by the jackknife; includes the bias; None for a single replicate
+    bias: float | None  # the remaining one, due to the finite number of samples; None for a single replicate
+    per_replicate: tuple[torch.Tensor, ...]  # the adjoint image for each backward pass
+    # Of the adjoint, due to the finite number of samples or to the denoiser; None for a linear metric.
     bias_adjoint: torch.Tensor | None
+    # The metric at half of the samples minus that at all samples, on average, and the standard error without the
+    # bias; None for a linear metric or a single replicate.
     drift: tuple[float, float] | None = None
+    # The metric at the denoised image, if that is estimated to be more accurate but denoising was switched off.
+    # The difference is part of the standard error.
     denoised: float | None = None
-    transform: ImageTransform = IDENTITY
+    transform: ImageTransform = IDENTITY  # from the render to the metric image
 
     @property
     def is_linear(self) -> bool:
@@ -163,11 +147,7 @@ def _remaining_bias(half_drift: float, single_drift: float, count: float) -> flo
 
 
 def _transform_errors(
-    metric: TargetedMetric,
-    images: torch.Tensor,
-    fractions: torch.Tensor,
-    value: float,
-    adjoint: torch.Tensor,
+    metric: TargetedMetric, images: torch.Tensor, fractions: torch.Tensor, value: float, adjoint: torch.Tensor
 ) -> tuple[float, torch.Tensor]:
     """Return the errors of value and adjoint that are due to the choice of the image transform."""
     if metric.transform.more_accurate is not None:
@@ -240,14 +220,8 @@ def _is_consistent(curvature: torch.Tensor, image: torch.Tensor) -> bool:
     """Whether a bias is consistent over all weighted means of the images, so that it is worth removing.
 
     It is if many pixels contribute similarly. If it comes from a few pixels that happen to be close to a
-    threshold, removing it would add more noise than it removes bias.
-
-    Parameters
-    ----------
-    curvature
-        ``(means, …)``: second difference of the adjoint towards each mean.
-    image
-        Weights of the pixels.
+    threshold, removing it would add more noise than it removes bias. ``curvature``, ``(means, …)``, is the second
+    difference of the adjoint towards each mean; ``image`` weights the pixels.
     """
     weighted = (curvature * image).double().flatten(1).sum(1)
     return bool(weighted.mean().abs() > _CONSISTENT_BIAS * weighted.std() / math.sqrt(len(weighted)))

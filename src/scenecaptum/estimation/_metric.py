@@ -56,10 +56,7 @@ class TargetedMetric:
     def value_and_adjoint(self, image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return the metric's value at an image and its derivative with respect to every pixel.
 
-        Raises
-        ------
-        SceneCaptumError
-            If the metric does not return a finite scalar that depends on the image.
+        Raises if the metric does not return a finite scalar that depends on the image.
         """
         metric_image = self.transform(image.detach())
         value, adjoint = self.value_and_adjoint_at(metric_image)
@@ -70,11 +67,12 @@ class TargetedMetric:
         leaf = metric_image.detach().requires_grad_()
         with torch.enable_grad():
             value = self._scalar(self.output(leaf))
-        if not value.requires_grad:
-            raise SceneCaptumError(self._does_not_depend())
-        (adjoint,) = torch.autograd.grad(value, leaf, allow_unused=True)
+        adjoint = torch.autograd.grad(value, leaf, allow_unused=True)[0] if value.requires_grad else None
         if adjoint is None:
-            raise SceneCaptumError(self._does_not_depend())
+            raise SceneCaptumError(
+                f"The metric {self.name} does not depend on the image through differentiable torch operations: "
+                "look for .detach(), torch.no_grad(), rounding, comparisons or an integer result."
+            )
         bad = ~torch.isfinite(adjoint)
         location = describe_location(bad, "camera") if bad.any() else ""
         if not torch.isfinite(value):
@@ -126,13 +124,7 @@ class TargetedMetric:
         return value.item(), adjoint if adjoint is not None and torch.isfinite(adjoint).all() else None
 
     def value_of(self, output: Any) -> float:
-        """Return the attributed value from an output of the metric.
-
-        Raises
-        ------
-        SceneCaptumError
-            If it is not a finite scalar.
-        """
+        """Return the attributed value from an output of the metric; raise if it is not a finite scalar."""
         return self.check_value(self._scalar(output).item())
 
     def check_value(self, value: float) -> float:
@@ -178,12 +170,6 @@ class TargetedMetric:
         return (
             f"The metric {self.name} modifies its input image in place. Write image = image * 2 instead of "
             "image *= 2 or image.mul_(2), or begin with image = image.clone()."
-        )
-
-    def _does_not_depend(self) -> str:
-        return (
-            f"The metric {self.name} does not depend on the image through differentiable torch operations: "
-            "look for .detach(), torch.no_grad(), rounding, comparisons or an integer result."
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import torch
 
@@ -19,25 +19,14 @@ _RELATIVE_ERROR_FLOOR = 0.1  # of the mean: errors of darker pixels are relative
 
 @dataclass(frozen=True)
 class ImageTransform:
-    """Transform from a render to the metric image, the image that the metric is evaluated on.
-
-    Attributes
-    ----------
-    denoises
-        Whether the image is denoised.
-    guides
-        Albedo and normals for the denoiser, if known.
-    raw_error, denoised_error
-        Mean squared relative errors of the mean of half of the samples, without and with denoising, if measured.
-    more_accurate
-        A transform that is estimated to be more accurate but was not requested.
-    """
+    """Transform from a render to the metric image, the image that the metric is evaluated on."""
 
     denoises: bool = False
-    guides: Guides | None = None
+    guides: Guides | None = None  # albedo and normals for the denoiser, if known
+    # Mean squared relative errors of the mean of half of the samples, if measured.
     raw_error: float | None = None
     denoised_error: float | None = None
-    more_accurate: ImageTransform | None = None
+    more_accurate: ImageTransform | None = None  # by the estimates, but not requested
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         """Return the metric image."""
@@ -45,12 +34,6 @@ class ImageTransform:
 
 
 IDENTITY = ImageTransform()
-
-
-def check_denoise(mode: Any) -> None:
-    """Raise if ``denoise=`` is invalid."""
-    if mode not in ("auto", True, False):
-        raise SceneCaptumError(f'denoise must be "auto", True or False, not {mode!r}.')
 
 
 def choose_transform(
@@ -117,18 +100,11 @@ def _halves(
 
 
 class TransformSelector:
-    """Selects the image transform for one call of ``attribute``.
-
-    Parameters
-    ----------
-    mode
-        The argument ``denoise=``.
-    renderer
-        May have ``guides`` for the denoiser.
-    """
+    """Selects the image transform for one call of ``attribute`` with ``denoise=mode``."""
 
     def __init__(self, mode: Denoise, renderer: Renderer) -> None:
-        check_denoise(mode)
+        if mode not in ("auto", True, False):
+            raise SceneCaptumError(f'denoise must be "auto", True or False, not {mode!r}.')
         self.mode = mode
         self._renderer = renderer
         self._last = IDENTITY

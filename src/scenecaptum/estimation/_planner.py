@@ -55,29 +55,9 @@ class Planner:
     dominates the variance or a pilot found few paths. The search does not end after the first round, because rare
     paths that it has missed are missing in its errors as well; the second round has at least half as many samples.
 
-    Parameters
-    ----------
-    renderer, metrics, transform_selector
-        As for ``GradientEstimator``.
-    point
-        Where the gradients are evaluated.
-    members
-        The parameters of each group, or None without groups.
-    goal
-        When to stop.
-    sampling
-        That of the first round; by default few samples that cost nearly nothing.
-    against
-        Another renderer, with which the gradients are compared at the end.
-    prepare
-        Called before the time limit starts, for one-time costs.
-
-    Attributes
-    ----------
-    sums
-        For each metric, the gradients so far.
-    rounds
-        The estimator, with the image and the budget so far.
+    The ``sampling`` is that of the first round, by default few samples that cost nearly nothing; ``members`` are
+    the parameters of each group. With ``against``, another renderer, the gradients are compared at the end.
+    ``prepare`` is called before the time limit starts, for one-time costs.
 
     References
     ----------
@@ -118,7 +98,7 @@ class Planner:
         )
         self.prepare = prepare
         self.changes: list[dict[str, Any] | None] = [None] * len(metrics)
-        self.sums = [RoundSum(point.values) for _ in metrics]
+        self.sums = [RoundSum(point.values) for _ in metrics]  # the gradients so far
         self.assessments: list[Assessment] = []
         self.first_spp = math.ceil(whole_number("spp", first_spp) / replicates)  # per replicate
         self.round_seconds: list[float] = []
@@ -181,8 +161,7 @@ class Planner:
         replicates = self.sums[number].replicates
         spp = max(1, int(self.sums[number].weight) // replicates)
         adjoint = self.rounds.mean_adjoints[number]
-        counts: Mapping[str, float] = estimate(self.point.values, adjoint, spp=spp, replicates=replicates)
-        return counts
+        return estimate(self.point.values, adjoint, spp=spp, replicates=replicates)
 
     def _first_size(self) -> tuple[int, int] | None:
         """Return the replicates of the first round and their spp, which a time limit may reduce.
@@ -218,7 +197,8 @@ class Planner:
     def _next_size(self) -> tuple[int, int] | None:
         """Return the replicates of the next round and their spp, or None to stop."""
         sampled = self.sums[0].weight
-        if self._is_over() or not self._remaining_spp():
+        is_reached = all(map(self.is_reached, self.assessments))
+        if is_reached or len(self.round_seconds) == MAX_ROUNDS or not self._remaining_spp():
             return None
         # The prediction is as uncertain as the errors that it is based on.
         degrees = min(assessment.degrees for assessment in self.assessments)
@@ -248,9 +228,6 @@ class Planner:
         """Return the remaining samples per pixel, or 0 if they are fewer than those of the first round."""
         remaining = MAX_SPP - int(self.sums[0].weight)
         return remaining if remaining >= self.replicates * self.first_spp else 0
-
-    def _is_over(self) -> bool:
-        return len(self.round_seconds) == MAX_ROUNDS or all(map(self.is_reached, self.assessments))
 
     def is_reached(self, assessment: Assessment) -> bool:
         """Whether the goal is reached, based on more than the first round's estimate of its own noise.

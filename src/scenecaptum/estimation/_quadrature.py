@@ -21,22 +21,15 @@ SIGNIFICANT = 4.0  # standard deviations of a ratio of variances, whose distribu
 class Quadrature:
     """Nodes and weights of a quadrature rule, with null rules for the error estimate.
 
-    Attributes
-    ----------
-    nodes, weights
-        Ordered such that the first nodes, for any number, are spread over the whole interval, so that the rule can
-        be interrupted. Nodes that are only used for the error estimate have weight 0 and come last.
-    nulls
-        ``(K, points)`` weights of *null rules*, which vanish for sufficiently smooth integrands and are otherwise
-        of the size of the error.
-    structure
-        ``(M, points)`` weights of null rules, including those above, that distinguish structure from noise.
+    The first nodes, for any number, are spread over the whole interval, so that the rule can be interrupted. Nodes
+    that are only used for the error estimate have weight 0 and come last. *Null rules* vanish for sufficiently
+    smooth integrands and are otherwise of the size of the error.
     """
 
     nodes: tuple[float, ...]
     weights: tuple[float, ...]
-    nulls: np.ndarray
-    structure: np.ndarray
+    nulls: np.ndarray  # (K, points): weights of null rules
+    structure: np.ndarray  # (M, points): of null rules, including those above, that tell structure from noise
 
     def error(self, integrand: Sequence[torch.Tensor]) -> torch.Tensor:
         """Estimate the quadrature error of integrals from the values of the integrand.
@@ -45,17 +38,10 @@ class Quadrature:
         subtracted, and the error is 0 if the null rules are consistent with noise, so that noise does not count
         twice.
 
-        Parameters
-        ----------
-        integrand
-            For each point ``(replicates, C)`` values. A point with a single replicate is assumed to be as noisy as
-            the mean at the nearest node with several. If there are fewer points than nodes after an interruption,
-            the error is the difference between all points and the first half of them.
-
-        Returns
-        -------
-        torch.Tensor
-            ``(C,)``.
+        The integrand has ``(replicates, C)`` values for each point, the error ``(C,)``. A point with a single
+        replicate is assumed to be as noisy as the mean at the nearest node with several. If there are fewer points
+        than nodes after an interruption, the error is the difference between all points and the first half of
+        them.
         """
         nulls, structure = torch.from_numpy(self.nulls), torch.from_numpy(self.structure)
         if len(integrand) < len(self.nodes):
@@ -95,6 +81,8 @@ class Quadrature:
 def quadrature(method: str, n_steps: int) -> Quadrature:
     """Return a quadrature rule with ``n_steps`` points whose weights sum to 1.
 
+    Raises if the rule is unknown, or requires more points.
+
     The error of a Gauss–Legendre rule is estimated by two *null rules* on the same points: the two highest
     coefficients of the integrand's expansion in Legendre polynomials, in the scale of the rule. They vanish for
     polynomials of lower degree, and for other integrands decay more slowly than the error. A Riemann sum is
@@ -103,18 +91,6 @@ def quadrature(method: str, n_steps: int) -> Quadrature:
 
     For ``c/(cα + 0.01)``, the derivative of ``log(mean + 0.01)`` from black, with c from 0.01 to 10 and 2 to 64
     points, the estimates are at least 0.9 times the error.
-
-    Parameters
-    ----------
-    method
-        As for ``IntegratedGradientsScene``.
-    n_steps
-        Number of points with a weight.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the rule is unknown, or requires more points.
 
     References
     ----------

@@ -31,32 +31,22 @@ class Sampling:
     seed: int
     spp: int | None
     replicates: int
-    picture_spp: int | None = None
     show_progress: bool = False
+    picture_spp: int | None = None
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Samples and seeds for every point of parameter space and every independent replicate there.
+    """Samples and seeds for every point of parameter space and every independent replicate there."""
 
-    Attributes
-    ----------
-    spp
-        For each point, the samples per pixel of each replicate, or None for the renderer's default.
-    seeds
-        For each point, the seeds of its primal images. All points have the same number of them, so some points may
-        have more seeds than replicates.
-    gradient_seeds
-        For each point, one seed per backward pass, independent of ``seeds``: replaying the primal samples would
-        correlate adjoint and gradient noise and bias the gradient of a non-linear metric.
-    picture_ratio
-        Samples of the metric image per sample of the backward pass for non-linear metrics, at least 1. None
-        selects ``PICTURE_RATIO`` or ``NOISY_PICTURE_RATIO`` at a single point, and the minimum at several points.
-    """
-
-    spp: tuple[int | None, ...]
+    spp: tuple[int | None, ...]  # of each replicate of a point, or None for the renderer's default
+    # Of the primal images. All points have the same number of them, so some may have more seeds than replicates.
     seeds: tuple[tuple[int, ...], ...]
+    # One per backward pass, independent of ``seeds``: replaying the primal samples would correlate adjoint and
+    # gradient noise and bias the gradient of a non-linear metric.
     gradient_seeds: tuple[tuple[int, ...], ...]
+    # Samples of the metric image per sample of the backward pass for non-linear metrics, at least 1. None selects
+    # ``PICTURE_RATIO`` or ``NOISY_PICTURE_RATIO`` at a single point, and the minimum at several points.
     picture_ratio: float | None = None
 
     @classmethod
@@ -116,10 +106,7 @@ class Budget:
     def with_picture_spp(self, picture_spp: int | None, spp: int | None) -> Budget:
         """Return the budget with ``picture_spp`` samples per pixel for the metric image, given ``spp`` in total.
 
-        Raises
-        ------
-        SceneCaptumError
-            If ``picture_spp`` is less than ``spp``, or ``spp`` is None.
+        Raises if ``picture_spp`` is less than ``spp``, or ``spp`` is None.
         """
         if picture_spp is None:
             return self

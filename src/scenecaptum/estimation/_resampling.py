@@ -8,24 +8,22 @@ from collections.abc import Callable
 import torch
 
 
-def pseudo_values(statistic: Callable[[torch.Tensor], torch.Tensor], count: int) -> torch.Tensor:
-    """Return the ``(count, …)`` pseudo-values of a statistic by the delete-one jackknife.
+def mean_and_error(samples: torch.Tensor) -> tuple[float, float]:
+    """Return the mean of independent samples and its standard error."""
+    return samples.mean().item(), (samples.std() / math.sqrt(len(samples))).item()
 
-    They are ``n·T − (n − 1)·T₋ᵢ``, where ``T₋ᵢ`` leaves out sample ``i``. Their mean has no bias of order ``1/n``;
-    its standard error is that of a mean of independent numbers.
+
+def pseudo_values(statistic: Callable[[torch.Tensor], torch.Tensor], count: int) -> torch.Tensor:
+    """Return the ``(count, …)`` pseudo-values of a statistic of at least 2 samples, given by their indices.
+
+    By the delete-one jackknife they are ``n·T − (n − 1)·T₋ᵢ``, where ``T₋ᵢ`` leaves out sample ``i``. Their mean
+    has no bias of order ``1/n``; its standard error is that of a mean of independent numbers.
 
     Example
     -------
     >>> samples = torch.tensor([1.0, 2.0, 4.0, 5.0])
     >>> pseudo_values(lambda kept: samples[kept].mean(), len(samples))
     tensor([1., 2., 4., 5.])
-
-    Parameters
-    ----------
-    statistic
-        Function of the indices of samples, ``(n,)`` int64, that returns a tensor of any shape.
-    count
-        Number of samples, at least 2.
 
     References
     ----------

@@ -28,20 +28,12 @@ class TimeLimit:
     """A time limit, and the decisions that depend on it.
 
     The elapsed time includes the original render time of results from a checkpoint. Decisions that depend on the
-    clock are stored in the checkpoint, so that a resumed job repeats them.
-
-    Parameters
-    ----------
-    limit
-        In seconds, or None.
-    renderer
-        Its checkpoint is used, if it has one.
-    job
-        Identifies the job in the checkpoint.
+    clock are stored in the renderer's checkpoint, if it has one, so that a resumed job repeats them; ``job``
+    identifies it there.
     """
 
     def __init__(self, limit: float | None = None, renderer: Renderer | None = None, job: Any = ()) -> None:
-        self.limit = limit
+        self.limit = limit  # seconds
         self._job = job
         self._checkpoint = Capabilities(renderer).checkpoint
         self._watch = Stopwatch(renderer)
@@ -122,23 +114,8 @@ class Rounds(GradientEstimator):
     Let ``a_r`` be the bias-corrected adjoint image of a metric after round ``r``, from ``N_r`` samples per pixel.
     Round ``r`` propagates ``(N_r a_r − N_{r−1} a_{r−1}) / (N_r − N_{r−1})``, so that all rounds together, weighted
     by their samples, have propagated ``a_r``, however noisy the images of the first rounds were. To first order
-    this is the adjoint of the round's own images, so that rounds are independent and their variances add up.
-
-    Parameters
-    ----------
-    renderer, metrics, transform_selector, bar
-        As for ``GradientEstimator``.
-    seed
-        The seeds of all rounds are derived from it.
-    time
-        A round stops early if there is no time for another backward pass.
-    picture_ratio
-        As in ``Budget``.
-
-    Attributes
-    ----------
-    mean_adjoints
-        For each metric, the mean adjoint image that all rounds so far have propagated.
+    this is the adjoint of the round's own images, so that rounds are independent and their variances add up. A
+    round stops early if there is no time for another backward pass.
     """
 
     def __init__(
@@ -158,7 +135,7 @@ class Rounds(GradientEstimator):
         self._phase_start = 0.0  # of the images of this round, then of its backward passes
         self._bias_passes = 0  # additional backward passes for the bias
         self._image_groups: list[tuple[torch.Tensor, int]] = []  # mean images and their samples per pixel
-        self.mean_adjoints: list[torch.Tensor] = []
+        self.mean_adjoints: list[torch.Tensor] = []  # what all rounds so far have propagated, for each metric
 
     @property
     def n_points(self) -> int:
@@ -184,10 +161,7 @@ class Rounds(GradientEstimator):
             torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
 
     def add_round(self, point: Point, replicates: int, spp: int) -> tuple[list[PointGradient], bool]:
-        """Estimate the gradients of another round, weighted by the samples of the finished replicates.
-
-        Returns the same as ``estimate``.
-        """
+        """Estimate another round as ``estimate`` does, weighted by the samples of the finished replicates."""
         before, self.budget = self.budget, self.budget.with_round(replicates, spp, self._seed)
         self._phase_start = self._time.now()
         try:

@@ -18,31 +18,14 @@ _ROUNDING = 1e-5  # relative rounding error of a single-precision sum over many 
 
 @dataclass(frozen=True)
 class Quantity:
-    """An estimated vector with its error, and the target half-width of its interval.
+    """An estimated vector with its error, and the target half-width of its interval."""
 
-    Attributes
-    ----------
-    names
-        The parameter, or the two parameters whose saliencies are compared.
-    total
-        ``(C,)``: the estimate.
-    deviations
-        ``(replicates, C)``: deviations whose squares sum to the variance of the estimate; proportional to
-        1/√samples.
-    bias
-        ``(C,)``: the estimated bias, which counts as an error of its own size; proportional to 1/samples.
-    target
-        The target half-width.
-    effective_samples
-        Effective number of samples behind the variance, or None if unknown. With few, the variance is unreliable.
-    """
-
-    names: tuple[str, ...]
-    total: torch.Tensor
-    deviations: torch.Tensor
-    bias: torch.Tensor
+    names: tuple[str, ...]  # the parameter, or the two parameters whose saliencies are compared
+    total: torch.Tensor  # (C,): the estimate
+    deviations: torch.Tensor  # (replicates, C): their squares sum to its variance; proportional to 1/√samples
+    bias: torch.Tensor  # (C,): counts as an error of its own size; proportional to 1/samples
     target: float
-    effective_samples: float | None = None
+    effective_samples: float | None = None  # behind the variance, if known; with few, it is unreliable
 
     @property
     def size(self) -> float:
@@ -118,8 +101,8 @@ class Quantity:
         return (variance + math.sqrt(variance**2 + 4 * bias * allowed)) / (2 * allowed)
 
 
-def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: float = LEVEL) -> float:
-    """Return ``q`` such that, with probability ``level``, every quantity's error is at most ``q`` times ``error``.
+def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int) -> float:
+    """Return ``q`` such that, with probability ``LEVEL``, every quantity's error is at most ``q`` times ``error``.
 
     The errors of all quantities are sampled jointly from their covariance over the replicates. Each is divided by
     a standard error with the uncertainty of these degrees of freedom, or fewer for heavy-tailed rows. For a single
@@ -148,4 +131,4 @@ def simultaneous_quantile(quantities: Sequence[Quantity], degrees: int, level: f
         squares = errors.square().sum(1).reshape(_DRAWS, degrees + 1)
         variance = squares[:, 1 : quantity.degrees_of_freedom(degrees) + 1].mean(1)
         largest = torch.maximum(largest, squares[:, 0] / variance)
-    return largest.quantile(level).sqrt().item()
+    return largest.quantile(LEVEL).sqrt().item()

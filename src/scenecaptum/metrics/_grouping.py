@@ -15,17 +15,10 @@ Labels = npt.NDArray[np.int64]
 
 
 def group_as_evalglare(directions: Floats, luminance: Floats) -> Labels:
-    """Return the source number of each bright pixel, from 0.
+    """Return the source number of each bright pixel, from 0, given unit vectors ``(N, 3)`` and cd/m² ``(N,)``.
 
     Sources are connected components of pixels within 0.1 rad of each other. Pixels at or above 50 000 cd/m² are
     then removed from their source and grouped separately in the same way.
-
-    Parameters
-    ----------
-    directions
-        ``(N, 3)`` unit vectors.
-    luminance
-        ``(N,)`` in cd/m².
 
     Notes
     -----
@@ -59,7 +52,8 @@ def connected_components(directions: Floats, angle: float) -> Labels:
     parent = list(range(len(cells)))
     for a, b in _neighbours(cells):
         root_a, root_b = _root(parent, a), _root(parent, b)
-        if root_a != root_b and _within(directions[members[a]], directions[members[b]], math.cos(angle)):
+        # Connected if any two of their vectors are within the angle.
+        if root_a != root_b and (directions[members[a]] @ directions[members[b]].T).max() >= math.cos(angle):
             parent[root_b] = root_a
     roots = np.array([_root(parent, cell) for cell in range(len(cells))])
     return np.unique(roots, return_inverse=True)[1].astype(np.int64)[cell_of]
@@ -77,11 +71,6 @@ def _neighbours(cells: Labels) -> list[tuple[int, int]]:
         for (x, y, z), number in index.items()
         if (neighbour := (x + dx, y + dy, z + dz)) in index
     ]
-
-
-def _within(a: Floats, b: Floats, cosine: float) -> bool:
-    """Whether any two vectors of ``a`` and ``b`` are within an angle, given by its cosine."""
-    return bool((a @ b.T).max() >= cosine)
 
 
 def _root(parent: list[int], node: int) -> int:

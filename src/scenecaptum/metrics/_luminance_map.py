@@ -11,7 +11,7 @@ import torch
 from ..camera import Camera
 from ..errors import SceneCaptumError
 from ..images import check_image_shape
-from ..visualization import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure, pluralize
+from ..visualization import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure, pluralize, write_at
 from ._glare import GlareRating
 from ._luminance import luminance
 from ._sources import GlareSource
@@ -82,10 +82,13 @@ def plot_luminance(
     mean = float((shown[valid] * _weights(camera, valid)).sum())
     heading = f"mean {'over pixels' if camera is None else 'luminance'} {mean:.4g} cd/m²"
     if rating is not None:
-        heading = f"{type(rating).__name__} = {float(rating(image)):.4g}   ({_count(sources)}; {heading})"
+        count = pluralize(len(sources), "glare source") if sources else "no glare source"
+        heading = f"{type(rating).__name__} = {float(rating(image)):.4g}   ({count}; {heading})"
         _outline(ax, sources, shown.shape, separate=rating.grouping != "pixel")
         _write_numbers(ax, listed)
-        _write_list(ax, _source_lines(listed, len(sources)))
+        style: dict[str, Any] = {"va": "top", "fontsize": SMALL, "linespacing": 1.4}
+        lines = "\n".join(_source_lines(listed, len(sources)))
+        write_at(ax, lines, (0, 0), (0, -5), xycoords="axes fraction", **style)
     ax.set_title(heading, fontsize=TITLE, loc="left")
     return figure_of(ax)
 
@@ -184,22 +187,16 @@ def _outline(ax: Axes, sources: Sequence[GlareSource], shape: Sequence[int], *, 
 
 
 def _write_numbers(ax: Axes, sources: Sequence[GlareSource]) -> None:
+    box = {"boxstyle": "circle,pad=0.25", "facecolor": "black", "edgecolor": "white", "linewidth": 0.8}
+    style: dict[str, Any] = {
+        "ha": "center",
+        "va": "center",
+        "fontweight": "bold",
+        "color": "white",
+        "bbox": box,
+    }
     for number, source in enumerate(sources, start=1):
-        ax.annotate(
-            str(number),
-            (source.column, source.row),
-            ha="center",
-            va="center",
-            fontsize=TEXT,
-            fontweight="bold",
-            color="white",
-            bbox={
-                "boxstyle": "circle,pad=0.25",
-                "facecolor": "black",
-                "edgecolor": "white",
-                "linewidth": 0.8,
-            },
-        )
+        write_at(ax, str(number), (source.column, source.row), (0, 0), **style)
 
 
 def _source_lines(listed: Sequence[GlareSource], count: int) -> list[str]:
@@ -216,20 +213,3 @@ def _source_lines(listed: Sequence[GlareSource], count: int) -> list[str]:
 def _format_thousands(value: float) -> str:
     """Format a number with thin spaces as thousands separators."""
     return f"{value:,.10g}".replace(",", "\u202f")
-
-
-def _count(sources: Sequence[GlareSource]) -> str:
-    return pluralize(len(sources), "glare source") if sources else "no glare source"
-
-
-def _write_list(ax: Axes, lines: Sequence[str]) -> None:
-    ax.annotate(
-        "\n".join(lines),
-        (0, 0),
-        xycoords="axes fraction",
-        xytext=(0, -5),
-        textcoords="offset points",
-        va="top",
-        fontsize=SMALL,
-        linespacing=1.4,
-    )

@@ -10,15 +10,10 @@ import torch
 
 
 class NamedMetric(NamedTuple):
-    """A metric that can be created from a camera and options alone.
+    """A metric that can be created from a camera and options alone; ``description`` says what it measures.
 
-    Attributes
-    ----------
-    create
-        The metric's class, or a function that returns it. It is given the camera as ``camera`` and every option of
-        the command line under its own name, as far as it has these parameters.
-    description
-        What it measures, in one line.
+    ``create`` is the metric's class, or a function that returns it. It is given the camera as ``camera`` and every
+    option of the command line under its own name, as far as it has these parameters.
     """
 
     create: Callable[..., Callable[[torch.Tensor], torch.Tensor]]

@@ -11,29 +11,14 @@ from ..images import channels_first, check_image_shape
 def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
     """Encode linear radiance as an sRGB picture, ``sRGB(min(exposure · L, 1))``.
 
-    The gradient is finite everywhere: 12.92 · exposure at black, and 0 above white, where values are clipped.
+    The image is ``(H, W, 3)`` linear radiance with Rec. 709 primaries, the picture ``(1, 3, H, W)`` in [0, 1]. The
+    gradient is finite everywhere: 12.92 · exposure at black, and 0 above white, where values are clipped. Raises
+    if the image has another shape, or a value that is negative or not finite.
 
     Example
     -------
     >>> srgb_picture(torch.full((1, 1, 3), 0.2140)).flatten()[0]
     tensor(0.5000)
-
-    Parameters
-    ----------
-    image
-        ``(H, W, 3)`` linear radiance, Rec. 709 primaries.
-    exposure
-        Factor on radiance before it is clipped at 1, white.
-
-    Returns
-    -------
-    Tensor
-        ``(1, 3, H, W)`` in [0, 1].
-
-    Raises
-    ------
-    SceneCaptumError
-        If the image has another shape, or a value that is negative or not finite.
 
     References
     ----------

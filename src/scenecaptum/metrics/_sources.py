@@ -45,19 +45,15 @@ class GlareSource:
 
 @dataclass(frozen=True)
 class Sources:
-    """The N sources of an image as tensors, differentiable where a derivative exists.
-
-    ``pixels`` are flat indices of all source pixels and ``labels`` their source numbers; ``max_weight`` is the
-    largest weight of any pixel.
-    """
+    """The N sources of an image as tensors, differentiable where a derivative exists."""
 
     luminance: torch.Tensor
     solid_angle: torch.Tensor
     position_index: torch.Tensor
     background: torch.Tensor
-    max_weight: torch.Tensor
-    pixels: torch.Tensor
-    labels: torch.Tensor
+    max_weight: torch.Tensor  # the largest weight of any pixel
+    pixels: torch.Tensor  # flat indices of all source pixels
+    labels: torch.Tensor  # their source numbers
     centre: torch.Tensor
 
 
@@ -146,11 +142,7 @@ def _labels(luminance: torch.Tensor, directions: torch.Tensor, grouping: str) ->
 
 
 def _background(
-    values: torch.Tensor,
-    weight: torch.Tensor,
-    solid_angle: torch.Tensor,
-    projected: torch.Tensor,
-    mode: str,
+    values: torch.Tensor, weight: torch.Tensor, solid_angle: torch.Tensor, projected: torch.Tensor, mode: str
 ) -> torch.Tensor:
     if mode == "hemisphere":
         mean = (weight * projected * values).sum() / torch.pi

@@ -28,13 +28,7 @@ from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau, spearman
 from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
-from ._statistics import (
-    Estimate,
-    kendall_of_resolved,
-    relative_bias,
-    relative_error,
-    top_agreement,
-)
+from ._statistics import Estimate, kendall_of_resolved, relative_bias, relative_error, top_agreement
 
 RUNS = 8
 
@@ -112,11 +106,8 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     if vary is None:
         vary = default_values(renderer, base, vary_resolution=metric_for is not None)
     settings = settings_of(renderer, base, vary)
-    spp = (
-        REFERENCE_SPP_FACTOR * base.primal_spp
-        if reference_spp is None
-        else whole_number("reference_spp", reference_spp, 2)
-    )
+    default = REFERENCE_SPP_FACTOR * base.primal_spp
+    spp = default if reference_spp is None else whole_number("reference_spp", reference_spp, 2)
     best = reference_setting([setting for _, setting in settings], spp, REFERENCE_REPLICATES)
 
     runner = SettingRunner(
@@ -257,9 +248,7 @@ class ReferenceGradient:
         spread = (replicates - replicates.mean(0)) / math.sqrt(count * max(count - 1, 1))
         errors = attribution.saliency_error() or {}
         bias = attribution.bias or {}
-        removed = [
-            channel_totals(bias.get(name, torch.zeros_like(value))) for name, value in attribution.items()
-        ]
+        removed = [channel_totals(bias.get(n, torch.zeros_like(value))) for n, value in attribution.items()]
         return cls(
             attribution,
             gradient,

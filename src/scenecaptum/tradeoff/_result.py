@@ -307,18 +307,10 @@ def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], referen
 def _draw_points(
     ax: Axes, rows: Sequence[Measured], marker: str, color: str, name: str, *, size: float = 5.5
 ) -> None:
-    errors = [row.relative_error for row in rows]
-    ax.errorbar(
-        [row.seconds for row in rows],
-        [error.value for error in errors],
-        yerr=[min(error.error, 0.9 * error.value) for error in errors],
-        fmt=marker,
-        markersize=size,
-        color=color,
-        elinewidth=1,
-        label=name,
-        zorder=3,
-    )
+    values, errors = zip(*(row.relative_error for row in rows), strict=True)
+    lengths = [min(error, 0.9 * value) for value, error in zip(values, errors, strict=True)]
+    style: dict[str, Any] = {"fmt": marker, "markersize": size, "color": color, "elinewidth": 1, "zorder": 3}
+    ax.errorbar([row.seconds for row in rows], values, yerr=lengths, label=name, **style)
 
 
 def _percent(value: float, error: float) -> str:

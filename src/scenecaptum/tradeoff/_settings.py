@@ -84,13 +84,8 @@ def own_setting(renderer: Renderer) -> Setting:
             "This renderer has no attribute `spp`, the samples per pixel that settings are derived from: add it."
         )
     plan = Capabilities(renderer).plan
-    return Setting(
-        spp,
-        spp,
-        max_depth=None if plan is None else plan.max_depth,
-        resolution=Capabilities(renderer).resolution,
-        integrator=None if plan is None else plan.integrator,
-    )
+    own = {} if plan is None else {"max_depth": plan.max_depth, "integrator": plan.integrator}
+    return Setting(spp, spp, resolution=Capabilities(renderer).resolution, **own)
 
 
 def default_values(renderer: Renderer, base: Setting, *, vary_resolution: bool) -> dict[str, list[Any]]:
@@ -164,7 +159,5 @@ def _check_value(key: str, value: Any) -> Any:
     if key == "resolution":
         if not isinstance(value, Sequence) or len(value) != 2:
             raise SceneCaptumError(f"resolution must be (width, height) in pixels, not {value!r}.")
-        return tuple(
-            whole_number(f"the {side}", n) for side, n in zip(("width", "height"), value, strict=True)
-        )
+        return whole_number("the width", value[0]), whole_number("the height", value[1])
     return -1 if key == "max_depth" and value == -1 else whole_number(key, value)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 
+from ..estimation import mean_and_error
 from ..ranks import kendall_tau_of_pairs
 
 SIGNIFICANT_Z = 3.0  # standard deviations of a normal distribution
@@ -22,26 +23,16 @@ class Estimate(NamedTuple):
     @classmethod
     def of(cls, values: torch.Tensor) -> Estimate:
         """Return the mean of independent values."""
-        return cls(values.mean().item(), (values.std() / math.sqrt(len(values))).item())
+        return cls(*mean_and_error(values))
 
 
 @dataclass(frozen=True)
 class Bias:
-    """The systematic part of a deviation from the reference.
+    """The systematic part of a deviation from the reference."""
 
-    Attributes
-    ----------
-    value
-        Its size, corrected for noise; 0 if the deviation is explained by noise.
-    error
-        Standard error, upwards.
-    z
-        Significance of the deviation, in standard deviations of a normal distribution.
-    """
-
-    value: float
-    error: float
-    z: float
+    value: float  # corrected for noise; 0 if the deviation is explained by noise
+    error: float  # upwards
+    z: float  # significance of the deviation, in standard deviations of a normal distribution
 
     @property
     def significant(self) -> bool:
@@ -68,16 +59,7 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
     Noise of covariance ``S`` adds ``tr S`` to the expected squared norm of a mean, with a variance of ``2 tr S²``,
     and more in the presence of a bias. The ratio of the squared norm to ``tr S`` approximately follows Fisher's F
     distribution with ``ν = (tr S)² / tr S²`` degrees of freedom (Box), which Paulson's formula maps to a normal
-    one.
-
-    Parameters
-    ----------
-    deviations
-        Deviations from the reference, one row per run.
-    reference_noise
-        ``(rows, P)``: factor of the covariance of the reference, ``reference_noise.T @ reference_noise``.
-    size
-        Norm that the bias is relative to.
+    one. The covariance of the reference is ``reference_noise.T @ reference_noise``, with ``(rows, P)`` factors.
 
     References
     ----------
@@ -95,13 +77,10 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
     unbiased = max(observed - trace, 0.0)
     value = math.sqrt(unbiased)
     freedom = trace**2 / square if square else 1.0
-    return Bias(
-        value / size,
-        (math.sqrt(unbiased + spread) - value) / size,
-        _normal_deviate(observed / trace, freedom, freedom * (runs - 1))
-        if trace
-        else (math.inf if observed else 0.0),
-    )
+    z = math.inf if observed else 0.0
+    if trace:
+        z = _normal_deviate(observed / trace, freedom, freedom * (runs - 1))
+    return Bias(value / size, (math.sqrt(unbiased + spread) - value) / size, z)
 
 
 def _normal_deviate(ratio: float, numerator: float, denominator: float) -> float:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, student_t
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, mean_and_error, student_t
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau_of_pairs
 from ..visualization import (
@@ -38,7 +38,6 @@ from ._scenes import (
     Scenes,
     denoise_of,
     distances_to_bounds,
-    mean_and_error,
     unit_gradient,
 )
 
@@ -304,13 +303,12 @@ class AblationTest:
         """The result in one sentence."""
         measurable = [row for row in self.rows if row.above_noise]
         agreeing = sum(row.agrees for row in measurable)
-        tau = (
-            "no resolved pair to rank" if self.kendall_tau is None else f"Kendall's τ {self.kendall_tau:.2f}"
-        )
+        tau = self.kendall_tau
+        order = "no resolved pair to rank" if tau is None else f"Kendall's τ {tau:.2f}"
         return (
             f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
             f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
-            f"{tau}; {len(self.rows) - len(measurable)} below the noise"
+            f"{order}; {len(self.rows) - len(measurable)} below the noise"
         )
 
     def plot(self, *, ax: Axes | None = None) -> Figure:

@@ -15,7 +15,7 @@ import torch
 from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, random_generator
+from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, mean_and_error, random_generator
 from ..protocols import Renderer
 from ..visualization import (
     RAISES,
@@ -31,7 +31,7 @@ from ..visualization import (
     with_error,
 )
 from ._faithfulness import contributions, measure_without
-from ._scenes import Scenes, mean_and_error
+from ._scenes import Scenes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -209,12 +209,8 @@ class DeletionInsertion:
         part: Any = figure or new_figure(WIDTH, 3.6)
         left, right = part.subplots(1, 2, sharey=True)
         name = shorten([self.metric], _NAME_WIDTH)[0]
-        style_axes(
-            left,
-            "Deletion",
-            x="parameters at their baselines",
-            y=f"change of {name}\nfrom the original scene",
-        )
+        y = f"change of {name}\nfrom the original scene"
+        style_axes(left, "Deletion", x="parameters at their baselines", y=y)
         style_axes(right, "Insertion", x="parameters at their own values")
         moved = self.moved.numpy()
         style: dict[str, Any] = {"marker": "o", "markersize": 3, "capsize": 2, "label": self.method}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, TypeVar
 
 import torch
 from tqdm import tqdm
 
-from ..attr import target_list
+from ..attr import Result, Targets, target_list
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import check_seed, whole_number
 from ..estimation import (
@@ -30,8 +30,7 @@ from ..protocols import Capabilities, Renderer
 from ..visualization import align_with_errors, format_with_error, grid, pluralize, shorten
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
-if TYPE_CHECKING:
-    from ..attr import Result, Targets
+P = TypeVar("P", bound="Problem")
 
 _REPLICATES_PER_POINT = 2  # their difference estimates the noise of rendering
 _NAME_WIDTH, _MAX_ROWS = 34, 40
@@ -101,19 +100,44 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
     indices", Computer Physics Communications 181, 2010.
     """
     renderer = with_checkpoint(renderer, checkpoint)
-    values = input_values(renderer, None)
-    scalars = find_scalars(renderer, values, parameters, bounds)
-    spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
-    check_seed("seed", seed)
-    metrics = [TargetedMetric(metric, index) for index in target_list(target)]
-    derivatives = sample_derivatives(
-        renderer, metrics, scalars, values, points, seed=seed, spp=spp, show_progress=show_progress
-    )
-    results = [
-        summarise_derivatives(of_metric, scalars, TargetedMetric(metric, m.target).name)
-        for of_metric, m in zip(derivatives, metrics, strict=True)
-    ]
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "show_progress": show_progress}
+    problem = Problem.of(renderer, metric, target, parameters, bounds, **options)
+    pairs = zip(sample_derivatives(problem, points), problem.metrics, strict=True)
+    results = [summarise_derivatives(sampled, problem.scalars, one.name) for sampled, one in pairs]
     return results if isinstance(target, list) else results[0]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The metrics of a scene as functions of the positions of its parameters in their intervals."""
+
+    renderer: Renderer
+    metrics: Sequence[TargetedMetric]
+    scalars: Sequence[Scalar]
+    values: Values
+    seed: int
+    spp: int | None
+    show_progress: bool
+
+    @classmethod
+    def of(
+        cls: type[P],
+        renderer: Renderer,
+        metric: Metric,
+        target: Targets,
+        parameters: Sequence[str] | None,
+        bounds: Intervals,
+        *,
+        seed: int,
+        spp: int | None,
+        show_progress: bool,
+    ) -> P:
+        """Check the arguments of ``dgsm``."""
+        values = input_values(renderer, None)
+        scalars = find_scalars(renderer, values, parameters, bounds)
+        spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
+        metrics = [TargetedMetric(metric, element) for element in target_list(target)]
+        return cls(renderer, metrics, scalars, values, check_seed("seed", seed), spp, show_progress)
 
 
 @dataclass
@@ -131,32 +155,25 @@ class Derivatives:
     seconds: float
 
 
-def sample_derivatives(
-    renderer: Renderer,
-    metrics: Sequence[TargetedMetric],
-    scalars: Sequence[Scalar],
-    values: Values,
-    points: int,
-    *,
-    seed: int,
-    spp: int | None,
-    show_progress: bool,
-) -> list[Derivatives]:
+def sample_derivatives(problem: Problem, points: int) -> list[Derivatives]:
     """Compute the derivatives of each metric at points of a Sobol sequence."""
+    renderer, scalars, spp = problem.renderer, problem.scalars, problem.spp
     count = whole_number("points", points, 3)  # the jackknife needs a variance of one point less
-    (state,) = derived_seeds(seed, Stream.DERIVATIVE_DESIGN, 1)
+    (state,) = derived_seeds(problem.seed, Stream.DERIVATIVE_DESIGN, 1)
     sequence = torch.quasirandom.SobolEngine(len(scalars), scramble=True, seed=state)
     positions = sequence.draw(count, dtype=torch.float64).numpy()
     watch = Stopwatch(renderer)
     total = None if spp is None else spp * count
-    budget = Budget.split(total, _REPLICATES_PER_POINT * count, seed, count)
+    budget = Budget.split(total, _REPLICATES_PER_POINT * count, problem.seed, count)
     sampled: list[list[tuple[torch.Tensor, Adjoints]]] = []
     with tqdm(
-        total=2 * sum(budget.replicates), disable=not show_progress, desc="DGSM", unit="replicate"
+        total=2 * sum(budget.replicates), disable=not problem.show_progress, desc="DGSM", unit="replicate"
     ) as bar:
-        gradients = GradientEstimator(renderer, metrics, budget, TransformSelector("auto", renderer), bar)
+        selector = TransformSelector("auto", renderer)
+        gradients = GradientEstimator(renderer, problem.metrics, budget, selector, bar)
         for index, row in enumerate(positions):
-            sampled.append(interval_gradients(gradients, index, point_at(scalars, values, row), scalars))
+            point = point_at(scalars, problem.values, row)
+            sampled.append(interval_gradients(gradients, index, point, scalars))
     extra = gradients.extra_spp / total if total else 0.0
     return [_derivatives(of_metric, extra, watch.seconds) for of_metric in zip(*sampled, strict=True)]
 

@@ -144,11 +144,8 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     ----------
     renderer, metric, target
         As for ``IntegratedGradientsScene``.
-    attribution
-        Contributions relative to the same baselines; integrated gradients by default.
-    baselines
-        The values of deleted parameters, as for ``IntegratedGradientsScene``. Parameters that are already at their
-        baselines are skipped.
+    attribution, baselines
+        As for ``deletion_insertion``.
     sizes
         Numbers of parameters to delete together; by default up to six sizes from 1 to all but one.
     subsets
@@ -179,10 +176,11 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 3, **options)
     sizes = _check_sizes(sizes, len(deleted))
     generator = random_generator(seed, Stream.SUBSETS)
+    count = whole_number("subsets", subsets, 3)
     totals = {name: attribution[name].double().sum().item() for name in deleted}
     predicted, measured = [], []
     for size in sizes:
-        drawn = _draw_subsets(list(deleted), size, whole_number("subsets", subsets, 3), generator)
+        drawn = _draw_subsets(list(deleted), size, count, generator)
         sums = [sum(totals[name] for name in subset) for subset in drawn]
         predicted.append(torch.tensor(sums, dtype=torch.float64))
         changes = [scenes.unmodified - measure_without(scenes, deleted, subset) for subset in drawn]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from ..estimation import delete_one_jackknife
+from ..estimation import delete_one_jackknife, mean_and_error
 from ..visualization import (
     RAISES,
     UNCLEAR,
@@ -22,7 +22,6 @@ from ..visualization import (
     shorten,
     style_axes,
 )
-from ._scenes import mean_and_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -155,14 +154,10 @@ class SensitivityN:
         ax = axes_or_new(ax, 4.6, 3.3)
         for level in (0, 1):
             ax.axhline(level, color="0.75", linewidth=1, zorder=0)
-        style: dict[str, Any] = {
-            "marker": "o",
-            "markersize": 4,
-            "capsize": 3,
-            "color": RAISES,
-            "ecolor": UNCLEAR,
-        }
-        ax.errorbar(self.sizes, self.correlations, self.standard_errors, **style)
+        style: dict[str, Any] = {"marker": "o", "markersize": 4, "capsize": 3}
+        ax.errorbar(
+            self.sizes, self.correlations, self.standard_errors, color=RAISES, ecolor=UNCLEAR, **style
+        )
         lowest = min((value for value in self.correlations if not math.isnan(value)), default=0.0)
         ax.set_ylim(-1.05 if lowest < 0 else -0.05, 1.08)
         ax.set_xticks(self.sizes)
@@ -195,10 +190,8 @@ def statistic_with_error(
     count, replicates = measured.shape
     value, error = delete_one_jackknife(lambda kept: statistic(predicted, measured[:, kept]), replicates)
     if drawn:
-        _, drawing_error = delete_one_jackknife(
-            lambda kept: statistic(predicted[kept], measured[kept]), count
-        )
-        error = torch.hypot(error, drawing_error)
+        drawing = delete_one_jackknife(lambda kept: statistic(predicted[kept], measured[kept]), count)
+        error = torch.hypot(error, drawing[1])
     return value.item(), error.item()
 
 

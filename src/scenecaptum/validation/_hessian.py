@@ -14,9 +14,9 @@ from ..attr import SceneAttribution, VanillaSceneGradient, ranges
 from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric, mean_and_error
 from ..protocols import Capabilities, Renderer, accepted_keywords
-from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds, mean_and_error
+from ._scenes import MAX_STEP, MIN_STEP, Scenes, distances_to_bounds
 
 # Reduce a stencil until the truncation error of its lower-order formula is at most this fraction of the slope.
 MAX_TRUNCATION_ERROR, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.02, 2.0, 8
@@ -109,9 +109,8 @@ def hessian_vector_product(
     -----
     If the parameter affects the sampling of paths (a roughness, or Russian roulette), less of the noise cancels.
     """
-    renderer = with_checkpoint(renderer, checkpoint)
-    scenes = Scenes(renderer, metric, target, seed=seed, spp=spp, replicates=replicates)
-    options = {"seed": seed, "spp": spp, "replicates": replicates}
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
+    scenes = Scenes(with_checkpoint(renderer, checkpoint), metric, target, **options)
     return product_of(scenes, direction, scenes.values, **options)
 
 
@@ -121,7 +120,7 @@ def product_of(
     """Return the elements of ``H v`` for the named parameters; options as for ``VanillaSceneGradient``."""
     direction = _check_direction(direction, scenes.values)
     stencil = choose_stencil(scenes, direction)
-    slope = _Slope(scenes.metric, stencil)
+    slope = _slope(scenes.metric, stencil)
     renderer = _StencilRenderer(scenes, direction, stencil.offsets)
     values = {name: scenes.values[name] for name in names}
     product: SceneAttribution = VanillaSceneGradient(renderer, slope).attribute(
@@ -149,7 +148,8 @@ class _StencilRenderer:
         self.spp = offered.spp
         self.labels = offered.labels or {}
         self.info = offered.info or {}
-        self.guides = _stack(offered.guides, len(offsets))
+        guides, count = offered.guides, len(offsets)
+        self.guides = guides and Guides(*(g.expand(count, *g.shape) for g in (guides.albedo, guides.normal)))
         self.accepted_keywords = accepted_keywords(renderer)
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
@@ -158,24 +158,15 @@ class _StencilRenderer:
         return torch.stack([self.renderer(scene, **options) for scene in scenes])
 
 
-def _stack(guides: Guides | None, count: int) -> Guides | None:
-    """Repeat the denoiser's guides for a stack of images of one camera."""
-    if guides is None:
-        return None
-    return Guides(*(guide.expand(count, *guide.shape) for guide in (guides.albedo, guides.normal)))
+def _slope(metric: TargetedMetric, stencil: Stencil) -> Metric:
+    """Return the slope of a metric as a metric of its own, of the stack of images of a stencil."""
 
+    def slope(images: torch.Tensor) -> torch.Tensor:
+        pairs = zip(stencil.weights, images, strict=True)
+        return torch.stack([weight * metric.metric(image) for weight, image in pairs]).sum(0)
 
-class _Slope:
-    """The slope of a metric as a metric of its own, of the stack of images of a stencil."""
-
-    def __init__(self, metric: TargetedMetric, stencil: Stencil) -> None:
-        self.metric = metric.metric
-        self.weights = stencil.weights
-        self.__name__ = f"slope of {TargetedMetric(metric.metric).name}"
-
-    def __call__(self, images: torch.Tensor) -> torch.Tensor:
-        values = [weight * self.metric(image) for weight, image in zip(self.weights, images, strict=True)]
-        return torch.stack(values).sum(0)
+    slope.__name__ = f"slope of {TargetedMetric(metric.metric).name}"
+    return slope
 
 
 def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:

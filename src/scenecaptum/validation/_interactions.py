@@ -139,9 +139,7 @@ def _shared_error(
 ) -> torch.Tensor:
     """Return the error that all replicates share: of the bias correction, and of rounding over a short step."""
     relative = torch.finfo(torch.float32).eps / product.info["step"]
-    rounding = torch.tensor(
-        [relative * channel_totals(gradient[name]).norm() for name in directions]
-    ).double()
+    rounding = torch.tensor([relative * channel_totals(gradient[n]).norm() for n in directions]).double()
     if product.bias is None:
         return rounding
     bias = _slopes({name: channel_totals(product.bias[name])[None] for name in directions}, directions)[0]
@@ -266,18 +264,10 @@ class Interactions:
     def __str__(self) -> str:
         significant, formatted = self.significant, self._formatted()
         numbers = [str(number) for number in range(1, len(self.names) + 1)]
-        rows = [
-            [
-                f"{number} {name}",
-                *(
-                    formatted[row, column] + ("" if significant[row, column] else "?")
-                    if column >= row
-                    else ""
-                    for column in range(len(numbers))
-                ),
-            ]
-            for row, (number, name) in enumerate(zip(numbers, shorten(self.labels, _NAME_WIDTH), strict=True))
-        ]
+        rows = [[f"{k} {name}"] for k, name in zip(numbers, shorten(self.labels, _NAME_WIDTH), strict=True)]
+        for (row, column), text in formatted.items():
+            mark = "" if significant[row, column] else "?"
+            rows[row].append(text + mark if column >= row else "")
         lines = grid(["", *numbers], rows, right=True)
         return "\n".join([self._heading, "", *lines, "", _KEY, self.verdict])
 

@@ -118,13 +118,11 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     for _ in range(count):
         networks: list[Metric] = [metric, *_randomized(metric, layers, ends, next(seeds))]
         attributions = [attribute(network) for network in networks]
-        correlations.append(
-            [
-                [_correlation(values(reference), values(a)) for values in (_magnitudes, _signed)]
-                for a in attributions
-            ]
-        )
-    magnitudes, signed = torch.tensor(correlations, dtype=torch.float64).permute(2, 1, 0)
+        for values in (_magnitudes, _signed):
+            correlations.append([_correlation(values(reference), values(a)) for a in attributions])
+    magnitudes, signed = (
+        torch.tensor(correlations, dtype=torch.float64).reshape(count, 2, -1).permute(1, 2, 0)
+    )
     return RandomizationCheck(
         layers=tuple(layers),
         randomized=tuple(ends),

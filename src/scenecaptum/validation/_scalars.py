@@ -57,10 +57,7 @@ def find_scalars(
 ) -> list[Scalar]:
     """Return the parameters selected by names or globs, all by default, with their intervals.
 
-    Raises
-    ------
-    SceneCaptumError
-        If a name or glob matches nothing, or an interval is invalid.
+    Raises if a name or glob matches nothing, or an interval is invalid.
     """
     given = dict(bounds or {})
     for key in (*(parameters or ()), *given):

@@ -31,27 +31,8 @@ MAX_STEP, MIN_STEP = 0.1, 0.01
 class Scenes:
     """Evaluates a metric on modified scenes with common random numbers, so that noise cancels in differences.
 
-    Parameters
-    ----------
-    renderer, metric, target
-        As for ``VanillaSceneGradient``.
-    seed
-        Base seed; each replicate has a seed of its own.
-    spp
-        Samples per pixel of every scene, split over the replicates; the renderer's by default.
-    replicates
-        Number of independent renders of each scene, at least 2.
-    denoise
-        As for ``VanillaSceneGradient``; decided once, on the unmodified scene.
-
-    Attributes
-    ----------
-    values
-        Parameter values of the unmodified scene.
-    metric
-        The metric with its target and image transform.
-    unmodified
-        Result of ``measure`` for the unmodified scene.
+    The parameters are those of ``VanillaSceneGradient``, with at least 2 ``replicates``. The image transform
+    (``denoise``) is chosen once, on the unmodified scene.
     """
 
     def __init__(
@@ -74,7 +55,7 @@ class Scenes:
         require_memory(renderer, [self.spp], count)
         targeted, images = TargetedMetric(metric, target), self._images({})
         (self.metric,) = with_image_transform([targeted], list(images), TransformSelector(denoise, renderer))
-        self.unmodified = self._pseudo_values(images)
+        self.unmodified = self._pseudo_values(images)  # what ``measure`` returns for no changes
 
     def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         values = {**self.values, **changes}
@@ -114,8 +95,3 @@ def distances_to_bounds(
     """Return the step along a direction at which each element reaches a bound; infinite where it stays."""
     distance = torch.where(direction > 0, high - value, value - low)
     return torch.where(direction == 0, math.inf, distance / direction.abs())
-
-
-def mean_and_error(replicates: torch.Tensor) -> tuple[float, float]:
-    """Return the mean of independent replicates and its standard error."""
-    return replicates.mean().item(), (replicates.std() / math.sqrt(len(replicates))).item()

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from ..attr import target_list
+from ..attr import Result, Targets
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
-from ..errors import SceneCaptumError, check_seed, whole_number
+from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     DEFAULT_REPLICATES,
     Budget,
@@ -22,19 +21,14 @@ from ..estimation import (
     Metric,
     Point,
     Stream,
-    TargetedMetric,
     TransformSelector,
     delete_one_jackknife,
     derived_seeds,
-    input_values,
 )
-from ..protocols import Capabilities, Renderer
-from ._dgsm import Derivatives, interval_gradients, render_count, sample_derivatives
-from ._scalars import Intervals, Scalar, Values, find_scalars, position_factors, values_at
+from ..protocols import Renderer
+from ._dgsm import Derivatives, Problem, interval_gradients, render_count, sample_derivatives
+from ._scalars import Intervals, Scalar, position_factors, values_at
 from ._sensitivity_result import SensitivityComparison, SensitivityIndex
-
-if TYPE_CHECKING:
-    from ..attr import Result, Targets
 
 RESOLVED = 2.0  # standard errors between two ranks that count as distinct
 _MIN_SAMPLES = 2  # of any kind, for an error estimate
@@ -107,44 +101,30 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
     """
     renderer = with_checkpoint(renderer, checkpoint)
     _require_salib()
-    values = input_values(renderer, None)
-    scalars = find_scalars(renderer, values, parameters, bounds)
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "show_progress": show_progress}
+    black_box = _BlackBox.of(renderer, metric, target, parameters, bounds, **options)
+    scalars = black_box.scalars
     if len(scalars) < 2:
         raise SceneCaptumError(
             f"compare_sensitivity needs at least 2 parameters to rank, not {len(scalars)}."
         )
-    spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
-    check_seed("seed", seed)
-    metrics = [TargetedMetric(metric, index) for index in target_list(target)]
     top = min(whole_number("top", top), len(scalars) - 1)
     base_samples = _power_of_two(base_samples)
-    black_box = _BlackBox(renderer, metrics, scalars, values, seed, spp, show_progress)
-    derivatives = sample_derivatives(
-        renderer, metrics, scalars, values, points, seed=seed, spp=spp, show_progress=show_progress
-    )
+    derivatives = sample_derivatives(black_box, points)
     local = _local(black_box, top)
     morris = _morris(black_box, whole_number("trajectories", trajectories, _MIN_SAMPLES), top)
     sobol, sampled = _sobol(black_box, base_samples, top)
     bounded = [_dgsm(*pair, scalars, top) for pair in zip(derivatives, sampled, strict=True)]
     results = []
-    for k, one in enumerate(metrics):
+    for k, one in enumerate(black_box.metrics):
         order = np.argsort([-value for value in sobol[k].values.values()], kind="stable")
-        ordered, name = tuple(scalars[i] for i in order), TargetedMetric(metric, one.target).name
-        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], name))
+        ordered = tuple(scalars[i] for i in order)
+        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], one.name))
     return results if isinstance(target, list) else results[0]
 
 
-@dataclass(frozen=True)
-class _BlackBox:
-    """The metrics as functions of the positions in the intervals."""
-
-    renderer: Renderer
-    metrics: Sequence[TargetedMetric]
-    scalars: Sequence[Scalar]
-    values: Values
-    seed: int
-    spp: int | None
-    show_progress: bool
+class _BlackBox(Problem):
+    """A problem whose metrics are evaluated without derivatives."""
 
     @property
     def problem(self) -> dict[str, Any]:
@@ -184,23 +164,19 @@ def _local(black_box: _BlackBox, top: int) -> list[SensitivityIndex]:
         gradients = GradientEstimator(black_box.renderer, black_box.metrics, budget, transform_selector, bar)
         point = Point(black_box.values, factors=position_factors(black_box.scalars))
         estimates = interval_gradients(gradients, 0, point, black_box.scalars)
-    seconds = watch.seconds
+    seconds, method = watch.seconds, "gradient × range"
     indices = []
     for replicates, adjoints in estimates:
         count = len(replicates)
-        means = replicates.cumsum(0) / torch.arange(1, count + 1)[:, None]
-        indices.append(
-            _index(
-                "gradient × range",
-                black_box.scalars,
-                means.abs().numpy(),
-                (replicates.std(0) / math.sqrt(count)).numpy(),
-                render_count(adjoints) / count,
-                top,
-                seconds,
-            )
-        )
+        running = _running_means(replicates).abs().numpy()
+        errors = (replicates.std(0) / math.sqrt(count)).numpy()
+        renders = render_count(adjoints) / count
+        indices.append(_index(method, black_box.scalars, running, errors, renders, top, seconds))
     return indices
+
+
+def _running_means(samples: torch.Tensor) -> torch.Tensor:
+    return samples.cumsum(0) / torch.arange(1, len(samples) + 1)[:, None]
 
 
 def _dgsm(
@@ -214,10 +190,9 @@ def _dgsm(
             f"The metric is {metric[0]:g} in every sampled scene: there is nothing to rank."
         )
     nu, nu_error = delete_one_jackknife(lambda kept: derivatives.squares[kept].mean(0), count)
-    means = derivatives.squares.cumsum(0) / torch.arange(1, count + 1)[:, None]
     scale = 1 / (math.pi**2 * variance)
     error = scale * torch.hypot(nu_error, nu * variance_error / variance)
-    bounds = (scale * means).numpy()
+    bounds = (scale * _running_means(derivatives.squares)).numpy()
     return _index("DGSM bound", scalars, bounds, error.numpy(), derivatives.renders, top, derivatives.seconds)
 
 
@@ -309,6 +284,7 @@ def _index(
     names = [scalar.name for scalar in scalars]
     order = np.argsort(-running[-1], kind="stable")
     last, following = order[top - 1], order[top]
+    margin = running[-1, last] - running[-1, following]
     stable_after = _samples_until_stable(running, top)
     return SensitivityIndex(
         method=method,
@@ -318,10 +294,7 @@ def _index(
         renders_until_stable=stable_after * renders_per_sample,
         stable=stable_after < len(running),
         top=tuple(names[k] for k in order[:top]),
-        resolved=bool(
-            running[-1, last] - running[-1, following]
-            > RESOLVED * math.hypot(errors[last], errors[following])
-        ),
+        resolved=bool(margin > RESOLVED * math.hypot(errors[last], errors[following])),
         seconds=seconds,
     )
 

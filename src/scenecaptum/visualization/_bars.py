@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..protocols import Attribution, RankedParameter
 from ._figures import (
     DEFAULT_TOP,
     LOWERS,
@@ -43,8 +44,6 @@ from ._text import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ..protocols import Attribution, RankedParameter
 
 _HATCH = "////"
 _NAME_WIDTH = 36

@@ -9,14 +9,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import whole_number
+from ..protocols import Attribution, RankedParameter
 from ._text import METRIC_WIDTH, method_name, metric_line, sign_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.text import Annotation
-
-    from ..protocols import Attribution, RankedParameter
 
 T = TypeVar("T")
 

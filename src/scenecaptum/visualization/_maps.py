@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..projection import DECADES, DEFAULT_SCALE, MapScale, heatmap, scaled
+from ..protocols import Attribution
 from ._figures import (
     LOWERS,
     RAISES,
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
-
-    from ..protocols import Attribution
 
 _SCALES = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches

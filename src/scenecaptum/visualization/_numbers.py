@@ -17,28 +17,17 @@ _MAX_DIGITS = 8  # of single precision
 
 
 class Format(NamedTuple):
-    """Number format of a row: the last decimal place and a common power of ten.
+    """Number format of a row: the last decimal place and a common power of ten."""
 
-    Attributes
-    ----------
-    place
-        Position of the last digit, counted to the right of the decimal point.
-    exponent
-        Common power of ten; 0 for plain decimals.
-    """
-
-    place: int
-    exponent: int
+    place: int  # of the last digit, counted to the right of the decimal point
+    exponent: int  # 0 for plain decimals
 
     @classmethod
     def of(cls, value: float, error: float | None, *, digits: int | None = None) -> Format:
         """Return the format of a value with an error; four significant digits without one.
 
-        Parameters
-        ----------
-        digits
-            Significant digits of the error. By default the rounding of the Particle Data Group: two digits if the
-            leading ones are below 355, else one, so that rounding changes the error by at most a sixth.
+        The error has ``digits`` significant digits, by default by the rounding of the Particle Data Group: two if
+        the leading ones are below 355, else one, so that rounding changes the error by at most a sixth.
         """
         error = error if error is not None and math.isfinite(error) else 0.0
         size = max(abs(value) if math.isfinite(value) else 0.0, error)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 
 from ..errors import SceneCaptumError
+from ..protocols import Attribution
 from ..ranks import kendall_tau
 from ._figures import (
     DEFAULT_TOP,
@@ -31,8 +32,6 @@ from ._text import method_name, metric_name, pack, pluralize
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ..protocols import Attribution
 
 _NAME_WIDTH = 30
 _MEANINGS = {RAISES: "ranks higher on the right", LOWERS: "ranks lower on the right", UNCLEAR: "same rank"}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..projection import DEFAULT_SCALE, MapScale, heatmap, shared_maximum
+from ..protocols import Attribution
 from ._bars import bar_legend, draw_bars
 from ._figures import (
     DEFAULT_TOP,
@@ -26,8 +27,6 @@ from ._text import axis_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
-
-    from ..protocols import Attribution
 
 _COLUMN_WIDTH, _MAX_MAP_HEIGHT = 3.6, 3.6  # inches
 _NAME_WIDTH = 26

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import html
 import shutil
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import zip_longest
+from typing import NamedTuple
 
-from ._layout import grid
+from ..protocols import Attribution, RankedParameter
+from ._layout import grid, wrap
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
 from ._text import (
     caution_groups,
@@ -22,9 +23,6 @@ from ._text import (
     scene_cautions,
     untrusted_groups,
 )
-
-if TYPE_CHECKING:
-    from ..protocols import Attribution, RankedParameter
 
 DEFAULT_ROWS = 40
 _MAX_CHANNELS = 4
@@ -63,13 +61,11 @@ def table_text(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
     """
     table = _table(attribution, top)
     width = shutil.get_terminal_size(fallback=(_DEFAULT_WIDTH, 24)).columns
-
-    def wrap(text: str) -> list[str]:
-        return textwrap.wrap(text, max(width, 20), subsequent_indent="   ", break_on_hyphens=False)
-
-    lines = [part for line in pack(table.heading, width) for part in wrap(line)]
-    lines += ["", *_grid([table.columns, *table.rows], width)]
-    lines += [part for note in table.notes for part in wrap(note)]
+    heading, notes = (
+        [part for text in texts for part in wrap(text, width, 3).splitlines()]
+        for texts in (pack(table.heading, width), table.notes)
+    )
+    lines = [*heading, "", *_grid([table.columns, *table.rows], width), *notes]
     return "\n".join(cut(line, width, 0) for line in lines)
 
 
@@ -160,9 +156,7 @@ def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
     """Format the channels of each row, aligned over the rows; rows with many channels as a range."""
     formatted = [_channels(row) for row in rows]
     fitting = [row for row in formatted if len(row) <= _MAX_CHANNELS]
-    padded: list[list[str]] = []
-    for channel in range(max(map(len, fitting), default=0)):
-        padded.append(align_decimals([row[channel] if channel < len(row) else "" for row in fitting]))
+    padded = map(align_decimals, zip_longest(*fitting, fillvalue=""))
     lines = iter("  ".join(channels).rstrip() for channels in zip(*padded, strict=True))
     return [next(lines) if len(row) <= _MAX_CHANNELS else _range(row) for row in formatted]
 
