@@ -25,7 +25,7 @@ def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 64) -
     print(found)
     folder.mkdir(parents=True, exist_ok=True)
     found.plot().savefig(folder / "office-glare.png")
-    print(f"{folder / 'office-glare.png'}  before, after and the optimisation")
+    print(f"{folder / 'office-glare.png'}  before, after and the optimization")
     return found
 
 

@@ -214,7 +214,7 @@ def test_a_logit_is_an_element_of_the_vector_of_logits():
 
 def test_the_model_is_not_changed():
     model, image = small_classifier().train(), ordinary(40, 60).float().requires_grad_()
-    model[1].eval()  # a user may freeze the batch normalisation alone
+    model[1].eval()  # a user may freeze the batch normalization alone
     state = {name: value.clone() for name, value in model.state_dict().items()}
     metric = metrics.ClassLogit(model, target=2)
     first = metric(image)

@@ -1,4 +1,4 @@
-"""Optimisation: which parameters it moves, where it stops, and which it keeps."""
+"""Optimization: which parameters it moves, where it stops, and which it keeps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The randomisation check distinguishes attributions that depend on a network's weights from those that do not."""
+"""The randomization check distinguishes attributions that depend on a network's weights from those that do not."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_layers_are_randomized_from_the_output_on():
     changed = [{name for name in own if stage[name] != own[name]} for stage in stages]
     last, first = {"last.weight", "last.bias"}, {"first.weight", "first.bias"}
     assert changed == [last, last | first, last | first | {"scale"}] * 2
-    assert all(stages[0][name] == stages[2][name] for name in last), "randomised layers stay as they are"
+    assert all(stages[0][name] == stages[2][name] for name in last), "randomized layers stay as they are"
     assert stages[0]["last.weight"] != stages[3]["last.weight"], "draws differ"
 
 

@@ -212,7 +212,7 @@ def make_attribution(
 ) -> SceneAttribution:
     """Build a result from a sum of gradients, with labels, surfaces and info from the renderer.
 
-    A sum that was interrupted is normalised to a total weight of 1.
+    A sum that was interrupted is normalized to a total weight of 1.
     """
     scale = 1 / gradients.weight
     names = list(gradients.mean)

@@ -52,7 +52,7 @@ class Adjoints:
 def jackknife(
     metric: TargetedMetric, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
 ) -> Adjoints:
-    """Evaluate a metric at the mean image and at other weighted means of the images, a generalised jackknife.
+    """Evaluate a metric at the mean image and at other weighted means of the images, a generalized jackknife.
 
     Image ``i`` has the fraction ``s_i²`` of all ``samples`` (by default equal). In weighted mean ``r`` it has the
     weight ``s_i² + t·s_i·v_ri``, with ``VᵀV = 1 − s sᵀ``. The noise of these means has ``t²`` times the covariance

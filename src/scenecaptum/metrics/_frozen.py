@@ -27,7 +27,7 @@ def run_frozen(model: Callable[[torch.Tensor], Any], x: torch.Tensor) -> Any:
 
 @contextmanager
 def _evaluation_mode(model: torch.nn.Module) -> Iterator[None]:
-    # Per module, since some of them, such as batch normalisation, may already be in evaluation mode.
+    # Per module, since some of them, such as batch normalization, may already be in evaluation mode.
     training = [module for module in model.modules() if module.training]
     model.eval()
     try:

@@ -41,7 +41,7 @@ class PerceptualDistance(torch.nn.Module):
         network: a tensor, or several in a list or dict.
     transform
         Preprocessing from an sRGB picture ``(1, 3, H, W)`` in [0, 1] to the network's input. By default its own
-        ``preprocess`` if it has one, otherwise ImageNet's normalisation without resizing.
+        ``preprocess`` if it has one, otherwise ImageNet's normalization without resizing.
     exposure
         Factor on radiance before it is clipped at white and encoded as sRGB.
 

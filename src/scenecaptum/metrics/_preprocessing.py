@@ -1,4 +1,4 @@
-"""Preprocessing for networks: resizing, cropping and normalisation."""
+"""Preprocessing for networks: resizing, cropping and normalization."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _WIDTHS = (3, 10, 16, 24, 32)
 class ShapeClassifier(torch.nn.Module):
     """Convolutional network with 12 thousand parameters and the classes ``sphere``, ``cube`` and ``cylinder``.
 
-    Four 3 × 3 convolutions, each followed by batch normalisation and a ReLU, with max pooling between them, then
+    Four 3 × 3 convolutions, each followed by batch normalization and a ReLU, with max pooling between them, then
     global average pooling and one linear layer. The weights ship with scenecaptum; they were trained by
     ``examples/train_shape_classifier.py``.
 

@@ -102,7 +102,7 @@ class FilmFilter:
     """A film's reconstruction filter, tabulated.
 
     ``filter_weight_sum``, ``(H, W, 1)``, is the filter weight that each pixel collects from a uniformly sampled
-    film, by which the film normalises.
+    film, by which the film normalizes.
     """
 
     profile: torch.Tensor  # along an axis, at equidistant offsets from 0 to ``radius + 1`` pixels

@@ -178,7 +178,7 @@ def flat(value: Any) -> Any:
 def owned(value: Any) -> Any:
     """Copy into Dr.Jit's own memory, because a frozen function would keep reading borrowed memory."""
     array = value.array if dr.is_tensor_v(value) else value
-    # Dr.Jit cannot optimise away the addition of an opaque zero.
+    # Dr.Jit cannot optimize away the addition of an opaque zero.
     copied = array + dr.opaque(type(array), 0)
     dr.eval(copied)
     return type(value)(copied, shape=value.shape) if dr.is_tensor_v(value) else copied

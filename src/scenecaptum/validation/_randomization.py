@@ -1,4 +1,4 @@
-"""Model parameter randomisation: whether an attribution depends on the learnt weights of a metric's network."""
+"""Model parameter randomization: whether an attribution depends on the learnt weights of a metric's network."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> RandomizationCheck:
-    """Randomise the layers of a metric's network, starting at the output, and compare the attributions.
+    """Randomize the layers of a metric's network, starting at the output, and compare the attributions.
 
     An attribution that does not change reflects the scene and not the network. Large and bright objects rank high
     for almost any network, so the magnitudes may change less than the signs. Each layer is re-initialised by its
     ``reset_parameters``, or else with normal numbers of the mean and standard deviation of its weights; layers of
-    earlier stages stay randomised. The metric itself is not modified.
+    earlier stages stay randomized. The metric itself is not modified.
 
     Example
     -------
@@ -63,7 +63,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     >>> renderer = SceneRenderer("cornell-box", "reflectance", resolution=(16, 16), spp=8)
     >>> metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
     >>> check = randomization_check(renderer, metric, stages=2, draws=2)
-    >>> check.magnitudes.shape  # none, half and all layers randomised
+    >>> check.magnitudes.shape  # none, half and all layers randomized
     torch.Size([3, 2])
 
     Parameters
@@ -75,7 +75,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     method
         The class of the attribution method to check.
     stages
-        Maximum number of stages in which the layers are randomised; 1 for all at once.
+        Maximum number of stages in which the layers are randomized; 1 for all at once.
     draws
         Number of random weight initialisations, and of repeats of the unmodified network with other seeds.
     seed, spp, replicates, checkpoint
@@ -153,7 +153,7 @@ def _layers(metric: Metric) -> list[str]:
     layers = [name for name, module in modules.items() if any(True for _ in module.parameters(recurse=False))]
     if not layers:
         raise SceneCaptumError(
-            f"randomization_check needs a metric with parameters to randomise, and {_name(metric)} has none. "
+            f"randomization_check needs a metric with parameters to randomize, and {_name(metric)} has none. "
             "Pass a torch.nn.Module that contains the network, for example metrics.ClassLogit(network)."
         )
     return layers[::-1]
@@ -166,7 +166,7 @@ def _name(metric: Metric) -> str:
 def _randomized(
     metric: Metric, layers: Sequence[str], ends: Sequence[int], seed: int
 ) -> Iterator[torch.nn.Module]:
-    """Yield copies of the metric with its first ``ends[1]``, ``ends[2]``, ... layers randomised."""
+    """Yield copies of the metric with its first ``ends[1]``, ``ends[2]``, ... layers randomized."""
     start = 0
     network = copy.deepcopy(metric)
     assert isinstance(network, torch.nn.Module)
@@ -192,14 +192,14 @@ def _reset(layer: torch.nn.Module, seed: int) -> None:
 
 @dataclass(frozen=True, repr=False)
 class RandomizationCheck:
-    """Rank correlation of attributions with randomised and with learnt weights; prints as a table.
+    """Rank correlation of attributions with randomized and with learnt weights; prints as a table.
 
     Attributes
     ----------
     layers
         The network's layers, from the output to the input.
     randomized
-        Number of randomised layers at each stage, from 0 to all.
+        Number of randomized layers at each stage, from 0 to all.
     magnitudes
         ``(stages, draws)``: Spearman correlation of the saliencies with those of the unmodified network. The first
         row repeats the unmodified network with other renderer seeds: the upper limit that noise sets.
@@ -218,7 +218,7 @@ class RandomizationCheck:
 
     @property
     def ranking_changes(self) -> bool:
-        """Whether every correlation with all layers randomised is below every one of the unmodified network.
+        """Whether every correlation with all layers randomized is below every one of the unmodified network.
 
         If the weights made no difference, the probability of this would be 1 in ``(2n choose n)`` for ``n`` draws:
         1 in 70 for 4.
@@ -241,14 +241,14 @@ class RandomizationCheck:
             else "the attribution shows no dependence on the learnt weights"
         )
         return (
-            f"{dependence}: with all {len(self.layers)} layers randomised, the magnitudes have a rank correlation "
+            f"{dependence}: with all {len(self.layers)} layers randomized, the magnitudes have a rank correlation "
             f"of {_mean_and_range(self.magnitudes[-1])} with those of the unmodified network, against "
             f"{_mean_and_range(self.magnitudes[0])} for the unmodified network with other seeds; signed "
             f"attributions {_mean_and_range(self.signed[-1])} against {_mean_and_range(self.signed[0])}"
         )
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Plot mean and draws of the rank correlations over the randomised layers, into ``ax`` if given."""
+        """Plot mean and draws of the rank correlations over the randomized layers, into ``ax`` if given."""
         ax = axes_or_new(ax, 5.4, 3.9)
         # Shifted sideways, since both begin near 1.
         shift = 0.01 * self.randomized[-1]
@@ -262,8 +262,8 @@ class RandomizationCheck:
         lowest = min(self.magnitudes.min().item(), self.signed.min().item(), 0.0)
         ax.set_ylim(lowest - 0.05, 1.05)
         ax.set_xticks(self.randomized)
-        x = "randomised layers, from the output; 0: other seeds only"
-        style_axes(ax, "Randomisation check", x=x, y="rank correlation (Spearman)")
+        x = "randomized layers, from the output; 0: other seeds only"
+        style_axes(ax, "Randomization check", x=x, y="rank correlation (Spearman)")
         ax.legend(fontsize=SMALL, frameon=False)
         add_footnotes(ax, textwrap.wrap(self.verdict, _NOTE_WIDTH), below=34)
         return figure_of(ax)
