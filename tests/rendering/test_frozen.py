@@ -45,3 +45,28 @@ def test_the_derivative_of_a_lobe_that_is_off_is_not_zero(mi: Any) -> None:
     renderer(leaves, seed=2).mean().backward()
     assert leaves["ball.bsdf.metallic.value"].grad != 0
     assert leaves["ball.bsdf.spec_trans.value"].grad != 0
+
+
+def test_no_kernel_is_recorded_twice_however_many_finite_differences_there_are(
+    mi: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The index of glass is a plain number in Mitsuba, a literal in kernels: each value has its own recording."""
+    from scenecaptum.rendering.integrators.path import ReplayIntegrator
+
+    scene = room("principled")
+    for number in range(5):
+        glass = {"type": "dielectric", "int_ior": 1.3 + 0.1 * number}
+        center = [number - 2.0, 1.0, 3.0]
+        scene[f"glass_{number}"] = {"type": "sphere", "center": center, "radius": 0.3, "bsdf": glass}
+    renderer = SceneRenderer(scene, "glass_*.eta", spp=2)
+    assert len(renderer.plan.differences) == 5
+    recorded = []
+    sample = ReplayIntegrator.sample
+    monkeypatch.setattr(
+        ReplayIntegrator, "sample", lambda *args, **options: recorded.append(1) or sample(*args, **options)
+    )
+    for seed in range(3):
+        before = len(recorded)
+        renderer(renderer.leaves(), seed=seed, seed_grad=seed + 10).mean().backward()
+    assert before > 8
+    assert len(recorded) == before

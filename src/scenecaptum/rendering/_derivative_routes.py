@@ -5,6 +5,7 @@ Where path replay is correct was measured: see ``benchmarks/derivatives.py`` and
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -140,16 +141,17 @@ def _off_to_on(value: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], 
 
 
 def _clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.Tensor:
-    """Return the value, moved away from where path replay would lose the derivative."""
+    """Return the value, moved away from where path replay would lose the derivative; the same tensor elsewhere."""
     if value.ndim > 1:
         # Only textures with black texels are copied.
         is_black = parameter.kind == "reflectance" and not bool(value.all())
         return torch.where(value == 0, SINGULARITY_OFFSETS["reflectance"], value) if is_black else value
     if parameter.role == "eta" and "Plastic" in parameter.plugin:
         # At an index of exactly 1 there is no Fresnel term; closer to 1 its slope is lost to rounding.
-        return torch.where(value == 1, JUST_ABOVE_ONE, value)
-    offset = SINGULARITY_OFFSETS.get(parameter.kind)
-    return value if offset is None else value.clamp_min(offset)
+        clamped = torch.where(value == 1, JUST_ABOVE_ONE, value)
+    else:
+        clamped = value.clamp_min(SINGULARITY_OFFSETS.get(parameter.kind, -math.inf))
+    return value if torch.equal(clamped, value) else clamped
 
 
 def _is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:

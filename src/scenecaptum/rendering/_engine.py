@@ -31,7 +31,7 @@ from ._importance_maps import ImportanceMaps, ReplayGroup
 from ._live_scene import LiveScene, Values
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
-from ._state import flat, owned
+from ._state import Snapshot, flat, owned
 
 
 class Engine:
@@ -90,7 +90,8 @@ class Engine:
         With ``importance_sampling``, pixels are sampled in proportion to the adjoint. Otherwise the samples are
         those of the primal with the same seed, so that the result is the derivative of that very image.
         """
-        routes = self._routes(values, tracked)
+        values = self._live.snapshot(values)
+        routes = derivative_routes(self._parameters, values, tracked)
         adjoint = adjoint.detach().float()
         gradients: dict[str, torch.Tensor] = {}
         if importance_sampling and self._importance_maps.film:
@@ -111,7 +112,9 @@ class Engine:
 
     def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         """Return the Jacobian–vector product: the derivative image in the direction of ``tangents``."""
-        routes = {n: r for n, r in self._routes(values, tangents).items() if not r.is_constant}
+        values = self._live.snapshot(values)
+        routes = derivative_routes(self._parameters, values, tangents)
+        routes = {name: route for name, route in routes.items() if not route.is_constant}
         replayed = {name: tangents[name] for name in replayed_names(routes)}
         width, height = self._live.resolution
         image = torch.zeros((height, width, 3), device=self._live.device)
@@ -122,11 +125,8 @@ class Engine:
             image = image + (quotient * tangents[name]).to(image)
         return image
 
-    def _routes(self, values: Values, tracked: Iterable[str]) -> Routes:
-        return derivative_routes(self._parameters, {**self._live.original, **values}, tracked)
-
     def _difference_quotient(
-        self, name: str, routes: Routes, values: Values, seed: int, spp: int
+        self, name: str, routes: Routes, values: Snapshot, seed: int, spp: int
     ) -> torch.Tensor:
         """Return the derivative image per unit of a scalar or colour by a finite difference, float64."""
         difference = routes[name].difference
@@ -134,13 +134,13 @@ class Engine:
         value = values[name]
         off = {other: torch.zeros_like(self._live.original[other]) for other in difference.off}
         quotient: torch.Tensor = _sum(
-            self.primal({**values, **off, name: value + shift}, seed, spp).double() * weight
+            self.primal(values.replace({**off, name: value + shift}), seed, spp).double() * weight
             for shift, weight in difference.points
         )
         return quotient
 
     def _replay_all_pixels(
-        self, values: Values, routes: Routes, adjoint: torch.Tensor, seed: int, spp: int
+        self, values: Snapshot, routes: Routes, adjoint: torch.Tensor, seed: int, spp: int
     ) -> dict[str, torch.Tensor]:
         """Return gradients by path replay of the primal's samples."""
 
@@ -153,7 +153,7 @@ class Engine:
         return self._replay(replay, values, routes, replayed_names(routes), self._chunks(seed, spp))
 
     def _replay_sampled_pixels(
-        self, values: Values, routes: Routes, group: ReplayGroup, adjoint: torch.Tensor, seed: int, spp: int
+        self, values: Snapshot, routes: Routes, group: ReplayGroup, adjoint: torch.Tensor, seed: int, spp: int
     ) -> dict[str, torch.Tensor]:
         """Return gradients by path replay of importance-sampled pixels, and by light tracing."""
         film = self._importance_maps.film
@@ -180,7 +180,7 @@ class Engine:
     def _replay(
         self,
         replay: Callable[[Chunk], None],
-        values: Values,
+        values: Snapshot,
         routes: Routes,
         names: Collection[str],
         parts: Iterable[Chunk],
@@ -195,11 +195,11 @@ class Engine:
                 evaluate()
             return [flat(dr.grad(self._live.state.leaves[name])) for name in names]
 
-        gradients = self._live.call(backward, {**values, **_replay_values(routes, names)}, names)
+        gradients = self._live.call(backward, values.replace(_replay_values(routes, names)), names)
         return {n: g.reshape(values[n].shape) for g, n in zip(gradients, names, strict=True)}
 
     def _replay_forward(
-        self, values: Values, routes: Routes, tangents: Values, seed: int, spp: int
+        self, values: Snapshot, routes: Routes, tangents: Values, seed: int, spp: int
     ) -> torch.Tensor:
         def forward(*arrays: Any) -> Any:
             self._live.state.set_tangents(dict(zip(tangents, arrays, strict=True)))
@@ -213,7 +213,7 @@ class Engine:
                 for chunk in self._chunks(seed, spp)
             )
 
-        replay_values = {**values, **_replay_values(routes, tangents)}
+        replay_values = values.replace(_replay_values(routes, tangents))
         image: torch.Tensor = self._live.call(forward, replay_values, tangents.keys(), tangents.values())
         return image
 
@@ -238,6 +238,7 @@ class StockEngine(Engine):
         importance_sampling: bool = False,
     ) -> tuple[torch.Tensor, ...]:
         """Return the vector–Jacobian product; ``importance_sampling`` is ignored."""
+        values = self._live.snapshot(values)
         routes = uncorrected_routes(self._parameters, values, tracked)
         gradients = self._replay_all_pixels(values, routes, adjoint.detach().float(), seed, spp)
         zeros = {name: torch.zeros_like(values[name]) for name in tracked}

@@ -14,6 +14,9 @@ import drjit as dr
 from ._bridge import full_message, is_detached_error
 from .integrators.light_tracing import CameraAdjoint, SampledShapes, trace_light_backward
 
+# Two or three for each finite difference of a number that is a literal in kernels.
+MAX_RECORDINGS = 100
+
 
 class Kernels(NamedTuple):
     """An integrator's render and its backward passes for one sensor."""
@@ -64,7 +67,7 @@ class _FrozenFunction:
     def __init__(self, function: Callable[..., Any], forget_gradients: Callable[[], None]) -> None:
         self._function = function
         self._forget_gradients = forget_gradients
-        self._call = dr.freeze(function, warn_after=1000, limit=100)
+        self._call = dr.freeze(function, warn_after=1000, limit=MAX_RECORDINGS)
 
     def __call__(self, *arguments: Any) -> Any:
         try:

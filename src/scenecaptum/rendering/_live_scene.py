@@ -15,7 +15,7 @@ from ..backend import device, exclusively
 from ..scene import SceneGraph
 from ._bridge import call_with_torch
 from ._sensors import film_size
-from ._state import SceneState
+from ._state import SceneState, Snapshot
 
 Values = Mapping[str, torch.Tensor]
 
@@ -74,13 +74,20 @@ class LiveScene:
         """
         with self.exclusive():
             tracked = self.state.leaves.keys() if tracked is None else tracked
-            pending = self.state.pending_writes(values, tracked)
+            pending = self.state.pending_writes(self.snapshot(values), tracked)
 
             def write_and_call(*arrays: Any) -> Any:
                 self.state.write(pending, arrays[len(tensors) :], tracked)
                 return function(*arrays[: len(tensors)])
 
             return call_with_torch(write_and_call, *tensors, *pending.values())
+
+    def snapshot(self, values: Values) -> Snapshot:
+        """Return the values of all parameters; a snapshot is returned as it is."""
+        if isinstance(values, Snapshot):
+            return values
+        with self.exclusive():
+            return self.state.snapshot(values)
 
     @contextlib.contextmanager
     def with_values(self, values: Values) -> Iterator[None]:

@@ -10,6 +10,14 @@ import mitsuba as mi
 import torch
 
 
+class Snapshot(dict[str, torch.Tensor]):
+    """The values of all parameters, in tensors that nobody changes."""
+
+    def replace(self, changes: Mapping[str, torch.Tensor]) -> Snapshot:
+        """Return the snapshot with other values of some parameters, in tensors that nobody else has."""
+        return Snapshot({**self, **changes})
+
+
 class SceneState:
     """Writes parameter values into a scene, but only those that differ from its current ones.
 
@@ -60,17 +68,29 @@ class SceneState:
             self.original = found
         self._current = dict(self.original)
 
-    def pending_writes(
-        self, values: Mapping[str, torch.Tensor], tracked: Collection[str]
-    ) -> dict[str, torch.Tensor]:
-        """Return the writes that give the scene these ``values`` and track ``tracked``.
+    def snapshot(self, values: Mapping[str, torch.Tensor]) -> Snapshot:
+        """Return the values of all parameters, those that are not given as in the scene itself.
 
-        The caller's tensors are copied: Dr.Jit borrows torch's memory, which the caller may change at any time.
+        The caller's tensors are copied: Dr.Jit borrows torch's memory, which the caller may change at any time. A
+        value that the scene has now is the same tensor as in the last snapshot, so that it is not compared again.
         """
+        return Snapshot(
+            {**self.original, **{name: self._owned(name, value) for name, value in values.items()}}
+        )
+
+    def _owned(self, name: str, value: torch.Tensor) -> torch.Tensor:
+        """Return a tensor with this value that nobody changes: one that there is already, or a copy."""
+        for own in (self._current.get(name), self.original[name]):
+            if own is not None and torch.equal(own, value):
+                return own
+        return value.clone()
+
+    def pending_writes(self, values: Snapshot, tracked: Collection[str]) -> dict[str, torch.Tensor]:
+        """Return the writes that give the scene these values and track ``tracked``."""
         return {
-            name: self.original[name] if torch.equal(tensor, self.original[name]) else tensor.clone()
-            for name, tensor in {**self.original, **values}.items()
-            if (name in tracked) != (name in self.leaves) or not self._is_current(name, tensor)
+            name: value
+            for name, value in values.items()
+            if (name in tracked) != (name in self.leaves) or self._current.get(name) is not value
         }
 
     def write(
