@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import torch
 
@@ -90,7 +90,7 @@ class Capabilities:
     replace = _Offer[Callable[..., Any]]("The same renderer with other options.")
 
     def __init__(self, renderer: object) -> None:
-        self.renderer: Any = renderer
+        self.renderer = cast(Any, renderer)
 
     @property
     def fingerprint(self) -> str | None:
