@@ -70,3 +70,25 @@ def test_no_kernel_is_recorded_twice_however_many_finite_differences_there_are(
         renderer(renderer.leaves(), seed=seed, seed_grad=seed + 10).mean().backward()
     assert before > 8
     assert len(recorded) == before
+
+
+def test_kernels_stay_frozen_beside_a_scene_with_a_material_that_no_shape_uses(
+    mi: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Virtual functions are recorded for the objects of all scenes, also for what no shape refers to."""
+    from scenecaptum.rendering.integrators.path import ReplayIntegrator
+
+    texture = {"type": "bitmap", "data": mi.TensorXf([0.5] * 64, (8, 8, 1)), "raw": True}
+    unused = {"type": "bumpmap", "map": texture, "nested": {"type": "diffuse"}}
+    other = mi.load_dict(room("principled") | {"unused": unused}, optimize=False)
+    renderer = SceneRenderer(room("principled"), "ball.*", spp=2)
+    recorded = []
+    sample = ReplayIntegrator.sample
+    monkeypatch.setattr(
+        ReplayIntegrator, "sample", lambda *args, **options: recorded.append(1) or sample(*args, **options)
+    )
+    for seed in range(3):
+        before = len(recorded)
+        renderer(renderer.inputs, seed=seed)
+    assert other is not None
+    assert len(recorded) == before

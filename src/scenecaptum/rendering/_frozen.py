@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import drjit as dr
+import mitsuba as mi
 
 from ._bridge import full_message, is_detached_error
 from .integrators.light_tracing import CameraAdjoint, SampledShapes, trace_light_backward
@@ -61,13 +62,24 @@ def make_kernels(
     return Kernels(*(_FrozenFunction(function, forget_gradients) for function in functions))
 
 
+def _registries(*arguments: Any, **options: Any) -> Any:
+    """Return pointers of all types that have virtual functions.
+
+    Virtual functions are recorded for every object in the process, in other scenes too, and also for a material
+    that no shape uses. Dr.Jit collects the data of all objects of a type if there is a pointer of the type.
+    """
+    return [
+        dr.zeros(kind) for kind in (mi.BSDFPtr, mi.EmitterPtr, mi.ShapePtr, mi.MediumPtr, mi.PhaseFunctionPtr)
+    ]
+
+
 class _FrozenFunction:
     """A frozen function, or the plain function where a plugin hides objects that freezing would have to see."""
 
     def __init__(self, function: Callable[..., Any], forget_gradients: Callable[[], None]) -> None:
         self._function = function
         self._forget_gradients = forget_gradients
-        self._call = dr.freeze(function, warn_after=1000, limit=MAX_RECORDINGS)
+        self._call = dr.freeze(function, state_fn=_registries, warn_after=1000, limit=MAX_RECORDINGS)
 
     def __call__(self, *arguments: Any) -> Any:
         try:

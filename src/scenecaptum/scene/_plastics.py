@@ -51,8 +51,9 @@ class Plastic(mi.BSDF):
         self.nonlinear = props.get("nonlinear", False)
         if not isinstance(self.nonlinear, bool):
             raise TypeError('The property "nonlinear" has the wrong type (expected boolean)')
-        self.lobes = (getattr(mi.BSDFFlags, self.specular_lobe), mi.BSDFFlags.DiffuseReflection)
-        self.m_components = [lobe | mi.BSDFFlags.FrontSide for lobe in self.lobes]
+        # Plain numbers: a frozen function traverses the attributes before each launch, and enumerations whole.
+        self.lobes = (int(getattr(mi.BSDFFlags, self.specular_lobe)), int(mi.BSDFFlags.DiffuseReflection))
+        self.m_components = [lobe | int(mi.BSDFFlags.FrontSide) for lobe in self.lobes]
         self.m_flags = self.m_components[0] | self.m_components[1]
 
     def class_name(self) -> str:
@@ -188,7 +189,7 @@ class RoughPlastic(Plastic):
         microfacets = mi.MicrofacetDistribution(props)
         if microfacets.is_anisotropic():
             raise ValueError("The 'roughplastic' plugin supports no anisotropic microfacet distributions!")
-        self.distribution = microfacets.type()
+        self.distribution = int(microfacets.type())
         self.sample_visible = microfacets.sample_visible()
         self.alpha = mi.Float(microfacets.alpha())
         self.parameters_changed()
@@ -224,7 +225,8 @@ class RoughPlastic(Plastic):
         return value & active, density & active
 
     def _microfacets(self) -> Any:
-        return mi.MicrofacetDistribution(self.distribution, self.alpha, self.sample_visible)
+        kind = mi.MicrofacetType(self.distribution)
+        return mi.MicrofacetDistribution(kind, self.alpha, self.sample_visible)
 
     def _reflect(self, wi: Any, sample: Any) -> Any:
         normal, _ = self._microfacets().sample(wi, sample)
@@ -236,7 +238,7 @@ class RoughPlastic(Plastic):
         below, above = (dr.gather(mi.Float, self.external_transmittance, index + i) for i in (0, 1))
         return dr.lerp(below, above, position - index)
 
-    def _differentiable(self, function: Callable[[Any, float, float], Table]) -> Any:
+    def _differentiable(self, function: Callable[[int, float, float], Table]) -> Any:
         """Return a function of roughness and index, with finite-difference derivatives where they are tracked."""
         alpha, eta = self.alpha[0], self.eta[0]
         value = _array(function(self.distribution, alpha, eta))
@@ -264,7 +266,7 @@ def _array(table: Table) -> Any:
 
 
 @lru_cache(maxsize=1024)
-def external_transmittance(distribution: Any, alpha: float, eta: float) -> Table:
+def external_transmittance(distribution: int, alpha: float, eta: float) -> Table:
     """Return the fraction of light incident at each of ``COSINES`` that a rough coating transmits."""
 
     def transmitted(microfacets: Any, wi: Any, normal: Any) -> Any:
@@ -276,7 +278,7 @@ def external_transmittance(distribution: Any, alpha: float, eta: float) -> Table
 
 
 @lru_cache(maxsize=1024)
-def internal_reflectance(distribution: Any, alpha: float, eta: float) -> Table:
+def internal_reflectance(distribution: int, alpha: float, eta: float) -> Table:
     """Return the fraction of diffuse light from the inside that a rough coating reflects, ``(1,)``."""
 
     def reflected(microfacets: Any, wi: Any, normal: Any) -> Any:
@@ -289,7 +291,7 @@ def internal_reflectance(distribution: Any, alpha: float, eta: float) -> Table:
 
 
 def _integrate(
-    distribution: Any, alpha: float, eta: float, scattered: Callable[[Any, Any, Any], Any]
+    distribution: int, alpha: float, eta: float, scattered: Callable[[Any, Any, Any], Any]
 ) -> Table:
     """Average over the visible normals at each of ``COSINES``, with Mitsuba's quadrature."""
     resolution = 32 if eta > 1 else 128
@@ -300,10 +302,12 @@ def _integrate(
         mi.Float(COSINES), 0.5 * nodes + 0.5, dr.gather(mi.Float, 0.5 * nodes + 0.5, half), indexing="ij"
     )
     _, *weight = dr.meshgrid(mi.Float(COSINES), weights, dr.gather(mi.Float, weights, half), indexing="ij")
-    beckmann = distribution == mi.MicrofacetType.Beckmann
-    microfacets = mi.MicrofacetDistribution(distribution, dr.opaque(mi.Float, alpha), True)
+    kind = mi.MicrofacetType(distribution)
+    microfacets = mi.MicrofacetDistribution(kind, dr.opaque(mi.Float, alpha), True)
     wi = mi.Vector3f(dr.sqrt(1 - dr.square(cosine)), 0, cosine)
-    normal, _ = microfacets.sample(wi, mi.Point2f(u, v) if beckmann else mi.Point2f(v, u))
+    normal, _ = microfacets.sample(
+        wi, mi.Point2f(u, v) if kind == mi.MicrofacetType.Beckmann else mi.Point2f(v, u)
+    )
     weighted = 0.5 * weight[0] * weight[1] * scattered(microfacets, wi, normal)
     # In double precision, since the difference quotients are small differences of sums.
     table: Table = dr.block_sum(mi.Float64(weighted), resolution * resolution // 2).numpy()
