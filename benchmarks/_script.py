@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from scenecaptum import activate
+from scenecaptum.scene.bundled import BUNDLED
 
 # What moves visibility; stock path replay does not differentiate it.
 GEOMETRY = (
@@ -22,8 +24,15 @@ GEOMETRY = (
 )
 
 
+def _load(path: str) -> Any:
+    """Load a scene file with differentiable textures, where it has a parameter for their format."""
+    declared = re.findall(r'<default\s+name="(\w+)"', Path(path).read_text(encoding="utf-8"))
+    options = {"texture_format": "variant"} if "texture_format" in declared else {}
+    return activate().load_file(path, optimize=False, **options)
+
+
 def hand_written(
-    path: Path, metric: torch.nn.Module, size: tuple[int, int], spp: int, depth: int
+    scene: str, metric: torch.nn.Module, size: tuple[int, int], spp: int, depth: int
 ) -> tuple[Callable[[int], float], list[str]]:
     """Return the script as a function of the seed, and the parameters that it tracks.
 
@@ -33,17 +42,13 @@ def hand_written(
     mi = activate()
     import drjit as dr
 
-    declared = re.findall(r'<default\s+name="(\w+)"', path.read_text(encoding="utf-8"))
-    wanted = {"texture_format": "variant", "integrator": "prb"}
-    scene = mi.load_file(
-        str(path), optimize=False, **{name: value for name, value in wanted.items() if name in declared}
-    )
-    film = mi.traverse(scene.sensors()[0])
+    loaded = mi.load_dict(BUNDLED[scene](), optimize=False) if scene in BUNDLED else _load(scene)
+    film = mi.traverse(loaded.sensors()[0])
     film["film.size"] = list(size)
     film.update()
     integrator = mi.load_dict({"type": "prb", "max_depth": depth, "rr_depth": depth + 1})
 
-    params = mi.traverse(scene)
+    params = mi.traverse(loaded)
     names = [
         name
         for name in params.keys()  # noqa: SIM118 -- not a dictionary
@@ -59,10 +64,10 @@ def hand_written(
 
     def run(seed: int) -> float:
         with dr.suspend_grad():
-            image = integrator.render(scene, 0, seed=seed, spp=spp).torch().requires_grad_()
+            image = integrator.render(loaded, 0, seed=seed, spp=spp).torch().requires_grad_()
         value = metric(image)
         value.backward()
-        integrator.render_backward(scene, params, mi.TensorXf(image.grad), 0, seed=seed + 1, spp=spp)
+        integrator.render_backward(loaded, params, mi.TensorXf(image.grad), 0, seed=seed + 1, spp=spp)
         gradients = {name: dr.grad(params[name]) for name in names}
         dr.eval(gradients)
         dr.sync_thread()
