@@ -1,9 +1,9 @@
 """Compare the time of an attribution with that of a hand-written Mitsuba script with the same samples.
 
-The script renders once, differentiates the same torch metric, and calls ``render_backward`` once. It tracks
-what Mitsuba can track; we attribute to all inputs. Both sides keep their scene loaded and their kernels compiled, the
-script keeps its gradients enabled, and they take turns in one process; the medians over several turns are compared.
-The time of a replicate for itself is what seven more replicates with the same samples in all add, divided by seven.
+The script renders once, differentiates the same torch metric, and calls ``render_backward`` once. It tracks what
+Mitsuba can track; we attribute to all inputs. Both sides keep their scene loaded and their kernels compiled, the
+script keeps its gradients enabled, and they take turns in one process; medians over several turns are compared.
+The time of a replicate for itself is what seven more replicates with the same samples add, divided by seven.
 
     python benchmarks/overhead.py [SCENE.xml] [--size 320x180] [--spp 64] [--turns 5]
 """

@@ -19,6 +19,11 @@ from ..scene import Parameter
 # instead, which equals the slope at 0 up to an error of the same order.
 SINGULARITY_OFFSETS = {"reflectance": 1e-3, "ior": 3e-3}
 
+# Mitsuba evaluates a lobe of weight 0 as 0, with its slope, so the same holds for the weights of these lobes of a
+# principled material: its diffuse lobe samples all of their directions.
+REFLECTED_LOBES = {"metallic", "spec_tint", "sheen", "sheen_tint", "clearcoat", "flatness"}
+LOBE_OFFSET = 1e-3
+
 JUST_ABOVE_ONE = 1.001
 
 # Up to this roughness the derivative of path replay is so noisy that light tracing from the surface is used.
@@ -37,6 +42,9 @@ DIFFERENCE_SPP_DIVISOR = 4
 # Scale factors of emitters that Mitsuba does not track, each with that of the same emitter's other light. The
 # image is linear in them.
 EMITTER_SCALES = {"sky_scale": "sun_scale", "sun_scale": "sky_scale"}
+
+
+Values = Mapping[str, torch.Tensor]
 
 
 @dataclass(frozen=True)
@@ -62,26 +70,27 @@ Routes = Mapping[str, DerivativeRoute]
 
 
 def derivative_routes(
-    parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor], tracked: Iterable[str]
+    parameters: Mapping[str, Parameter], values: Values, tracked: Iterable[str]
 ) -> dict[str, DerivativeRoute]:
     """Decide how each tracked parameter is differentiated, given the values of all parameters."""
     return {name: _derivative_route(parameters[name], values) for name in tracked}
 
 
-def _derivative_route(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> DerivativeRoute:
+def _derivative_route(parameter: Parameter, values: Values) -> DerivativeRoute:
     value = values[parameter.name]
-    reason = _reason_against_replay(parameter, value)
+    is_constant = _is_constant(parameter, values)
+    reason = None if is_constant else _reason_against_replay(parameter, values)
     return DerivativeRoute(
         replay_value=value if reason else _clamp_off_singularity(parameter, value),
         difference=_finite_difference(parameter, value) if reason else None,
         reason=reason,
         is_low_roughness=parameter.kind == "roughness" and bool((value <= LOW_ROUGHNESS).any()),
-        is_constant=_is_constant(parameter, values),
+        is_constant=is_constant,
     )
 
 
 def uncorrected_routes(
-    parameters: Mapping[str, Parameter], values: Mapping[str, torch.Tensor], tracked: Iterable[str]
+    parameters: Mapping[str, Parameter], values: Values, tracked: Iterable[str]
 ) -> dict[str, DerivativeRoute]:
     """Return path replay at the value itself for each parameter that Mitsuba tracks, as stock integrators do."""
     return {
@@ -93,7 +102,7 @@ def uncorrected_routes(
 
 def replayed_names(routes: Routes) -> list[str]:
     """Return the parameters that are differentiated by path replay or light tracing."""
-    return [name for name, route in routes.items() if route.difference is None]
+    return [name for name, route in routes.items() if route.difference is None and not route.is_constant]
 
 
 def low_roughness_names(routes: Routes) -> list[str]:
@@ -149,24 +158,33 @@ def _clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.T
     if parameter.role == "eta" and "Plastic" in parameter.plugin:
         # At an index of exactly 1 there is no Fresnel term; closer to 1 its slope is lost to rounding.
         clamped = torch.where(value == 1, JUST_ABOVE_ONE, value)
+    elif parameter.role in REFLECTED_LOBES:
+        clamped = value.clamp_min(LOBE_OFFSET)
     else:
         clamped = value.clamp_min(SINGULARITY_OFFSETS.get(parameter.kind, -math.inf))
     return value if torch.equal(clamped, value) else clamped
 
 
-def _is_constant(parameter: Parameter, values: Mapping[str, torch.Tensor]) -> bool:
-    """Whether the image does not depend on a parameter: a metal of index 0 reflects all light, whatever its ``k``.
+def _is_constant(parameter: Parameter, values: Values) -> bool:
+    """Whether the image does not depend on a parameter: no shape uses its material, or the metal is white.
 
-    This needs a rule of its own, because ``_clamp_off_singularity`` of the index would give ``k`` a slope.
+    A metal of index 0 reflects all light, whatever its ``k``. ``_clamp_off_singularity`` of the index would give
+    ``k`` a slope.
     """
-    if parameter.role != "k":
-        return False
-    index = values.get(re.sub(r"\bk\b(?!.*\bk\b)", "eta", parameter.name))
+    if not parameter.is_used:
+        return True
+    index = _sibling(parameter, "eta", values) if parameter.role == "k" else None
     return index is not None and not index.any()
 
 
-def _reason_against_replay(parameter: Parameter, value: torch.Tensor) -> str | None:
-    """Return why path replay is wrong for a parameter at a value, or None where it is correct."""
+def _sibling(parameter: Parameter, role: str, values: Values) -> torch.Tensor | None:
+    """Return the value of another property of the same material, or None if it has none of that name."""
+    own = re.escape(parameter.role)
+    return values.get(re.sub(rf"\b{own}\b(?!.*\b{own}\b)", role, parameter.name))
+
+
+def _reason_against_replay(parameter: Parameter, values: Values) -> str | None:
+    """Return why path replay is wrong for a parameter at its value, or None where it is correct."""
     if len(parameter.shape) > 1:
         return None
     if not parameter.tracked:
@@ -174,40 +192,50 @@ def _reason_against_replay(parameter: Parameter, value: torch.Tensor) -> str | N
             f"Mitsuba's {parameter.plugin} keeps it, or values derived from it, outside the derivative graph"
         )
     for applies, reason in _RULES:
-        if applies(parameter, value):
+        if applies(parameter, values):
             return reason
     return None
 
 
-def _blends_specular(p: Parameter, value: torch.Tensor) -> bool:
+def _blends_specular(p: Parameter, values: Values) -> bool:
     return p.specular_inside and p.plugin in ("MaskBSDF", "BlendBSDF") and p.role in ("opacity", "weight")
 
 
-def _ior_near_one(p: Parameter, value: torch.Tensor) -> bool:
+def _ior_near_one(p: Parameter, values: Values) -> bool:
     # Our own plastics use one-sided slopes at 1.
     dielectric = p.role == "eta" and "Conductor" not in p.plugin and "Plastic" not in p.plugin
-    return dielectric and bool(((value - 1).abs() < 0.1).any())
+    return dielectric and bool(((values[p.name] - 1).abs() < 0.1).any())
 
 
-def _lobe_switched_off(p: Parameter, value: torch.Tensor) -> bool:
-    at_bound = bool(((value == p.bounds.low) | (value == p.bounds.high)).any())
-    return at_bound and (p.lobe_weight or p.kind == "opacity")
+def _lobe_switched_off(p: Parameter, values: Values) -> bool:
+    if not (p.lobe_weight or p.kind == "opacity"):
+        return False
+    value = values[p.name]
+    at_low, at_high = bool((value == p.bounds.low).any()), bool((value == p.bounds.high).any())
+    return at_high or (at_low and not (p.role in REFLECTED_LOBES and _has_diffuse_lobe(p, values)))
 
 
-def _narrow_hair(p: Parameter, value: torch.Tensor) -> bool:
-    return p.plugin == "Hair" and p.kind == "roughness" and bool((value <= 0.1).any())
+def _has_diffuse_lobe(p: Parameter, values: Values) -> bool:
+    """Whether a principled material samples all directions of reflection."""
+    others = (_sibling(p, role, values) for role in ("metallic", "spec_trans"))
+    return not any(other is not None and bool((other == 1).any()) for other in others)
 
 
-def _blocked(p: Parameter, value: torch.Tensor) -> bool:
-    return p.role in ("specular_transmittance", "specular_reflectance") and bool((value == 0).any())
+def _narrow_hair(p: Parameter, values: Values) -> bool:
+    return p.plugin == "Hair" and p.kind == "roughness" and bool((values[p.name] <= 0.1).any())
+
+
+def _never_sampled(p: Parameter, values: Values) -> bool:
+    # A plastic samples its coating in proportion to this reflectance.
+    return p.role == "specular_reflectance" and "Plastic" in p.plugin and bool((values[p.name] == 0).any())
 
 
 _RULES = (
     (_blends_specular, "it blends a perfectly specular lobe with others"),
     (_ior_near_one, "near 1 the reflectance has a kink, and few samples contribute to its slope"),
     (_lobe_switched_off, "at this bound a lobe is skipped and never sampled"),
+    (_never_sampled, "at 0 the coating is never sampled"),
     (_narrow_hair, "this plugin samples narrow lobes differently from how it evaluates them"),
-    (_blocked, "at 0 the lobe has no throughput to replay"),
 )
 
 

@@ -59,6 +59,8 @@ class Parameter:
         Whether Dr.Jit can track its derivative; otherwise finite differences are used.
     specular_inside
         Whether it belongs to a material with a perfectly specular lobe.
+    is_used
+        Whether any shape uses its material; True for what is not part of a material.
     lobe_weight
         Whether it weighs a lobe that is skipped where the weight is at a bound.
     fault
@@ -79,6 +81,7 @@ class Parameter:
     owners: tuple[str, ...]
     tracked: bool = True
     specular_inside: bool = False
+    is_used: bool = True
     lobe_weight: bool = False
     fault: str | None = None
     problem: str | None = None

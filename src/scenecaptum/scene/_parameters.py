@@ -46,6 +46,7 @@ def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
 
 
 def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int) -> Parameter:
+    mi = activate()
     own_name = name.rsplit(".", 1)[-1]
     user, role = graph.role(node, own_name)
     kind, bounds = _kind_and_bounds(user, role)
@@ -66,6 +67,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         owners=graph.owners(node),
         tracked=tracked,
         specular_inside=_is_specular(user),
+        is_used=not isinstance(user, mi.BSDF) or bool(graph.shapes_using(node)),
         lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
         fault=fault,
         problem=problem or fault,
