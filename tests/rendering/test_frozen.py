@@ -47,46 +47,61 @@ def test_the_derivative_of_a_lobe_that_is_off_is_not_zero(mi: Any) -> None:
     assert leaves["ball.bsdf.spec_trans.value"].grad != 0
 
 
-def test_no_kernel_is_recorded_twice_however_many_finite_differences_there_are(
-    mi: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The index of glass is a plain number in Mitsuba, a literal in kernels: each value has its own recording."""
+@pytest.fixture
+def recorded(mi: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The modes of all recordings of our integrator so far."""
     from scenecaptum.rendering.integrators.path import ReplayIntegrator
 
-    scene = room("principled")
-    for number in range(5):
-        glass = {"type": "dielectric", "int_ior": 1.3 + 0.1 * number}
-        center = [number - 2.0, 1.0, 3.0]
-        scene[f"glass_{number}"] = {"type": "sphere", "center": center, "radius": 0.3, "bsdf": glass}
-    renderer = SceneRenderer(scene, "glass_*.eta", spp=2)
-    assert len(renderer.plan.differences) == 5
-    recorded = []
+    modes: list[str] = []
     sample = ReplayIntegrator.sample
-    monkeypatch.setattr(
-        ReplayIntegrator, "sample", lambda *args, **options: recorded.append(1) or sample(*args, **options)
-    )
-    for seed in range(3):
-        before = len(recorded)
-        renderer(renderer.leaves(), seed=seed, seed_grad=seed + 10).mean().backward()
-    assert before > 8
-    assert len(recorded) == before
+
+    def counted(self: Any, *args: Any, **options: Any) -> Any:
+        modes.append(str(options.get("mode", args[:1])))
+        return sample(self, *args, **options)
+
+    monkeypatch.setattr(ReplayIntegrator, "sample", counted)
+    return modes
+
+
+def test_kernels_are_recorded_once_for_all_values_seeds_adjoints_and_sample_counts(
+    recorded: list[str],
+) -> None:
+    scene = room("principled")
+    scene["glass"] = {
+        "type": "sphere",
+        "center": [1.0, 1.0, 3.0],
+        "radius": 0.3,
+        "bsdf": {"type": "dielectric"},
+    }
+    renderer = SceneRenderer(scene, "all", resolution=(11, 7), spp=4)
+    assert "glass.bsdf.eta" in dict(renderer.plan.differences)
+
+    def differentiate(shift: float, seed: int, spp: int) -> None:
+        leaves = {
+            name: (value + shift).detach().requires_grad_()
+            for name, value in renderer.inputs.items()
+            if name.endswith(("eta", "roughness.value", "base_color.value", "radiance.value"))
+        }
+        image = renderer(leaves, seed=seed, seed_grad=seed + 10, spp=spp)
+        (image**2).mean().backward()
+
+    # The first recording of a process may be discarded.
+    differentiate(0.0, 1, 4), differentiate(0.0, 2, 4)
+    before = len(recorded)
+    assert before > 0
+    for number in range(1, 5):
+        differentiate(0.01 * number, 100 * number, 3 + 5 * number)
+    assert recorded[before:] == []
 
 
 def test_kernels_stay_frozen_beside_a_scene_with_a_material_that_no_shape_uses(
-    mi: Any, monkeypatch: pytest.MonkeyPatch
+    mi: Any, recorded: list[str]
 ) -> None:
     """Virtual functions are recorded for the objects of all scenes, also for what no shape refers to."""
-    from scenecaptum.rendering.integrators.path import ReplayIntegrator
-
     texture = {"type": "bitmap", "data": mi.TensorXf([0.5] * 64, (8, 8, 1)), "raw": True}
     unused = {"type": "bumpmap", "map": texture, "nested": {"type": "diffuse"}}
     other = mi.load_dict(room("principled") | {"unused": unused}, optimize=False)
     renderer = SceneRenderer(room("principled"), "ball.*", spp=2)
-    recorded = []
-    sample = ReplayIntegrator.sample
-    monkeypatch.setattr(
-        ReplayIntegrator, "sample", lambda *args, **options: recorded.append(1) or sample(*args, **options)
-    )
     for seed in range(3):
         before = len(recorded)
         renderer(renderer.inputs, seed=seed)

@@ -659,7 +659,7 @@ def test_a_failing_render_does_not_change_the_users_scene(
         raise RuntimeError("out of memory")
 
     engine = renderer._views[0].engine
-    for kernel in ("render", "render_backward"):
+    for kernel in ("render_samples", "render_backward"):
         with monkeypatch.context() as patch:
             patch.setattr(engine, "_kernels", engine._kernels._replace(**{kernel: fail}))
             with pytest.raises(RuntimeError, match="out of memory"):

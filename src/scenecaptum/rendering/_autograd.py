@@ -31,6 +31,7 @@ class RenderCall:
     spp: int
     spp_grad: int
     importance_sampling: bool
+    tracked: tuple[str, ...]  # of the names, those whose tensors require gradients
     check: Callable[[dict[str, torch.Tensor]], None]
 
     def values(self, tensors: tuple[torch.Tensor, ...]) -> dict[str, torch.Tensor]:
@@ -46,7 +47,7 @@ class Render(torch.autograd.Function):
     def forward(call: RenderCall, *tensors: torch.Tensor) -> torch.Tensor:
         values = call.values(tensors)
         call.check(values)
-        image = call.view.engine.primal(values, call.seed, call.spp)
+        image = call.view.engine.primal(values, call.seed, call.spp, call.tracked)
         check_image(image, f"The render with seed {call.seed}", call.view.describe_pixels)
         return image
 

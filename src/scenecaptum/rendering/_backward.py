@@ -20,6 +20,25 @@ from ._sampler import SobolSampler
 class AdjointSampledIntegrator(RBIntegrator):
     """A path replay integrator whose backward pass can sample given pixels, e.g. in proportion to the adjoint."""
 
+    def render_samples(self, scene: Any, sensor: Any, sampler: Any, pixel: Any) -> Any:
+        """Render an image as ``render`` does, given a seeded sampler and the row-major pixel index of each sample.
+
+        ``render`` itself has the number of samples in its code, where it would have to be recorded for each.
+        """
+        film = sensor.film()
+        with dr.suspend_grad():
+            film.prepare([])
+            ray, response, point = random_camera_rays(sensor, sampler, pixel)
+            radiance, valid, *_ = self.sample(
+                mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True)
+            )
+            has_alpha = mi.has_flag(film.flags(), mi.FilmFlags.Alpha)
+            alpha = [dr.select(valid, mi.Float(1), mi.Float(0))] if has_alpha else []
+            block = film.create_block()
+            block.put(point, [*(radiance * response), *alpha, mi.Float(1)])
+            film.put_block(block)
+            return film.develop()
+
     def render_backward_pixels(
         self,
         scene: Any,
@@ -46,7 +65,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         pixel, weight = samples
         with dr.suspend_grad():
             sampler = SobolSampler.of(dr.width(pixel), seed)
-            ray, response, point = _camera_rays(sensor, sampler, pixel)
+            ray, response, point = random_camera_rays(sensor, sampler, pixel)
             adjoint_radiance = response * dr.gather(mi.Float, weight, pixel)
             adjoint_radiance *= filtered_adjoint(sensor.film(), adjoint, *profile, pixel, point)
             fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
@@ -64,7 +83,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         with dr.suspend_grad():
             pixel = dr.arange(mi.UInt32, width * height * spp) // spp
             sampler = SobolSampler.of(dr.width(pixel), seed)
-            ray, response, _ = _camera_rays(sensor, sampler, pixel)
+            ray, response, _ = random_camera_rays(sensor, sampler, pixel)
             fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
             *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
             derivative, *_ = self.sample(mode=dr.ADMode.Forward, sampler=sampler, state_in=state, **fixed)
@@ -86,12 +105,24 @@ class AdjointSampledIntegrator(RBIntegrator):
                 lanes = spp * min(max_pixels, pixels - first)
                 pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, lanes) // spp
                 sampler = SobolSampler.of(lanes, dr.opaque(mi.UInt32, seed + number))
-                ray, response, _ = _camera_rays(sensor, sampler, pixel)
+                ray, response, _ = random_camera_rays(sensor, sampler, pixel)
                 fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
                 *_, state = self.sample(sampler=sampler.clone(), **fixed)
                 self.sample(sampler=sampler, state_in=state, moments=make_moments(pixel, response), **fixed)
                 dr.eval()
                 dr.sync_thread()
+
+
+@dataclass
+class CameraAdjoint:
+    """A sensor, the adjoint of its image, and its film's filter.
+
+    ``adjoint`` and ``profile`` are those of ``AdjointSampledIntegrator.render_backward_pixels``.
+    """
+
+    sensor: Any
+    adjoint: Any
+    profile: tuple[Any, int]
 
 
 PROFILE_STEPS = 1024  # intervals of a filter's tabulated profile
@@ -161,7 +192,7 @@ def _weight_sum(profile: torch.Tensor, radius: int, pixels: int) -> torch.Tensor
     return inside.to(weight) @ weight
 
 
-def _camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
+def random_camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
     """Return rays through random points of pixels, the sensor response to each, and the points."""
     size = sensor.film().crop_size()
     point = mi.Point2f(pixel % size.x, pixel // size.x) + mi.Point2f(sampler.next_2d())
@@ -169,7 +200,7 @@ def _camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
     open_time = sensor.shutter_open_time()
     time = sensor.shutter_open() + (sampler.next_1d() * open_time if open_time > 0 else 0)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
-    position = point / mi.ScalarPoint2f(size)
+    position = point * dr.rcp(mi.ScalarVector2f(size))  # rounded as in Mitsuba
     return *sensor.sample_ray_differential(time, wavelength, position, lens), point
 
 

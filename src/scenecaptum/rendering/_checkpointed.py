@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -15,6 +16,7 @@ import torch
 from ..checkpoint import Checkpoint, digest
 from ..scene import without_addresses
 from ._engine import Engine
+from ._live_scene import Values
 
 
 @dataclass(eq=False)
@@ -26,9 +28,10 @@ class CheckpointedEngine:
     fingerprint: str  # of everything but the arguments that a result depends on
     device: torch.device
 
-    def primal(self, *arguments: Any) -> torch.Tensor:
+    def primal(self, values: Values, seed: int, spp: int, tracked: Sequence[str] = ()) -> torch.Tensor:
         """Render, or return the stored image."""
-        return self._take("picture", arguments, lambda: (self.engine.primal(*arguments),))[0]
+        render = partial(self.engine.primal, values, seed, spp, tracked)
+        return self._take("picture", (values, seed, spp), lambda: (render(),))[0]
 
     def vjp(self, *arguments: Any, importance_sampling: bool = False) -> tuple[torch.Tensor, ...]:
         """Return the vector–Jacobian product."""

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import operator
 import weakref
-from collections.abc import Callable, Collection, Iterable, Sequence
-from functools import reduce
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cached_property, reduce
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import torch
+from torch.nn.functional import pad
 
 from ..backend import dispose
 from ..scene import SceneParameters
+from ._backward import AdjointSampledIntegrator
 from ._bridge import evaluate
 from ._chunks import Chunk, chunks
 from ._derivative_routes import (
@@ -27,8 +29,9 @@ from ._derivative_routes import (
     uncorrected_routes,
 )
 from ._frozen import make_kernels
-from ._importance_maps import ImportanceMaps, ReplayGroup
+from ._importance_maps import ImportanceMaps, Maps, ReplayGroup
 from ._live_scene import LiveScene, Values
+from ._moved_materials import MovedParameter, batches, move
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
 from ._state import Snapshot, flat, owned
@@ -44,11 +47,13 @@ class Engine:
         plan: RenderPlan,
         integrator: Any,
         importance_maps: ImportanceMaps,
+        moved: Mapping[str, MovedParameter],
     ) -> None:
         self._live = live
         self._parameters = parameters
         self._integrator = integrator
         self._importance_maps = importance_maps
+        self._moved = moved
         self._kernels = make_kernels(
             integrator, live.sensor, live.state.forget_gradients, freeze=plan.kind.freezable
         )
@@ -57,23 +62,55 @@ class Engine:
         # Decoding textures leaves as much memory again in Dr.Jit's allocation cache.
         dr.flush_malloc_cache()
 
-    def primal(self, values: Values, seed: int, spp: int) -> torch.Tensor:
-        """Render: ``(H, W, 3)`` linear radiance."""
+    def primal(self, values: Values, seed: int, spp: int, tracked: Sequence[str] = ()) -> torch.Tensor:
+        """Render: ``(H, W, 3)`` linear radiance.
+
+        ``tracked`` are the parameters that will be differentiated. They are tracked from the first render on,
+        because a frozen kernel would be recorded again after the first backward pass otherwise.
+        """
 
         def render() -> Any:
             with dr.suspend_grad():
                 return _sum(
-                    evaluate(
-                        self._kernels.render(
-                            self._live.scene, _opaque_seed(chunk), chunk.spp, self._live.state.scalars
-                        )
-                        * chunk.weight
-                    )
-                    for chunk in self._chunks(seed, spp)
+                    evaluate(self._render_chunk(chunk) * chunk.weight) for chunk in self._chunks(seed, spp)
                 )
 
-        image: torch.Tensor = self._live.call(render, values)
+        if tracked and not self._live.state.leaves and not self._live.is_borrowed:
+            values = self._live.snapshot(values)
+            names = replayed_names(derivative_routes(self._parameters, values, tracked))
+            image: torch.Tensor = self._live.call(render, values, names)
+        else:
+            image = self._live.call(render, values)
         return image
+
+    def _render_chunk(self, chunk: Chunk) -> Any:
+        scene, scalars = self._live.scene, self._live.state.scalars
+        if not self._has_independent_samples:
+            return self._kernels.render(scene, _opaque_seed(chunk), chunk.spp, scalars)
+        width, height = self._live.resolution
+        samples = width * height * chunk.spp
+        sampler = self._live.sensor.sampler().clone()
+        sampler.seed(_opaque_seed(chunk), samples + 1)
+        lane = dr.arange(mi.UInt32, samples + 1)
+        # A sample far from the film, see ``_pixel_arguments``.
+        pixel = dr.select(
+            lane < samples, lane // dr.opaque(mi.UInt32, chunk.spp), 2 * width * height + 16 * width
+        )
+        dr.eval(pixel, sampler)
+        # The first render would otherwise be the only one of a film without pixels.
+        self._live.sensor.film().prepare([])
+        return self._kernels.render_samples(scene, sampler, pixel, scalars)
+
+    @cached_property
+    def _has_independent_samples(self) -> bool:
+        """Whether samples are drawn independently, each for one pixel of the whole film."""
+        film = self._live.sensor.film()
+        return (
+            isinstance(self._integrator, AdjointSampledIntegrator)
+            and self._importance_maps.film is not None
+            and list(film.size()) == list(film.crop_size())
+            and self._live.sensor.sampler().class_name() == "IndependentSampler"
+        )
 
     def vjp(
         self,
@@ -94,16 +131,19 @@ class Engine:
         routes = derivative_routes(self._parameters, values, tracked)
         adjoint = adjoint.detach().float()
         gradients: dict[str, torch.Tensor] = {}
+        difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
         if importance_sampling and self._importance_maps.film:
             for group in self._importance_maps.groups(values, routes):
                 gradients |= self._replay_sampled_pixels(values, routes, group, adjoint, seed, spp)
+            moved = [name for name in self._moved if name in routes and routes[name].difference is not None]
+            for names in batches(moved, self._moved):
+                gradients |= self._difference_of_paths(values, routes, names, adjoint, seed, difference_spp)
         else:
             gradients |= self._replay_all_pixels(values, routes, adjoint, seed, spp)
-        difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
         for name, route in routes.items():
             if route.is_constant:
                 gradients[name] = torch.zeros_like(values[name])
-            elif route.difference is not None:
+            elif name not in gradients and route.difference is not None:
                 quotient = self._difference_quotient(name, routes, values, seed, difference_spp)
                 product = (adjoint * quotient).sum((0, 1))
                 # Each channel of the image depends only on the same channel of a colour.
@@ -156,26 +196,54 @@ class Engine:
         self, values: Snapshot, routes: Routes, group: ReplayGroup, adjoint: torch.Tensor, seed: int, spp: int
     ) -> dict[str, torch.Tensor]:
         """Return gradients by path replay of importance-sampled pixels, and by light tracing."""
+        arguments = self._pixel_arguments(adjoint, group.maps)
+
+        def replay(chunk: Chunk) -> None:
+            self._kernels.render_backward_pixels(self._live.scene, *arguments(chunk), group.light_traced)
+
+        return self._replay(replay, values, routes, group.names, self._chunks(seed, spp))
+
+    def _difference_of_paths(
+        self,
+        values: Snapshot,
+        routes: Routes,
+        names: Sequence[str],
+        adjoint: torch.Tensor,
+        seed: int,
+        spp: int,
+    ) -> dict[str, torch.Tensor]:
+        """Return gradients by differences of paths through one of the ``batches`` of moved materials."""
+        arguments = self._pixel_arguments(adjoint, self._importance_maps.find_maps(values, names, None))
+        differences = [route.difference for name in names if (route := routes[name]).difference]
+
+        def differentiate() -> Any:
+            moved = move([self._moved[name] for name in names], [values[name] for name in names], differences)
+            return _sum(
+                evaluate(self._kernels.difference_backward(self._live.scene, *arguments(chunk), moved))
+                for chunk in self._chunks(seed, spp)
+            )
+
+        # Of the three channels of each parameter, all of which are numbers.
+        gradients = self._live.call(differentiate, values).reshape(-1, 3).sum(1)
+        return dict(zip(names, gradients, strict=True))
+
+    def _pixel_arguments(self, adjoint: torch.Tensor, maps: Maps) -> Callable[[Chunk], tuple[Any, ...]]:
+        """Return the arguments of a backward pass of importance-sampled pixels, for each chunk."""
         film = self._importance_maps.film
         assert film is not None
         magnitude = film.rms_adjoint(adjoint)
 
-        def replay(chunk: Chunk) -> None:
-            pixel, weight = sample_pixels(magnitude, group.maps, chunk.spp, chunk.seed)
+        def arguments(chunk: Chunk) -> tuple[Any, ...]:
+            pixel, weight = sample_pixels(magnitude, maps, chunk.spp, chunk.seed)
+            # One more sample, of weight 0: a kernel is recorded again where two of its arrays that had different
+            # lengths have the same, and the number of samples would sometimes be that of pixels or channels.
+            pixel, weight = pad(pixel, (0, 1), value=len(weight)), pad(weight, (0, 2))
             samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
             profile = owned(mi.Float(film.profile.to(weight))), film.radius
             image = owned(mi.TensorXf(chunk.weight * adjoint / film.filter_weight_sum.to(weight)))
-            self._kernels.render_backward_pixels(
-                self._live.scene,
-                image,
-                _opaque_seed(chunk),
-                self._live.state.scalars,
-                samples,
-                profile,
-                group.light_traced,
-            )
+            return image, _opaque_seed(chunk), self._live.state.scalars, samples, profile
 
-        return self._replay(replay, values, routes, group.names, self._chunks(seed, spp))
+        return arguments
 
     def _replay(
         self,

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
+from ._backward import CameraAdjoint
 from ._bridge import full_message, is_detached_error
-from .integrators.light_tracing import CameraAdjoint, SampledShapes, trace_light_backward
+from .integrators.light_tracing import SampledShapes, trace_light_backward
+from .integrators.path_differences import MovedMaterials, difference_backward
 
 # Two or three for each finite difference of a number that is a literal in kernels.
 MAX_RECORDINGS = 100
@@ -23,8 +25,10 @@ class Kernels(NamedTuple):
     """An integrator's render and its backward passes for one sensor."""
 
     render: Callable[..., Any]
+    render_samples: Callable[..., Any]
     render_backward: Callable[..., Any]
     render_backward_pixels: Callable[..., Any]
+    difference_backward: Callable[..., Any]
 
 
 def make_kernels(
@@ -37,6 +41,9 @@ def make_kernels(
 
     def render(scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:
         return integrator.render(scene, sensor, seed=seed, spp=spp)
+
+    def render_samples(scene: Any, sampler: Any, pixel: Any, scalars: tuple[float, ...]) -> Any:
+        return integrator.render_samples(scene, sensor, sampler, pixel)
 
     def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> None:
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
@@ -56,7 +63,19 @@ def make_kernels(
             camera = CameraAdjoint(sensor, adjoint, profile)
             trace_light_backward(integrator, scene, camera, light_traced, seed, dr.width(samples[0]))
 
-    functions = (render, render_backward, render_backward_pixels)
+    def differences(
+        scene: Any,
+        adjoint: Any,
+        seed: Any,
+        scalars: tuple[float, ...],
+        samples: tuple[Any, Any],
+        profile: tuple[Any, int],
+        moved: MovedMaterials,
+    ) -> Any:
+        camera = CameraAdjoint(sensor, adjoint, profile)
+        return difference_backward(integrator, scene, camera, samples, seed, moved)
+
+    functions = (render, render_samples, render_backward, render_backward_pixels, differences)
     if not freeze:
         return Kernels(*functions)
     return Kernels(*(_FrozenFunction(function, forget_gradients) for function in functions))

@@ -68,11 +68,11 @@ class ImportanceMaps:
         names, low_roughness = replayed_names(routes), low_roughness_names(routes)
         shapes = self._find_sampled_shapes(tuple(low_roughness)) if self.film and low_roughness else None
         if shapes is None:
-            return [ReplayGroup(names, self._find_maps(values, names, None), None)]
+            return [ReplayGroup(names, self.find_maps(values, names, None), None)]
         rest = [name for name in names if name not in low_roughness]
         return [
-            ReplayGroup(rest, self._find_maps(values, rest, None), None),
-            ReplayGroup(low_roughness, self._find_maps(values, low_roughness, shapes), shapes),
+            ReplayGroup(rest, self.find_maps(values, rest, None), None),
+            ReplayGroup(low_roughness, self.find_maps(values, low_roughness, shapes), shapes),
         ]
 
     def _find_sampled_shapes(self, names: tuple[str, ...]) -> SampledShapes | None:
@@ -84,7 +84,7 @@ class ImportanceMaps:
                 )
             return self._sampled_shapes[names]
 
-    def _find_maps(self, values: Values, names: Sequence[str], light_traced: SampledShapes | None) -> Maps:
+    def find_maps(self, values: Values, names: Sequence[str], light_traced: SampledShapes | None) -> Maps:
         """Return importance maps and their mixture weights: the noise, and the noise equalized by surface."""
         if not names or self.film is None:
             return []

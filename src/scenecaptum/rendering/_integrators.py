@@ -18,6 +18,7 @@ class IntegratorKind:
     media: bool  # whether it renders participating media
     reason: str  # why a plan chooses it
     light_tracing: bool = False  # whether derivatives of low roughnesses can be left to light tracing
+    path_differences: bool = False  # whether it traces paths with moved materials
     freezable: bool = True  # whether frozen kernels see every change of a scene; they see no phase functions
 
     @property
@@ -44,6 +45,7 @@ INTEGRATORS = {
             media=False,
             reason="path replay, mirrors included; no medium in the scene",
             light_tracing=True,
+            path_differences=True,
         ),
         IntegratorKind(
             "scenecaptum_volumetric_replay",

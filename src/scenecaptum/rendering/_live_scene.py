@@ -45,7 +45,7 @@ class LiveScene:
         self.state = state
         self.resolution = resolution
         self.device = device()  # of images and gradients
-        self._borrowed = borrowed
+        self.is_borrowed = borrowed
         self._variant = mi.variant()
         self._is_in_use = False
 
@@ -56,7 +56,7 @@ class LiveScene:
 
     def refresh_originals(self) -> None:
         """Read a borrowed scene's own values again, because its owner may have changed them."""
-        if self._borrowed:
+        if self.is_borrowed:
             with exclusively(self._variant):
                 self.state.refresh_originals()
 
@@ -91,9 +91,9 @@ class LiveScene:
 
     @contextlib.contextmanager
     def with_values(self, values: Values) -> Iterator[None]:
-        """Give the scene these values, untracked, within ``exclusive``."""
+        """Give the scene these values, within ``exclusive``."""
         with self.exclusive():
-            self.call(lambda: None, values, ())
+            self.call(lambda: None, values)
             yield
 
     @contextlib.contextmanager
@@ -112,7 +112,7 @@ class LiveScene:
                 yield
             finally:
                 self._is_in_use = False
-                if self._borrowed:
+                if self.is_borrowed:
                     self.state.restore()
                     _resize(self.sensor, size)
 

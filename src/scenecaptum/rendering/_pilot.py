@@ -140,6 +140,7 @@ class Pilots:
     parameters: SceneParameters
     integrator: Any
     importance_maps: ImportanceMaps
+    moved: Collection[str]  # parameters that are differentiated by differences of paths
     _pilots: dict[int, Pilot] = field(default_factory=dict)
     _originals: Values = field(default_factory=dict)  # those of the cached pilots
 
@@ -162,13 +163,16 @@ class Pilots:
             pilot = self._run(
                 max(1, min(PILOT_FACTOR * spp * replicates, MAX_PILOT_SAMPLES // (width * height)))
             )
+            difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR)
+            moved = [name for name in self.moved if name in routes and routes[name].difference is not None]
+            maps = self.importance_maps.find_maps(values, moved, None)
+            moved_samples = pixel_probabilities(magnitude, maps) * (width * height * difference_spp)
         weights = magnitude.cpu().double().numpy().ravel()
-        uniform = np.full_like(weights, max(1, spp // DIFFERENCE_SPP_DIVISOR))
+        samples = dict.fromkeys(tracked, np.full_like(weights, difference_spp))
+        samples |= dict.fromkeys(replayed.names, sampled) | dict.fromkeys(moved, moved_samples)
         left_out = {name for group in light_traced for name in group.names}
         found = {
-            name: pilot.cumulants(
-                name, weights, replicates * (sampled if name in replayed.names else uniform)
-            )
+            name: pilot.cumulants(name, weights, replicates * samples[name])
             for name in tracked
             if name not in left_out
         }

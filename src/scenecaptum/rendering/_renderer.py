@@ -491,6 +491,8 @@ class SceneRenderer(torch.nn.Module):
         spp_grad = spp if spp_grad is None else whole_number("spp_grad", spp_grad)
         self.require_memory(spp=max(spp, spp_grad))
         tensors = [value.to(self._device, torch.float32) for value in given.values()]
+        is_tracked = torch.is_grad_enabled()
+        tracked = tuple(name for name, value in given.items() if is_tracked and value.requires_grad)
         try:
             images = [
                 render(
@@ -502,6 +504,7 @@ class SceneRenderer(torch.nn.Module):
                         spp=spp,
                         spp_grad=spp_grad,
                         importance_sampling=seed_grad != seed,
+                        tracked=tracked,
                         check=self._check_values,
                     ),
                     *tensors,

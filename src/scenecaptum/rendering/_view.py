@@ -16,6 +16,7 @@ from ._checkpointed import CheckpointedEngine
 from ._engine import Engine, StockEngine
 from ._importance_maps import ImportanceMaps
 from ._live_scene import LiveScene
+from ._moved_materials import find_moved_parameters
 from ._pilot import Pilots
 from ._plan import RenderPlan
 from ._texels import find_textures
@@ -59,8 +60,13 @@ def make_view(live: LiveScene, parameters: SceneParameters, plan: RenderPlan) ->
 
     integrator = plan.create_integrator()
     importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False))
-    arguments = (live, parameters, plan, integrator, importance_maps)
+    moved = (
+        find_moved_parameters(live.graph, parameters, [name for name, _ in plan.differences])
+        if plan.kind.path_differences and importance_maps.film
+        else {}
+    )
+    arguments = (live, parameters, plan, integrator, importance_maps, moved)
     if plan.kind.is_stock:
         return View(live, StockEngine(*arguments), None, surface_map)
-    pilots = Pilots(live, parameters, integrator, importance_maps)
+    pilots = Pilots(live, parameters, integrator, importance_maps, moved)
     return View(live, Engine(*arguments), pilots, surface_map)

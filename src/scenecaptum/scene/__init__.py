@@ -5,6 +5,7 @@ __all__ = ["BUNDLED", "Parameter", "SceneParameters", "discover", "load_scene", 
 
 from ._checks import check_scale as check_scale
 from ._graph import SceneGraph as SceneGraph
+from ._graph import children as children
 from ._loading import SceneLike as SceneLike
 from ._loading import XmlParameters as XmlParameters
 from ._loading import format_parameters as format_parameters

@@ -238,14 +238,14 @@ def _check_meshes(name: str, scene: Any) -> None:
 
 
 def _make_differentiable(state: Any) -> None:
-    """Store texels as floats, since 8-bit texels are not differentiable; use RGB films and our plastic plugins."""
+    """Store texels as floats, since 8-bit texels are not differentiable; use RGB films and our own plugins."""
     for props in (node.props for node in state.nodes):
         if props.plugin_name() == "bitmap" and props.get("format", "auto") == "auto":
             props["format"] = "variant"
         if props.plugin_name() == "hdrfilm":
             props["pixel_format"] = "rgb"
-        if props.plugin_name() in ("plastic", "roughplastic"):
-            from . import _plastics  # noqa: F401 -- registers the plugins
+        if props.plugin_name() in ("plastic", "roughplastic", "dielectric"):
+            from . import _plastics, dielectric  # noqa: F401 -- registers the plugins
 
             props.set_plugin_name(f"scenecaptum_{props.plugin_name()}")
 

@@ -26,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...scene import SceneGraph
-from .._backward import filtered_adjoint
+from .._backward import CameraAdjoint, filtered_adjoint
 from .._plan import RenderPlan
 from .._sampler import SobolSampler
 from .._sensors import is_connectable
@@ -110,18 +110,6 @@ class LightSubpath:
     active: Any
     radiance: Any
     lengths: int
-
-
-@dataclass
-class CameraAdjoint:
-    """Where light paths are connected: a sensor, the adjoint of its image, and its film's filter.
-
-    ``adjoint`` and ``profile`` are those of ``AdjointSampledIntegrator.render_backward_pixels``.
-    """
-
-    sensor: Any
-    adjoint: Any
-    profile: tuple[Any, int]
 
 
 def trace_light_backward(

@@ -22,6 +22,7 @@ import mitsuba as mi
 from mitsuba.python.ad.integrators.common import mis_weight
 
 from .._backward import AdjointSampledIntegrator
+from .path_differences import mark_met, moved_bsdf
 
 # Direct-light samples at a glossy surface, where its lobe dominates the noise of the derivative; a square number.
 GLOSSY_SPLIT = 4
@@ -45,7 +46,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
     """
 
     @dr.syntax
-    def sample(  # noqa: PLR0915 -- a recorded loop cannot be split; its parts are the functions below
+    def sample(  # noqa: PLR0912, PLR0915 -- a recorded loop cannot be split; its parts are the functions below
         self, mode: Any, scene: Any, sampler: Any, ray: Any, active: Any, state_in: Any = None, **options: Any
     ) -> Any:
         """Trace a path; in a differential pass, propagate derivatives from or to each vertex's outgoing radiance.
@@ -61,6 +62,10 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         incident
             Where to accumulate the light that reaches the ray's origin, by path length: a target array, each ray's
             offset in it, and the number of lengths.
+        met
+            Where to mark the materials that each path meets: see ``path_differences.mark_met``.
+        moved
+            A material for each path and the copy that replaces it: see ``path_differences.moved_bsdf``.
         moments
             The accumulator of a pilot, which gets the contributions of every vertex. Needs ``state_in``; nothing
             is differentiated.
@@ -69,6 +74,8 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         delta_L = options.get("δL")
         light_traced = options.get("light_traced")
         incident = options.get("incident")
+        met: Any = options.get("met")
+        moved: Any = options.get("moved")
         moments: Any = options.get("moments")
         has_delta_lobes = may_have_delta_lobes(scene)
 
@@ -91,7 +98,12 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         while dr.hint(active, max_iterations=self.max_depth, label=f"Path replay ({mode.name})"):
             si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=active)
             active_next = active & (depth + 1 < self.max_depth) & si.is_valid()
-            vertex = Vertex(si, si.bsdf(ray), throughput, active, active_next)
+            bsdf = si.bsdf(ray)
+            if dr.hint(moved is not None, mode="scalar"):
+                bsdf = moved_bsdf(bsdf, moved)
+            vertex = Vertex(si, bsdf, throughput, active, active_next)
+            if dr.hint(met is not None, mode="scalar"):
+                mark_met(met, bsdf, active_next)
 
             # Emission
             visible = active & ~(seen_directly & mi.Bool(self.hide_emitters))

@@ -107,6 +107,11 @@ class VolumetricReplayIntegrator(AdjointSampledIntegrator):
         self._prepare(scene, sensor, derivatives=False)
         return super().render(scene, sensor, *args, **options)
 
+    def render_samples(self, scene: Any, sensor: Any, *args: Any) -> Any:
+        """Render an image from given samples."""
+        self._prepare(scene, sensor, derivatives=False)
+        return super().render_samples(scene, sensor, *args)
+
     def render_forward(self, scene: Any, params: Any, sensor: Any = 0, *args: Any, **options: Any) -> Any:
         """Propagate the tangents of the tracked parameters to an image."""
         self._prepare(scene, sensor, derivatives=True)
