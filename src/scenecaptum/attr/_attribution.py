@@ -233,9 +233,11 @@ def make_attribution(
     names = list(gradients.mean)
     replicates = {name: scale * gradients.rows(name) for name in names}
     has_errors = gradients.degrees_of_freedom > 0
-    bias = None if gradients.bias is None else {name: scale * value for name, value in gradients.bias.items()}
+    bias = (
+        None if gradients.bias is None else {n: _scaled(value, scale) for n, value in gradients.bias.items()}
+    )
     return SceneAttribution(
-        attributions={name: scale * value for name, value in gradients.mean.items()},
+        attributions={name: _scaled(value, scale) for name, value in gradients.mean.items()},
         standard_error={n: _error(gradients, n) for n in names} if has_errors else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
@@ -281,8 +283,13 @@ def _error(gradients: GradientSum, name: str) -> torch.Tensor:
     """Return the elementwise standard error, including the bias."""
     error = gradients.error(name)
     if gradients.bias is not None:
-        error = error.hypot(gradients.bias[name])
-    return error / gradients.weight
+        error = error.hypot_(gradients.bias[name])
+    return error.div_(gradients.weight)
+
+
+def _scaled(value: torch.Tensor, scale: float) -> torch.Tensor:
+    """Return a multiple of a tensor, without a copy if that is the tensor itself."""
+    return value if scale == 1 else scale * value
 
 
 def versions() -> dict[str, str]:
