@@ -134,8 +134,8 @@ def test_memory_granted_once_is_granted_again(monkeypatch: pytest.MonkeyPatch, m
 
 
 @pytest.mark.long
-def test_predictions_are_not_far_below_the_measured_memory() -> None:
-    """At most a quarter below: an accepted job must not be killed for its memory."""
+def test_predictions_are_between_the_measured_memory_and_two_and_a_half_times_as_much() -> None:
+    """An accepted job must not be killed for its memory, and one that fits must not be refused."""
     script = Path(__file__).parents[2] / "benchmarks" / "memory.py"
     cases = [
         "cornell-box 64x64 64 8",
@@ -149,4 +149,5 @@ def test_predictions_are_not_far_below_the_measured_memory() -> None:
     print(f"\n{done.stdout}")
     ratios = [float(line.split()[-1]) for line in done.stdout.splitlines()]
     assert len(ratios) == len(cases)
-    assert min(ratios) > 0.8
+    assert min(ratios) >= 1
+    assert max(ratios) <= 2.5
