@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
-import sys
 import weakref
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
@@ -22,8 +20,8 @@ from ._state import SceneState, Snapshot
 
 Values = Mapping[str, torch.Tensor]
 
-# Dr.Jit and glibc keep freed memory, which makes the next backward pass faster. With more texels it is returned to
-# the system: it would add several copies of all textures to the peak.
+# Dr.Jit keeps freed memory, which makes the next backward pass faster. With more texels it is freed: it would add
+# several copies of all textures to the peak.
 MAX_CACHED_TEXELS = 2**20
 
 # The scene whose values are tracked, if any. A virtual function call dispatches to the objects of every scene in
@@ -97,11 +95,10 @@ class LiveScene:
             return self.state.snapshot(values)
 
     def free_unused(self, texels: int) -> None:
-        """Free the memory that is kept after a backward pass to so many texels, if that is a lot."""
+        """Free the memory that Dr.Jit keeps after a backward pass to so many texels, if that is a lot."""
         if texels > MAX_CACHED_TEXELS:
             with self.exclusive():
                 dr.flush_malloc_cache()
-                _trim_heap()
 
     @contextlib.contextmanager
     def with_values(self, values: Values) -> Iterator[None]:
@@ -149,13 +146,6 @@ def _collector_paused() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-def _trim_heap() -> None:
-    """Return the free memory of the C library to the system: glibc keeps that of tensors below 32 MiB."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)
 
 
 def _resize(sensor: Any, size: tuple[int, int]) -> None:
