@@ -14,7 +14,9 @@ With ``--predict``: attributes at several sizes, each in its own process, and co
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
+import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +28,8 @@ from scenecaptum import SceneRenderer, VanillaSceneGradient, activate, metrics
 from scenecaptum.rendering import _chunks
 
 RESOLUTION = (1280, 720)
+SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
+ROOMS = sorted(path.parent.name for path in SCENES.glob("*/scene.xml"))
 PAGE = 4096
 MEBIBYTE = 2**20
 
@@ -71,21 +75,62 @@ CASES = (
     "office 1280x720 8 8",
     "wall-1024 64x64 64 8",
     "wall-4096 64x64 64 8",
+    "balls-800 160x90 16 8",
+    *(f"{room} 160x90 {spp} 8" for room in ROOMS for spp in (16, 64)),
 )
 
 
+def texture_of(side: int) -> dict[str, Any]:
+    """Return a grey texture of ``side``×``side`` texels."""
+    texels = np.full((side, side, 3), 0.5, np.float32)
+    return {"type": "bitmap", "raw": True, "format": "variant", "data": activate().TensorXf(texels)}
+
+
+def balls(count: int, materials: int = 200) -> dict[str, Any]:
+    """Return a cube of balls; every fifth material has a texture of 512×512 texels."""
+    mi = activate()
+    kinds = (
+        lambda: {"type": "diffuse", "reflectance": texture_of(512)},
+        lambda: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.5, 0.6]}},
+        lambda: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.6, 0.2]}},
+        lambda: {"type": "roughconductor", "alpha": 0.3},
+        lambda: {"type": "roughplastic", "alpha": 0.3},
+    )
+    side = math.ceil(count ** (1 / 3))
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "sensor": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f().look_at(
+                origin=(0, 0, 3 * side), target=(0, 0, 0), up=(0, 1, 0)
+            ),
+            "film": {"type": "hdrfilm"},
+        },
+        "sky": {"type": "constant"},
+    }
+    for index in range(materials):
+        scene[f"material-{index}"] = {"id": f"material-{index}", **kinds[index % len(kinds)]()}
+    for index in range(count):
+        center = [2.2 * (c - side / 2) for c in (index % side, index // side % side, index // side**2)]
+        material = {"type": "ref", "id": f"material-{index % materials}"}
+        scene[f"ball-{index}"] = {"type": "sphere", "center": center, "material": material}
+    return scene
+
+
 def scene_of(name: str) -> Any:
-    """Return a scene by name; ``wall-4096`` is a wall with a texture of 4096×4096 texels."""
+    """Return a scene by name.
+
+    ``wall-4096`` is a wall with a texture of 4096×4096 texels, ``balls-800`` has 800 shapes and 200 materials.
+    """
+    if (SCENES / name / "scene.xml").exists():
+        return SCENES / name / "scene.xml"
+    if name.startswith("balls-"):
+        return balls(int(name.removeprefix("balls-")))
     if not name.startswith("wall-"):
         return name
     mi = activate()
-    side = int(name.removeprefix("wall-"))
-    texture = {
-        "type": "bitmap",
-        "raw": True,
-        "format": "variant",
-        "data": mi.TensorXf(np.full((side, side, 3), 0.5, np.float32)),
-    }
+    texture = texture_of(int(name.removeprefix("wall-")))
     pose = mi.ScalarTransform4f().look_at(origin=(0, 0, 3), target=(0, 0, 0), up=(0, 1, 0))
     return {
         "type": "scene",
@@ -111,8 +156,8 @@ def attribute(case: str) -> None:
     status = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
     measured = 1024 * int(status["VmHWM"].split()[0]) - before
     print(
-        f"{case:32s} predicted {predicted / MEBIBYTE:6.0f} MiB  measured {measured / MEBIBYTE:6.0f} MiB  "
-        f"{predicted / measured:5.2f}",
+        f"{case:32s} {len(renderer.inputs):3d} inputs  predicted {predicted / MEBIBYTE:6.0f} MiB  "
+        f"measured {measured / MEBIBYTE:6.0f} MiB  {predicted / measured:5.2f}",
         flush=True,
     )
 

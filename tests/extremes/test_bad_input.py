@@ -223,7 +223,7 @@ def test_a_result_that_was_changed_after_saving_is_refused(tmp_path: Path, tampe
     assert "result.npz" in refusal(lambda: SceneAttribution.load(path))
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", [1, 2, 3])
 def test_results_of_earlier_versions_are_refused_with_the_reason(tmp_path: Path, number: int) -> None:
     path = tmp_path / "result.npz"
     make().save(path)
@@ -237,7 +237,7 @@ def test_results_of_earlier_versions_are_refused_with_the_reason(tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    "header", ["[" * 100_000, "null", "{}", '{"format": 3}', '{"format": "scenecaptum attribution 3"}']
+    "header", ["[" * 100_000, "null", "{}", '{"format": 3}', '{"format": "scenecaptum attribution 4"}']
 )
 def test_a_header_of_another_structure_is_refused(tmp_path: Path, header: str) -> None:
     path = tmp_path / "result.npz"

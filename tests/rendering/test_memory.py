@@ -25,6 +25,7 @@ from scenecaptum.rendering import _memory, _renderer
 from scenecaptum.rendering._memory import MAX_FRACTION, available, predict, require
 
 GIGABYTE = 2**30
+SIZES = [3, 3, 97]  # of the inputs
 
 
 def test_available_memory_is_known_here() -> None:
@@ -52,30 +53,30 @@ def test_suggested_settings_fit(pictures: int, spp: int) -> None:
     """And the next larger ones do not."""
     size = (3840, 2160)
     for free in (GIGABYTE, 3 * GIGABYTE, 5 * GIGABYTE):
-        needed = predict(size, spp, pictures, 100)
+        needed = predict(size, spp, pictures, SIZES)
         if needed <= MAX_FRACTION * free:
-            require(size, spp, pictures, 100, free)
+            require(size, spp, pictures, SIZES, free)
             continue
         with pytest.raises(
             SceneCaptumError, match=r"would take about .* of memory .* are available"
         ) as caught:
-            require(size, spp, pictures, 100, free)
+            require(size, spp, pictures, SIZES, free)
         message = str(caught.value)
         if found := re.search(r"replicates=(\d+)", message):
             count = int(found[1])
             fitting, not_fitting = (
-                predict(size, -(-spp * pictures // n), n, 100) for n in (count, count + 1)
+                predict(size, -(-spp * pictures // n), n, SIZES) for n in (count, count + 1)
             )
             assert fitting <= MAX_FRACTION * free < not_fitting
         if found := re.search(r"(\d+) samples per pixel in a replicate", message):
             samples = int(found[1])
-            assert predict(size, samples, pictures, 100) <= MAX_FRACTION * free
+            assert predict(size, samples, pictures, SIZES) <= MAX_FRACTION * free
         width, height = map(int, re.search(r"resolution=\((\d+), (\d+)\)", message).groups())  # type: ignore[union-attr]
-        assert predict((width, height), spp, pictures, 100) <= MAX_FRACTION * free
+        assert predict((width, height), spp, pictures, SIZES) <= MAX_FRACTION * free
 
 
 def test_nothing_is_refused_if_the_available_memory_is_unknown() -> None:
-    require((10**5, 10**5), 10**5, 10**3, 0, None)
+    require((10**5, 10**5), 10**5, 10**3, [], None)
 
 
 def test_jobs_are_refused_before_they_start(monkeypatch: pytest.MonkeyPatch, mi: Any) -> None:
@@ -107,7 +108,7 @@ class SmallToy(ToyRenderer):
     samples = 0
 
     def require_memory(self, *, spp: int, pictures: int) -> None:
-        require((4, 4), spp, pictures, 3, predict((4, 4), 1, 100, 3) * 2 if pictures < 100 else 0)
+        require((4, 4), spp, pictures, [3], predict((4, 4), 1, 100, [3]) * 2 if pictures < 100 else 0)
 
     def __call__(self, inputs: Any, *, seed: int, spp: int) -> Any:
         self.samples += spp
@@ -133,8 +134,8 @@ def test_memory_granted_once_is_granted_again(monkeypatch: pytest.MonkeyPatch, m
 
 
 @pytest.mark.long
-def test_predictions_are_not_far_below_the_measured_memory() -> None:
-    """At most a quarter below: an accepted job must not be killed for its memory."""
+def test_predictions_are_between_the_measured_memory_and_two_and_a_half_times_as_much() -> None:
+    """An accepted job must not be killed for its memory, and one that fits must not be refused."""
     script = Path(__file__).parents[2] / "benchmarks" / "memory.py"
     cases = [
         "cornell-box 64x64 64 8",
@@ -148,4 +149,5 @@ def test_predictions_are_not_far_below_the_measured_memory() -> None:
     print(f"\n{done.stdout}")
     ratios = [float(line.split()[-1]) for line in done.stdout.splitlines()]
     assert len(ratios) == len(cases)
-    assert min(ratios) > 0.8
+    assert min(ratios) >= 1
+    assert max(ratios) <= 2.5

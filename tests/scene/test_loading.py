@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -239,3 +242,20 @@ def test_eight_bit_texels_of_the_users_scene_are_refused_with_the_fix(mi: Any, p
 
 def test_a_material_of_one_shape_is_named_by_its_id(mi: Any, painted: Path) -> None:
     assert table(painted)["ball.bsdf.reflectance.data"].owners == ("paint",)
+
+
+def test_an_exr_file_is_loaded_with_a_single_thread(mi: Any, tmp_path: Path) -> None:
+    mi.Bitmap(np.ones((8, 16, 3), np.float32)).write(str(tmp_path / "sky.exr"))
+    code = """
+        import sys
+        from scenecaptum import activate
+        activate()
+        import drjit as dr
+        from scenecaptum.scene import load_scene
+        dr.set_thread_count(1)
+        sky = {"type": "envmap", "filename": sys.argv[1]}
+        load_scene({"type": "scene", "sky": sky, "camera": {"type": "perspective"}})
+        assert dr.thread_count() == 1
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "sky.exr")]
+    subprocess.run(command, check=True, timeout=60)

@@ -139,15 +139,30 @@ class SceneAttribution(AttributionData):
             ) from error
         return pandas.DataFrame([row._asdict() for row in self.ranking()]).set_index("rank")
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, exact_texels: bool = False) -> None:
         """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.
+
+        All values are stored exactly, except for large textures: those beyond the first 16 384 texels, counted
+        from the smallest texture. Of these, the gradients of the texels that the picture shows are exact. The
+        others are replaced by their means over square blocks, at most 32 768 blocks in a file. Channel totals keep
+        their value up to the rounding of single precision, and their errors exactly, so a loaded result has the
+        same ranking, figures and report. The standard errors of single texels are rounded to 0.4 %; in a block,
+        they include the distances of the values from their mean.
+
+        Parameters
+        ----------
+        path
+            The file to write, atomically.
+        exact_texels
+            Whether to store every texel exactly, for further computations with the gradients of single texels or a
+            ``heatmap`` with another surface map. This may take 10 to 30 times the space.
 
         Raises
         ------
         SceneCaptumError
             If the file cannot be written; an existing file stays unchanged.
         """
-        write_file(self, path)
+        write_file(self, path, exact_texels=exact_texels)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SceneAttribution:
@@ -218,9 +233,11 @@ def make_attribution(
     names = list(gradients.mean)
     replicates = {name: scale * gradients.rows(name) for name in names}
     has_errors = gradients.degrees_of_freedom > 0
-    bias = None if gradients.bias is None else {name: scale * value for name, value in gradients.bias.items()}
+    bias = (
+        None if gradients.bias is None else {n: _scaled(value, scale) for n, value in gradients.bias.items()}
+    )
     return SceneAttribution(
-        attributions={name: scale * value for name, value in gradients.mean.items()},
+        attributions={name: _scaled(value, scale) for name, value in gradients.mean.items()},
         standard_error={n: _error(gradients, n) for n in names} if has_errors else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
@@ -266,8 +283,13 @@ def _error(gradients: GradientSum, name: str) -> torch.Tensor:
     """Return the elementwise standard error, including the bias."""
     error = gradients.error(name)
     if gradients.bias is not None:
-        error = error.hypot(gradients.bias[name])
-    return error / gradients.weight
+        error = error.hypot_(gradients.bias[name])
+    return error.div_(gradients.weight)
+
+
+def _scaled(value: torch.Tensor, scale: float) -> torch.Tensor:
+    """Return a multiple of a tensor, without a copy if that is the tensor itself."""
+    return value if scale == 1 else scale * value
 
 
 def versions() -> dict[str, str]:

@@ -10,23 +10,29 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
 from ..projection import SurfaceMap, TexelMap
 from ._data import AttributionData
+from ._texel_blocks import TexelBlocks, choose_blocks
 
-FORMAT = "scenecaptum attribution 3"
+FORMAT = "scenecaptum attribution 4"
 
 _TENSOR_FIELDS = ("attributions", "standard_error", "bias", "quadrature_error", "replicates", "covariance")
+# Elementwise, so that those of large textures are stored in blocks.
+_TEXEL_FIELDS = ("attributions", "standard_error", "bias")
+_BLOCK_PARTS = ("/visible", "/means")
 _SCALAR_FIELDS = ("metric_value", "metric_standard_error", "convergence_delta", "convergence_delta_error")
 _SURFACE_FIELDS = ("pixel", "object_index", "fraction")
-_TEXEL_FIELDS = ("entry", "texel", "weight")
+_MAP_FIELDS = ("entry", "texel", "weight")
 
 
-def write_file(attribution: AttributionData, path: str | os.PathLike[str]) -> None:
+def write_file(attribution: AttributionData, path: str | os.PathLike[str], *, exact_texels: bool) -> None:
     """Write an attribution to a file atomically."""
     names = list(attribution)
+    blocks = {} if exact_texels else choose_blocks(attribution)
     header: dict[str, Any] = {
         "format": FORMAT,
         "names": names,
@@ -34,12 +40,14 @@ def write_file(attribution: AttributionData, path: str | os.PathLike[str]) -> No
         "labels": dict(attribution.labels),
         "info": dict(attribution.info),
         "parameter_values": list(attribution.parameter_values),
+        "blocks": {name: {"shape": parts.shape, "side": parts.side} for name, parts in blocks.items()},
         **{field: getattr(attribution, field) for field in _SCALAR_FIELDS},
     }
-    arrays = {
-        f"{field}/{index}": getattr(attribution, field)[name].numpy(force=True)
+    arrays: dict[str, Any] = {
+        f"{field}/{index}{part}": array
         for field in header["fields"]
         for index, name in enumerate(names)
+        for part, array in _parts(attribution, field, name, blocks.get(name)).items()
     }
     for index, value in enumerate(attribution.parameter_values.values()):
         arrays[f"parameter_values/{index}"] = value.numpy(force=True)
@@ -55,11 +63,24 @@ def write_file(attribution: AttributionData, path: str | os.PathLike[str]) -> No
         for field in _SURFACE_FIELDS:
             arrays[f"surfaces/{field}"] = getattr(surfaces, field)
         for index, shown in enumerate(surfaces.texels.values()):
-            for field in _TEXEL_FIELDS:
+            for field in _MAP_FIELDS:
                 arrays[f"texels/{index}/{field}"] = getattr(shown, field)
     with atomic_write(path) as partial, partial.open("wb") as file:
         members = {"header": json.dumps(header), **arrays}
         np.savez_compressed(file, checksum=_checksum(members), **members)
+
+
+def _parts(
+    attribution: AttributionData, field: str, name: str, blocks: TexelBlocks | None
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of one tensor: itself, or its visible texels and the means of the others."""
+    tensor: torch.Tensor = getattr(attribution, field)[name]
+    if blocks is None or field not in _TEXEL_FIELDS:
+        return {"": tensor.numpy(force=True)}
+    split = (
+        blocks.split_errors(tensor, attribution[name]) if field == "standard_error" else blocks.split(tensor)
+    )
+    return dict(zip(_BLOCK_PARTS, split, strict=True))
 
 
 def read_file(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -105,24 +126,43 @@ def _brief(error: Exception) -> str:
 
 
 def _restore(header: dict[str, Any], file: Any) -> dict[str, Any]:
-    def tensors(field: str, names: list[str]) -> dict[str, torch.Tensor]:
-        return {name: torch.from_numpy(file[f"{field}/{i}"]) for i, name in enumerate(names)}
+    surfaces = _restore_surfaces(header["surfaces"], file) if header.get("surfaces") else None
+    blocks = {}
+    for name, described in header["blocks"].items():
+        assert surfaces is not None
+        visible = np.unique(surfaces.texels[name].texel)
+        blocks[name] = TexelBlocks(tuple(described["shape"]), visible, described["side"])
 
-    names = header["names"]
-    fields: dict[str, Any] = {"standard_error": None, **{f: tensors(f, names) for f in header["fields"]}}
-    fields["parameter_values"] = tensors("parameter_values", header["parameter_values"])
+    def tensor(field: str, index: int, name: str) -> torch.Tensor:
+        if name not in blocks or field not in _TEXEL_FIELDS:
+            return torch.from_numpy(file[f"{field}/{index}"])
+        join = blocks[name].join_errors if field == "standard_error" else blocks[name].join
+        visible, means = (file[f"{field}/{index}{part}"] for part in _BLOCK_PARTS)
+        return join(visible, means)
+
+    def tensors(field: str, names: list[str]) -> dict[str, torch.Tensor]:
+        return {name: tensor(field, index, name) for index, name in enumerate(names)}
+
+    fields: dict[str, Any] = {
+        "standard_error": None,
+        **{field: tensors(field, header["names"]) for field in header["fields"]},
+        "parameter_values": tensors("parameter_values", header["parameter_values"]),
+        **{field: header[field] for field in (*_SCALAR_FIELDS, "labels", "info")},
+        "surfaces": surfaces,
+    }
     if "image" in file:
         fields["image"] = torch.from_numpy(file["image"])
-    if described := header.get("surfaces"):
-        fields["surfaces"] = SurfaceMap(
-            shape=tuple(described["shape"]),
-            objects=tuple(described["objects"]),
-            parameters=tuple(map(tuple, described["parameters"])),
-            **{field: file[f"surfaces/{field}"] for field in _SURFACE_FIELDS},
-            texels={
-                name: TexelMap(**{field: file[f"texels/{index}/{field}"] for field in _TEXEL_FIELDS})
-                for index, name in enumerate(described["texels"])
-            },
-        )
-    scalars = {field: header[field] for field in _SCALAR_FIELDS}
-    return {**fields, **scalars, "labels": header["labels"], "info": header["info"]}
+    return fields
+
+
+def _restore_surfaces(described: dict[str, Any], file: Any) -> SurfaceMap:
+    return SurfaceMap(
+        shape=tuple(described["shape"]),
+        objects=tuple(described["objects"]),
+        parameters=tuple(map(tuple, described["parameters"])),
+        **{field: file[f"surfaces/{field}"] for field in _SURFACE_FIELDS},
+        texels={
+            name: TexelMap(**{field: file[f"texels/{index}/{field}"] for field in _MAP_FIELDS})
+            for index, name in enumerate(described["texels"])
+        },
+    )

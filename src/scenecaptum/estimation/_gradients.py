@@ -79,14 +79,16 @@ class GradientSum:
 
     def __init__(self, values: Tensors, *, random_points: bool = False, keep_points: bool = False) -> None:
         # Of the sum, due to image noise; None if unknown.
-        self.bias: dict[str, torch.Tensor] | None = {n: torch.zeros_like(v) for n, v in values.items()}
+        self.bias: dict[str, torch.Tensor] | None = {
+            name: value.new_zeros(()).expand_as(value) for name, value in values.items()
+        }
         self.weight = 0.0  # sum of the weights so far: below 1 after an interruption
         self.adjoints: Adjoints | None = None  # at the last point
         self.points: list[PointGradient] | None = [] if keep_points else None
         self.totals: list[dict[str, list[torch.Tensor]]] = []  # of the replicates of each point
         self._counts: list[int] = []  # replicates of each point
-        self._sum = {name: torch.zeros_like(value) for name, value in values.items()}
-        self._error = {name: torch.zeros_like(value) for name, value in values.items()}
+        self._sum: dict[str, torch.Tensor] = {}
+        self._error: dict[str, torch.Tensor] = {}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
         self._variances: dict[str, list[float]] = {name: [] for name in values}  # of each point
         # Variance of all points, and of those with several replicates, in units of the variance of one sample.
@@ -104,11 +106,12 @@ class GradientSum:
         self._measured_variance += variance if point.replicates > 1 else 0.0
         for name, statistics in point.statistics.items():
             if self._between_points is None:
-                self._sum[name].add_(statistics.mean, alpha=point.weight)
+                self._sum[name] = _added(self._sum.get(name), statistics.mean, point.weight)
             else:
                 self._between_points[name].add(statistics.mean)
             if point.replicates > 1 and self._error_from_replicates:
-                self._error[name].hypot_(point.weight * statistics.error())
+                error = statistics.error().mul_(point.weight)
+                self._error[name] = error.hypot_(self._error[name]) if name in self._error else error
                 totals = torch.stack(statistics.totals)
                 scale = point.weight / math.sqrt(point.replicates * (point.replicates - 1))
                 deviations = scale * (totals - totals.mean(0))
@@ -118,7 +121,7 @@ class GradientSum:
             self.bias = None
         else:
             for name, bias in point.bias.items():
-                self.bias[name].add_(bias, alpha=point.weight)
+                self.bias[name] = self.bias[name].add(bias, alpha=point.weight)
         if self.points is not None:
             self.points.append(point)
 
@@ -185,6 +188,13 @@ class GradientSum:
         return self._between_points is None or len(self._counts) == 1
 
 
+def _added(total: torch.Tensor | None, value: torch.Tensor, weight: float) -> torch.Tensor:
+    """Return ``total + weight · value``, which may be the value itself: textures are large."""
+    if total is not None:
+        return total.add(value, alpha=weight)
+    return value if weight == 1 else weight * value
+
+
 class GradientEstimator:
     """Estimates gradients at points, for several metrics at once: each point is rendered once for all metrics.
 
@@ -228,7 +238,7 @@ class GradientEstimator:
         Returns those of each metric, from the finished replicates, and whether Ctrl-C was pressed before the last
         backward pass finished.
         """
-        leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}
+        leaves = {name: value.detach().requires_grad_() for name, value in point.values.items()}
         images, graphs = self._render(index, leaves)
         images = self._add_image_samples(index, point.values, images)
         self.image = torch.stack(images).mean(0)
@@ -242,12 +252,7 @@ class GradientEstimator:
                 if self._is_out_of_time(number):
                     break
                 with error_context(f"In backward pass {number + 1} of {len(graphs)}"):
-                    gradients = [
-                        _vjp(graph, leaves, r.adjoints.per_replicate[number], point) for r in results
-                    ]
-                for result, by_name in zip(results, gradients, strict=True):
-                    for name, gradient in by_name.items():
-                        result.statistics[name].add(gradient)
+                    _add_replicate(results, number, graph, leaves, point)
                 self.bar.update()
             for result in results:
                 result.bias = _bias(graphs[0], leaves, result.adjoints, point)
@@ -414,6 +419,23 @@ def require_memory(renderer: Renderer, spp: Iterable[int | None], pictures: int)
     check = Capabilities(renderer).require_memory
     if check is not None:
         check(spp=max(count or 1 for count in spp), pictures=pictures)
+
+
+def _add_replicate(
+    results: Sequence[PointGradient],
+    number: int,
+    graph: torch.Tensor,
+    leaves: dict[str, torch.Tensor],
+    point: Point,
+) -> None:
+    """Add the gradients of a replicate to all results, or to none if this is interrupted.
+
+    They are freed before the next backward pass needs the memory.
+    """
+    gradients = [_vjp(graph, leaves, result.adjoints.per_replicate[number], point) for result in results]
+    for result, by_name in zip(results, gradients, strict=True):
+        for name, gradient in by_name.items():
+            result.statistics[name].add(gradient)
 
 
 def _vjp(

@@ -117,6 +117,7 @@ class RenderVJP(_Derivative):
         )
         for name, gradient in zip(tracked, gradients, strict=True):
             check_gradient(name, gradient, f"seed {call.seed_grad}")
+        call.view.live.free_unused(sum(gradient.numel() for gradient in gradients))
         return gradients
 
     @staticmethod

@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import torch
 
@@ -18,6 +19,10 @@ from ._sensors import film_size
 from ._state import SceneState, Snapshot
 
 Values = Mapping[str, torch.Tensor]
+
+# Dr.Jit keeps freed memory, which makes the next backward pass faster. With more texels it is freed: it would add
+# several copies of all textures to the peak.
+MAX_CACHED_TEXELS = 2**20
 
 # The scene whose values are tracked, if any. A virtual function call dispatches to the objects of every scene in
 # the process, so another scene's tracked values would enter this one's derivatives.
@@ -88,6 +93,12 @@ class LiveScene:
             return values
         with self.exclusive():
             return self.state.snapshot(values)
+
+    def free_unused(self, texels: int) -> None:
+        """Free the memory that Dr.Jit keeps after a backward pass to so many texels, if that is a lot."""
+        if texels > MAX_CACHED_TEXELS:
+            with self.exclusive():
+                dr.flush_malloc_cache()
 
     @contextlib.contextmanager
     def with_values(self, values: Values) -> Iterator[None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from ..errors import SceneCaptumError
@@ -12,11 +12,14 @@ from ._chunks import MAX_SAMPLES
 MEBIBYTE = 2**20
 
 # Upper bounds of the measurements of ``benchmarks/memory.py --predict``, in bytes.
-FIXED = 250 * MEBIBYTE  # kernels and lazily imported libraries
+FIXED = 160 * MEBIBYTE  # kernels and lazily imported libraries
+PER_INPUT = (
+    3 * MEBIBYTE // 2
+)  # kernels: each input has code for its material, and some have renders of their own
 PER_SAMPLE = 40  # of a chunk
 PER_PIXEL = 320  # of one image with its pilots and its backward pass
 PER_PICTURE = 80  # and pixel: an image, its adjoint, and their jackknife replicates
-PER_TEXEL = 60  # and channel, of the tracked parameters: values, gradients and their variances
+PER_TEXEL = 44  # and channel, of the tracked parameters: values, gradients and their variances
 
 # Linux: a process's control groups, and the folder with their limits.
 CGROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
@@ -27,15 +30,21 @@ _CGROUP_V1_FILES = ("memory.limit_in_bytes", "memory.usage_in_bytes")
 MAX_FRACTION = 0.9
 
 
-def predict(resolution: tuple[int, int], spp: int, pictures: int, texels: int) -> int:
+def predict(resolution: tuple[int, int], spp: int, pictures: int, sizes: Collection[int]) -> int:
     """Return an upper bound on the bytes that rendering and differentiating allocates.
 
     ``resolution`` is ``(width, height)``, for several cameras with their total width; ``pictures`` the number of
-    images held at the same time, the replicates of an attribution; ``texels`` the number of tracked scalars.
+    images held at the same time, the replicates of an attribution; ``sizes`` the numbers of scalars of each input.
     """
     pixels = math.prod(resolution)
     samples = min(spp * pixels, max(MAX_SAMPLES, pixels))
-    return FIXED + PER_SAMPLE * samples + (PER_PIXEL + PER_PICTURE * pictures) * pixels + PER_TEXEL * texels
+    return (
+        FIXED
+        + PER_SAMPLE * samples
+        + (PER_PIXEL + PER_PICTURE * pictures) * pixels
+        + PER_INPUT * len(sizes)
+        + PER_TEXEL * sum(sizes)
+    )
 
 
 def available() -> int | None:
@@ -71,14 +80,16 @@ def _available_in_cgroups() -> list[int]:
     return remaining
 
 
-def require(resolution: tuple[int, int], spp: int, pictures: int, texels: int, free: int | None) -> None:
+def require(
+    resolution: tuple[int, int], spp: int, pictures: int, sizes: Collection[int], free: int | None
+) -> None:
     """Raise if a job does not fit into the free memory, with both amounts and settings that would fit."""
-    needed = predict(resolution, spp, pictures, texels)
+    needed = predict(resolution, spp, pictures, sizes)
     if free is None or needed <= MAX_FRACTION * free:
         return
 
     def fits(size: tuple[int, int], samples: int, count: int) -> bool:
-        return predict(size, samples, count, texels) <= MAX_FRACTION * free
+        return predict(size, samples, count, sizes) <= MAX_FRACTION * free
 
     width, height = resolution
     remedies = []
@@ -87,8 +98,8 @@ def require(resolution: tuple[int, int], spp: int, pictures: int, texels: int, f
         remedies.append(f"replicates={count}")
     if (samples := _largest(spp, lambda n: fits(resolution, n, pictures))) > 0:
         remedies.append(f"{samples} samples per pixel in a replicate (spp={samples * pictures})")
-    sizes = ((max(width // k, 1), max(height // k, 1)) for k in range(2, max(resolution) + 1))
-    if smaller := next((size for size in sizes if fits(size, spp, pictures)), None):
+    fractions = ((max(width // k, 1), max(height // k, 1)) for k in range(2, max(resolution) + 1))
+    if smaller := next((size for size in fractions if fits(size, spp, pictures)), None):
         remedies.append(f"resolution={smaller}")
     job = f"{pictures} image{'s' if pictures > 1 else ''} of {width}×{height} pixels at {spp} spp each"
     remedy = (

@@ -247,10 +247,10 @@ class SceneRenderer(torch.nn.Module):
             # Memory allocated by an earlier call counts as used but can be reused.
             self._granted_memory = needed
 
-    def _sizes(self, spp: int | None, pictures: int) -> tuple[tuple[int, int], int, int, int]:
+    def _sizes(self, spp: int | None, pictures: int) -> tuple[tuple[int, int], int, int, list[int]]:
         width, height = self.resolution
-        texels = sum(self._state.original[name].numel() for name in self._names)
-        return (width * len(self._sensors), height), self.spp if spp is None else spp, pictures, texels
+        sizes = [self._state.original[name].numel() for name in self._names]
+        return (width * len(self._sensors), height), self.spp if spp is None else spp, pictures, sizes
 
     def _fingerprints(self) -> list[str]:
         """Return for each sensor a hash of everything that its images depend on, except values, seed and spp."""

@@ -1,0 +1,193 @@
+"""Memory, file size and start-up of an attribution in real rooms, beside a hand-written Mitsuba script.
+
+Each figure is that of a fresh process: the peak resident memory of an attribution to all inputs, the predicted one
+beyond the loaded scene, the size of the saved result, and the processor time from loading to the first result. The
+script renders and differentiates once by ``prb``, with respect to the same inputs as far as Mitsuba tracks them.
+Mitsuba's start-up is loading and a first render. Kernels are in Dr.Jit's cache on disk, unless ``--cold``.
+
+    python benchmarks/rooms.py [ROOM …] [--cold] [--write docs/performance.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from _pages import replace_table
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, activate, metrics
+from scenecaptum.scene import load_scene
+
+RESOLUTION, SPP, DEPTH, REPLICATES = (160, 90), 16, 6, 8
+MEBIBYTE = 2**20
+SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
+ROOMS = ["office", *sorted(path.parent.name for path in SCENES.glob("*/scene.xml"))]
+
+
+def scene_of(room: str) -> str:
+    """Return the path of a room, or the name of a bundled one."""
+    path = SCENES / room / "scene.xml"
+    return str(path) if path.exists() else room
+
+
+def status(key: str) -> int:
+    """Return a number of bytes from this process's status (Linux)."""
+    lines = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
+    return 1024 * int(lines[key].split()[0])
+
+
+def attribution(room: str) -> dict[str, Any]:
+    """Attribute to all inputs."""
+    activate()
+    start = time.process_time()
+    renderer = SceneRenderer(scene_of(room), "all", resolution=RESOLUTION, spp=SPP, max_depth=DEPTH)
+    loaded, resident = time.process_time(), status("VmRSS")
+    result = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(replicates=REPLICATES)
+    finished, peak = time.process_time(), status("VmHWM")
+    with tempfile.TemporaryDirectory() as folder:
+        result.save(Path(folder) / "attribution.npz")
+        size = (Path(folder) / "attribution.npz").stat().st_size
+    return {
+        "peak": peak,
+        "beyond": peak - resident,
+        "predicted": renderer.memory(spp=SPP // REPLICATES, pictures=REPLICATES),
+        "size": size,
+        "load": loaded - start,
+        "seconds": finished - start,
+        "names": [name for name in renderer.inputs if renderer.parameters_table()[name].tracked],
+    }
+
+
+def _with_film(scene: Any) -> Any:
+    mi = activate()
+    film = mi.traverse(scene.sensors()[0])
+    film["film.size"] = list(RESOLUTION)
+    film.update()
+    return mi.load_dict({"type": "prb", "max_depth": DEPTH})
+
+
+def script(room: str, names: list[str]) -> dict[str, Any]:
+    """Render, differentiate mean luminance and the image, each once."""
+    mi = activate()
+    import drjit as dr
+
+    scene = load_scene(scene_of(room))  # with textures as floats, which prb can track
+    integrator = _with_film(scene)
+    params = mi.traverse(scene)
+    params.keep(names)
+    for name in names:
+        dr.enable_grad(params[name])
+    params.update()
+    with dr.suspend_grad():
+        image = integrator.render(scene, 0, seed=0, spp=SPP).torch().requires_grad_()
+    metrics.MeanLuminance()(image).backward()
+    integrator.render_backward(scene, params, mi.TensorXf(image.grad), 0, seed=1, spp=SPP)
+    gradients = {name: dr.grad(params[name]) for name in names}
+    dr.eval(gradients)
+    dr.sync_thread()
+    return {"peak": status("VmHWM")}
+
+
+def first_render(room: str) -> dict[str, Any]:
+    """Load a room as Mitsuba does, and render it once."""
+    mi = activate()
+    import drjit as dr
+
+    from scenecaptum.scene.bundled import BUNDLED
+
+    dr.set_thread_count(max(2, dr.thread_count()))  # with a single thread Mitsuba waits forever for EXR files
+    start = time.process_time()
+    if room in BUNDLED and not (SCENES / room / "scene.xml").exists():
+        scene = mi.load_dict(BUNDLED[room](), optimize=False)
+    else:
+        scene = mi.load_file(scene_of(room), optimize=False)
+    loaded = time.process_time()
+    dr.eval(mi.render(scene, integrator=_with_film(scene), spp=SPP, seed=0))
+    dr.sync_thread()
+    return {"load": loaded - start, "seconds": time.process_time() - start}
+
+
+TASKS = {"attribution": attribution, "script": script, "first_render": first_render}
+
+
+def in_fresh_process(task: str, *arguments: Any, cache: str | None = None) -> dict[str, Any]:
+    """Run a task in another Python, and return its answer."""
+    command = [sys.executable, "-W", "ignore", __file__, "--task", json.dumps([task, *arguments])]
+    environment = {**os.environ, **({"HOME": cache} if cache else {})}
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment)
+    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return answer
+
+
+def measure(room: str, *, cold: bool) -> list[str]:
+    """Return the row of a room."""
+    with tempfile.TemporaryDirectory() as empty:
+        cache = empty if cold else None
+        if not cold:  # fill the cache on disk
+            in_fresh_process("first_render", room)
+            in_fresh_process("attribution", room)
+        ours = in_fresh_process("attribution", room, cache=cache)
+        theirs = in_fresh_process("first_render", room, cache=cache)
+    written = in_fresh_process("script", room, ours["names"])
+    return [
+        room,
+        f"{ours['peak'] / MEBIBYTE:.0f} MiB",
+        f"{written['peak'] / MEBIBYTE:.0f} MiB",
+        f"{ours['peak'] / written['peak']:.2f}×",
+        f"{ours['beyond'] / MEBIBYTE:.0f} MiB",
+        f"{ours['predicted'] / MEBIBYTE:.0f} MiB",
+        f"{100 * (ours['beyond'] / ours['predicted'] - 1):+.0f} %",
+        f"{ours['size'] / 1e6:.2f} MB",
+        f"{ours['load']:.1f} + {ours['seconds'] - ours['load']:.1f} s",
+        f"{theirs['load']:.1f} + {theirs['seconds'] - theirs['load']:.1f} s",
+        f"{ours['seconds'] / theirs['seconds']:.1f}×",
+    ]
+
+
+HEADER = (
+    "room",
+    "peak",
+    "hand-written",
+    "ratio",
+    "beyond the scene",
+    "predicted",
+    "measured against that",
+    "file",
+    "load + first result",
+    "Mitsuba: load + first render",
+    "ratio",
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("rooms", nargs="*", default=ROOMS, metavar="ROOM")
+    parser.add_argument("--cold", action="store_true", help="start with an empty kernel cache on disk")
+    parser.add_argument("--write", type=Path, help="page with the table 'rooms'")
+    parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.task:
+        task, *arguments = options.task
+        print(json.dumps(TASKS[task](*arguments)))
+        return
+    rows: list[Sequence[str]] = [HEADER]
+    print(" | ".join(HEADER), flush=True)
+    for room in options.rooms:
+        rows.append(measure(room, cold=options.cold))
+        print(" | ".join(rows[-1]), flush=True)
+    if options.write:
+        replace_table(options.write, "rooms", rows)
+
+
+if __name__ == "__main__":
+    main()
