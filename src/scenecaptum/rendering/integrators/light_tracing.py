@@ -30,6 +30,7 @@ from .._backward import filtered_adjoint
 from .._plan import RenderPlan
 from .._sampler import SobolSampler
 from .._sensors import is_connectable
+from .path import is_in_mask
 
 LOBE_STRATA = 16  # a square number
 PATHS_PER_SAMPLE = 2  # light paths per path-replay sample, for direct and for indirect light each
@@ -139,7 +140,7 @@ def trace_light_backward(
             subpath = sample_subpath(integrator, scene, point, sampler)
             dr.eval(subpath)
             sampler = SobolSampler.of(count * LOBE_STRATA, _derive_seed(seed, 2 * number + 1))
-            _propagate(integrator, scene, camera, sampler, subpath)
+            _propagate(integrator, scene, camera, shapes.mask, sampler, subpath)
             dr.eval()
 
 
@@ -184,7 +185,7 @@ def _sample_indirect_light(integrator: Any, scene: Any, point: Any, sampler: Sob
 
 
 def _propagate(
-    integrator: Any, scene: Any, camera: CameraAdjoint, sampler: SobolSampler, subpath: LightSubpath
+    integrator: Any, scene: Any, camera: CameraAdjoint, shape_mask: Any, sampler: SobolSampler, subpath: LightSubpath
 ) -> None:
     """Continue each subpath in all strata of the lobe, and backpropagate what reaches the camera."""
     lane = dr.arange(mi.UInt32, dr.width(subpath.active) * LOBE_STRATA)
@@ -207,7 +208,7 @@ def _propagate(
         entry = index * subpath.lengths + dr.minimum(segments, subpath.lengths) - 1
         return dr.gather(mi.Spectrum, subpath.radiance, entry, active)
 
-    received = _trace_to_camera(integrator, scene, camera, sampler, ray, active, radiance)
+    received = _trace_to_camera(integrator, scene, camera, shape_mask, sampler, ray, active, radiance)
     received = dr.select(active, received * abs(dr.dot(si.n, ray.d)) / (bsdf_sample.pdf * LOBE_STRATA), 0)
     # The light path runs towards the camera, but the path from the camera is differentiated.
     si.wi = bsdf_sample.wo
@@ -239,6 +240,7 @@ def _trace_to_camera(
     integrator: Any,
     scene: Any,
     camera: CameraAdjoint,
+    shape_mask: Any,
     sampler: SobolSampler,
     ray: Any,
     active: Any,
@@ -253,7 +255,7 @@ def _trace_to_camera(
         active &= segments < integrator.max_depth
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
-        connection = _connect_to_camera(scene, camera, sampler, si, active)
+        connection = _connect_to_camera(scene, camera, sampler, si, active & ~is_in_mask(shape_mask, si))
         received += dr.select(
             active, throughput * connection * radiance(integrator.max_depth - segments, active), 0
         )

@@ -145,7 +145,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
             valid_ray |= active & si.is_valid()
 
             if dr.hint(light_traced is not None, mode="scalar"):
-                active_next &= (depth > 0) | bsdf_delta_prev | (_in_mask(light_traced, si) & mi.Bool(primal))
+                active_next &= (depth > 0) | bsdf_delta_prev | is_in_mask(light_traced, si)
 
             # Russian roulette; η² undoes the scaling of radiance inside glass
             throughput_max = dr.max(throughput)
@@ -218,7 +218,7 @@ def _sampled_emitter(scene: Any, random: Any) -> Any:
     return dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
 
 
-def _in_mask(shape_mask: Any, si: Any) -> Any:
+def is_in_mask(shape_mask: Any, si: Any) -> Any:
     """Whether the interaction's shape is in a mask over Dr.Jit's shape indices."""
     index = dr.reinterpret_array(mi.UInt32, si.shape)
     return dr.gather(mi.Bool, shape_mask, index, index < dr.width(shape_mask))
