@@ -56,8 +56,8 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         Options
         -------
         light_traced
-            Mask of the shapes that light tracing handles. Derivatives are then propagated only where the camera
-            sees these shapes directly or by specular reflection.
+            Mask of the shapes that light tracing handles. Derivatives are then propagated only along paths from
+            the camera whose first vertex is on one of these shapes or specular, and at other first vertices.
         incident
             Where to accumulate the light that reaches the ray's origin, by path length: a target array, each ray's
             offset in it, and the number of lengths.
@@ -256,6 +256,15 @@ def _incident_emission(scene: Any, si: Any, bsdf_sample: Any, active: Any) -> An
     return mis * ds.emitter.eval(hit, active)
 
 
+def is_valid_sample(bsdf_sample: Any, weight: Any) -> Any:
+    """Whether a sample is of a lobe that has values.
+
+    For a direction on the wrong side of a surface, a rough dielectric returns a weight of 0 and a wrong density.
+    """
+    is_delta = mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+    return (bsdf_sample.pdf > 0) & (dr.max(weight) > 0) & ~is_delta
+
+
 def _propagate(mode: Any, delta_L: Any, Lo: Any) -> Any:
     """Propagate from or to ``Lo``; return the adjoint radiance, or the sum of the derivatives so far."""
     if mode == dr.ADMode.Backward:
@@ -279,11 +288,10 @@ def _propagate_split_direct_light(
     active = mi.Bool(active)
     while active & (index < GLOSSY_SPLIT):
         stratum = mi.Point2f(index % side, index // side)
-        bsdf_sample, _ = vertex.bsdf.sample(
+        bsdf_sample, weight = vertex.bsdf.sample(
             context, si, sampler.next_1d(), (stratum + sampler.next_2d()) / side, active
         )
-        is_delta = mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
-        smooth = active & (bsdf_sample.pdf > 0) & ~is_delta
+        smooth = active & is_valid_sample(bsdf_sample, weight)
         emission = vertex.throughput * _incident_emission(scene, si, bsdf_sample, smooth) / bsdf_sample.pdf
         emitter_random = (stratum + sampler.next_2d()) / side
         with dr.resume_grad():
