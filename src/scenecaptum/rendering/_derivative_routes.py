@@ -21,7 +21,8 @@ SINGULARITY_OFFSETS = {"reflectance": 1e-3, "ior": 3e-3}
 
 JUST_ABOVE_ONE = 1.001
 
-# Up to this roughness the derivative of path replay is so noisy that light tracing from the surface is used.
+# Up to this α of the microfacets the derivative of path replay is so noisy that light tracing from the surface is
+# used.
 LOW_ROUGHNESS = 0.2
 
 # Step of a central difference, by kind: large enough for its signal to exceed the noise, small enough for the
@@ -75,9 +76,15 @@ def _derivative_route(parameter: Parameter, values: Mapping[str, torch.Tensor]) 
         replay_value=value if reason else _clamp_off_singularity(parameter, value),
         difference=_finite_difference(parameter, value) if reason else None,
         reason=reason,
-        is_low_roughness=parameter.kind == "roughness" and bool((value <= LOW_ROUGHNESS).any()),
+        is_low_roughness=_is_low_roughness(parameter, value),
         is_constant=_is_constant(parameter, values),
     )
+
+
+def _is_low_roughness(parameter: Parameter, value: torch.Tensor) -> bool:
+    # The principled materials square their roughness.
+    alpha = value**2 if parameter.plugin.startswith("Principled") else value
+    return parameter.kind == "roughness" and bool((alpha <= LOW_ROUGHNESS).any())
 
 
 def uncorrected_routes(
