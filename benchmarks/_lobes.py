@@ -32,7 +32,7 @@ SPP = 16
 TURNS = 2
 WARM_UPS = 2
 STEP = 0.05  # of the finite difference, relative
-DIFFERENCE_SEEDS, DIFFERENCE_SPP = 32, 128
+DIFFERENCE_SEEDS, DIFFERENCE_SPP = 16, 64
 ROOT = Path(__file__).parents[1]
 HEADINGS = ("scene", "material", "α", "gain [95 %]", "variance", "time", "z, before", "z, difference")
 
@@ -96,8 +96,10 @@ def ball(bsdf: dict[str, Any]) -> tuple[dict[str, Any], str]:
 
 def box(bsdf: dict[str, Any]) -> tuple[dict[str, Any], str]:
     """Return the Cornell box with a material for its tall box, and the prefix of that box's parameters."""
+    from scenecaptum import activate
     from scenecaptum.scene.bundled import BUNDLED
 
+    activate()
     scene = BUNDLED["cornell-box"]()
     scene["tall_box"] = bsdf
     scene["sensor"]["film"] |= dict(zip(("width", "height"), RESOLUTION, strict=True))

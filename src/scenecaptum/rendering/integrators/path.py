@@ -22,8 +22,9 @@ import mitsuba as mi
 from mitsuba.python.ad.integrators.common import mis_weight
 
 from .._backward import AdjointSampledIntegrator
+from ._lobe_samples import antithetic_point
 
-# Direct-light samples at a glossy surface, where its lobe dominates the noise of the derivative; a square number.
+# Direct-light samples at a surface whose glossy lobe dominates the noise of the derivative; an even square number.
 GLOSSY_SPLIT = 4
 
 
@@ -117,7 +118,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
                 L -= dr.detach(Le + Lr_dir)
                 L_ind = mi.Spectrum(L)
                 if dr.hint(light_traced is not None, mode="scalar"):
-                    split = _is_purely_glossy(vertex)
+                    split = _is_glossy(vertex)
                     L_ind -= _bsdf_sampled_direct_light(scene, vertex, bsdf_sample, bsdf_weight, split)
                 with dr.resume_grad():
                     if dr.hint(light_traced is not None, mode="scalar"):
@@ -232,11 +233,9 @@ def _record_incident(incident: Any, depth: Any, Le: Any, Lr_dir: Any, active: An
         dr.scatter_add(target, light, index, active & (segments > 1))
 
 
-def _is_purely_glossy(vertex: Vertex) -> Any:
-    """Whether a surface is glossy without a diffuse lobe: its direct light is sampled ``GLOSSY_SPLIT`` times."""
-    flags = vertex.bsdf.flags()
-    diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse)
-    return vertex.active_next & mi.has_flag(flags, mi.BSDFFlags.Glossy) & ~diffuse
+def _is_glossy(vertex: Vertex) -> Any:
+    """Whether a surface has a glossy lobe: its direct light is sampled ``GLOSSY_SPLIT`` times."""
+    return vertex.active_next & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Glossy)
 
 
 def _bsdf_sampled_direct_light(
@@ -280,19 +279,22 @@ def _propagate_split_direct_light(
     """Propagate from or to a surface's reflected direct light, with stratified BSDF and emitter samples.
 
     The derivative of a lobe with respect to its roughness changes sign over the lobe. It cancels within a vertex
-    only with several samples of the lobe.
+    only with several samples of the lobe, which are antithetic pairs.
     """
     context, si = mi.BSDFContext(), vertex.si
     side = math.isqrt(GLOSSY_SPLIT)
     index = mi.UInt32(0)
     active = mi.Bool(active)
+    lobe_random, point_random = mi.Float(0), mi.Point2f(0)
     while active & (index < GLOSSY_SPLIT):
-        stratum = mi.Point2f(index % side, index // side)
-        bsdf_sample, weight = vertex.bsdf.sample(
-            context, si, sampler.next_1d(), (stratum + sampler.next_2d()) / side, active
-        )
+        outer = index % 2 == 1
+        lobe_random = dr.select(outer, lobe_random, sampler.next_1d())
+        point_random = dr.select(outer, point_random, sampler.next_2d())
+        point = antithetic_point(point_random, index // 2, GLOSSY_SPLIT // 2, outer)
+        bsdf_sample, weight = vertex.bsdf.sample(context, si, lobe_random, point, active)
         smooth = active & is_valid_sample(bsdf_sample, weight)
         emission = vertex.throughput * _incident_emission(scene, si, bsdf_sample, smooth) / bsdf_sample.pdf
+        stratum = mi.Point2f(index % side, index // side)
         emitter_random = (stratum + sampler.next_2d()) / side
         with dr.resume_grad():
             value = vertex.bsdf.eval(context, si, bsdf_sample.wo, smooth)
