@@ -141,6 +141,12 @@ def test_the_plan_names_light_tracing(mi: Any, inputs: str, expected: bool) -> N
     assert ("1 of them by light tracing" in str(plan)) == expected
 
 
+@pytest.mark.parametrize(("roughness", "expected"), [(0.44, True), (0.46, False)])
+def test_a_principled_roughness_is_low_if_its_square_is(mi: Any, roughness: float, expected: bool) -> None:
+    plan = SceneRenderer(room(mi, {"type": "principled", "roughness": roughness}), "*roughness*", spp=4).plan
+    assert ("1 of them by light tracing" in str(plan)) == expected
+
+
 def test_what_is_left_to_path_replay_is_importance_sampled(mi: Any) -> None:
     """Only on pixels that show the ball, and by the derivative of the highlight, not its brightness."""
     renderer = SceneRenderer(room(mi, METAL | {"alpha": 0.05}), "*alpha*", spp=16)

@@ -6,8 +6,8 @@ in the inner half of the lobe and positive in the outer half. Samples at ``u`` a
 derivatives, so the light that they have in common cancels. Sampling in proportion to ``|2 u - 1|`` could lower the
 second moment by a quarter at most, and did not lower the variance where it was measured.
 
-Plugins map a point of the unit square to a visible normal by concentric discs: for GGX at normal incidence ``u`` is
-the area of the concentric square through the point. Elsewhere the pairs cancel less, and nothing else changes.
+Plugins map a point of the unit square to a visible normal by concentric discs: for GGX at normal incidence ``u``
+is the area of the concentric square through the point. Elsewhere the pairs cancel less, and nothing else changes.
 
 References
 ----------
