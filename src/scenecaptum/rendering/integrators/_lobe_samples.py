@@ -3,8 +3,8 @@
 Let ``u`` be the part of the lobe of a GGX distribution that is closer to its centre than a normal:
 ``u = t / (1 + t)`` with ``t = tan²θ / α²``. Then ``∂ log D / ∂α = (2 / α) (2 u - 1)``: the derivative is negative
 in the inner half of the lobe and positive in the outer half. Samples at ``u`` and ``1 - u`` have opposite
-derivatives, so the light that they have in common cancels. Sampling in proportion to ``|2 u - 1|`` could lower the
-second moment by a quarter at most, and did not lower the variance where it was measured.
+derivatives, so the light that they have in common cancels. Sampling in proportion to ``|2 u - 1|`` instead could
+lower the second moment by a quarter at most.
 
 Plugins map a point of the unit square to a visible normal by concentric discs: for GGX at normal incidence ``u``
 is the area of the concentric square through the point. Elsewhere the pairs cancel less, and nothing else changes.
