@@ -7,6 +7,11 @@ reload the scene for every turn: a second loaded scene slows down the first, bec
 The gain is the geometric mean over all elements of the parameters, with a bootstrap interval over the repeats.
 
     python benchmarks/variance.py [--repeats 100] [--spp 16] [--scene GLOB] [--metric GLOB]
+
+``--lobes REVISION`` compares with an earlier version of this package instead, on a grid of low roughnesses: see
+``_lobes.py``. There the gain is that of this version over the earlier one.
+
+    python benchmarks/variance.py --lobes REVISION [--cells 'ball/metal/*'] [--write docs/performance.md]
 """
 
 from __future__ import annotations
@@ -24,6 +29,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from _lobes import HEADINGS
+from _lobes import compare as compare_lobes
+from _pages import replace_table
 
 from scenecaptum import SceneRenderer, activate, metrics
 from scenecaptum.scene.bundled import BUNDLED
@@ -264,7 +272,15 @@ def main() -> None:
     parser.add_argument(
         "--metric", default="*", help='glob over the names of the metrics, including "roughness"'
     )
+    parser.add_argument("--lobes", metavar="REVISION", help="compare low roughnesses with this git revision")
+    parser.add_argument("--cells", default="*", help="glob over scene/material/α of that comparison")
+    parser.add_argument("--write", type=Path, help="page whose table of that comparison is replaced")
     arguments = parser.parse_args()
+    if arguments.lobes:
+        rows = compare_lobes(arguments.lobes, arguments.cells, arguments.repeats, _bootstrap)
+        if arguments.write:
+            replace_table(arguments.write, "lobes", [HEADINGS, *rows])
+        return
     print(
         f"{RESOLUTION[0]}×{RESOLUTION[1]}, depth {DEPTH}, {arguments.repeats} repeats; 95 % bootstrap intervals"
     )

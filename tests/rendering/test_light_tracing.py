@@ -66,6 +66,41 @@ def test_derivatives_of_the_surroundings_of_a_glossy_ball(
     assert_agree(*both(renderer, adjoint))
 
 
+@pytest.mark.parametrize(
+    "ball",
+    [METAL | {"alpha": 0.1}, pytest.param(FROSTED, marks=pytest.mark.long), LACQUER],
+    ids=["metal", "frosted glass", "lacquer"],
+)
+def test_derivatives_of_a_whole_picture(mi: Any, ball: dict[str, Any]) -> None:
+    """The ball is seen by the camera, directly and by light that it reflects onto the floor."""
+    renderer = SceneRenderer(room(mi, ball), "*alpha*", spp=64)
+    height, width = renderer.surfaces.shown(list(renderer.inputs)).shape
+    assert_agree(*both(renderer, torch.ones(height, width, 3) / (3 * height * width)))
+
+
+@pytest.mark.parametrize("cosine", [0.9, -0.9], ids=["from outside", "from inside"])
+def test_the_value_of_a_valid_sample_is_its_weight_times_its_density(mi: Any, cosine: float) -> None:
+    """Frosted glass also returns samples on the wrong side, with a density that is not that of the direction."""
+    import drjit as dr
+
+    from scenecaptum.rendering.integrators.path import is_valid_sample
+
+    count = 100_000
+    random = mi.PCG32(count, shifted())
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.sh_frame, si.n = mi.Frame3f(mi.Vector3f(0, 0, 1)), mi.Normal3f(0, 0, 1)
+    si.wi = mi.Vector3f((1 - cosine**2) ** 0.5, 0, cosine)
+    bsdf = mi.load_dict(FROSTED | {"alpha": 0.5})
+    point = mi.Point2f(random.next_float32(), random.next_float32())
+    sample, weight = bsdf.sample(mi.BSDFContext(), si, random.next_float32(), point)
+    value = bsdf.eval(mi.BSDFContext(), si, sample.wo).x
+    valid = is_valid_sample(sample, weight)
+    wrong = (sample.pdf > 0) & ~valid
+    estimate = dr.mean(dr.select(valid, value / sample.pdf, 0))
+    assert estimate[0] == pytest.approx(dr.mean(weight.x)[0], rel=1e-3)
+    assert dr.count(wrong & (value > 0))[0] > 0
+
+
 def test_a_low_roughness_is_less_noisy(mi: Any) -> None:
     """For a metal box in the Cornell box, next to another input that uses path replay alone."""
     from scenecaptum.scene.bundled import cornell_box
@@ -103,6 +138,12 @@ def test_path_replay_is_used_where_light_tracing_is_not_possible(mi: Any) -> Non
 def test_the_plan_names_light_tracing(mi: Any, inputs: str, expected: bool) -> None:
     """For one roughness among six other parameters it would take samples from these."""
     plan = SceneRenderer(room(mi, METAL), inputs, spp=4).plan
+    assert ("1 of them by light tracing" in str(plan)) == expected
+
+
+@pytest.mark.parametrize(("roughness", "expected"), [(0.44, True), (0.46, False)])
+def test_a_principled_roughness_is_low_if_its_square_is(mi: Any, roughness: float, expected: bool) -> None:
+    plan = SceneRenderer(room(mi, {"type": "principled", "roughness": roughness}), "*roughness*", spp=4).plan
     assert ("1 of them by light tracing" in str(plan)) == expected
 
 

@@ -26,7 +26,8 @@ LOBE_OFFSET = 1e-3
 
 JUST_ABOVE_ONE = 1.001
 
-# Up to this roughness the derivative of path replay is so noisy that light tracing from the surface is used.
+# Up to this α of the microfacets the derivative of path replay is so noisy that light tracing from the surface is
+# used.
 LOW_ROUGHNESS = 0.2
 
 # Step of a central difference, by kind: large enough for its signal to exceed the noise, small enough for the
@@ -84,9 +85,15 @@ def _derivative_route(parameter: Parameter, values: Values) -> DerivativeRoute:
         replay_value=value if reason else _clamp_off_singularity(parameter, value),
         difference=_finite_difference(parameter, value) if reason else None,
         reason=reason,
-        is_low_roughness=parameter.kind == "roughness" and bool((value <= LOW_ROUGHNESS).any()),
+        is_low_roughness=_is_low_roughness(parameter, value),
         is_constant=is_constant,
     )
+
+
+def _is_low_roughness(parameter: Parameter, value: torch.Tensor) -> bool:
+    # The principled materials square their roughness.
+    alpha = value**2 if parameter.plugin.startswith("Principled") else value
+    return parameter.kind == "roughness" and bool((alpha <= LOW_ROUGHNESS).any())
 
 
 def uncorrected_routes(

@@ -7,7 +7,8 @@ ends at a sampled point of the surface. The lobe is then sampled in strata, and 
 path that connects to the camera at every surface it hits.
 
 Light that the surface sends to the camera directly or by specular reflection is not found by these paths. It is
-left to path replay, which then ends its paths at their first non-specular vertex.
+left to path replay, which then ends its paths at their first non-specular vertex, except on a sampled surface:
+a connection from a narrow lobe to the camera would be rare and large, so these paths are path replay's too.
 
 References
 ----------
@@ -30,6 +31,7 @@ from .._backward import CameraAdjoint, filtered_adjoint
 from .._plan import RenderPlan
 from .._sampler import SobolSampler
 from .._sensors import is_connectable
+from .path import is_in_mask, is_valid_sample
 
 LOBE_STRATA = 16  # a square number
 PATHS_PER_SAMPLE = 2  # light paths per path-replay sample, for direct and for indirect light each
@@ -127,7 +129,7 @@ def trace_light_backward(
             subpath = sample_subpath(integrator, scene, point, sampler)
             dr.eval(subpath)
             sampler = SobolSampler.of(count * LOBE_STRATA, _derive_seed(seed, 2 * number + 1))
-            _propagate(integrator, scene, camera, sampler, subpath)
+            _propagate(integrator, scene, camera, sampler, subpath, shapes.mask)
             dr.eval()
 
 
@@ -172,7 +174,12 @@ def _sample_indirect_light(integrator: Any, scene: Any, point: Any, sampler: Sob
 
 
 def _propagate(
-    integrator: Any, scene: Any, camera: CameraAdjoint, sampler: SobolSampler, subpath: LightSubpath
+    integrator: Any,
+    scene: Any,
+    camera: CameraAdjoint,
+    sampler: SobolSampler,
+    subpath: LightSubpath,
+    shape_mask: Any,
 ) -> None:
     """Continue each subpath in all strata of the lobe, and backpropagate what reaches the camera."""
     lane = dr.arange(mi.UInt32, dr.width(subpath.active) * LOBE_STRATA)
@@ -186,8 +193,8 @@ def _propagate(
     side = math.isqrt(LOBE_STRATA)
     point = (mi.Point2f(stratum % side, stratum // side) + sampler.next_2d()) / side
     si.wi = incident
-    bsdf_sample, _ = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(), point, active)
-    active &= (bsdf_sample.pdf > 0) & ~mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+    bsdf_sample, weight = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(), point, active)
+    active &= is_valid_sample(bsdf_sample, weight)
     ray = si.spawn_ray(si.to_world(bsdf_sample.wo))
 
     def radiance(segments: Any, active: Any) -> Any:
@@ -195,7 +202,12 @@ def _propagate(
         entry = index * subpath.lengths + dr.minimum(segments, subpath.lengths) - 1
         return dr.gather(mi.Spectrum, subpath.radiance, entry, active)
 
-    received = _trace_to_camera(integrator, scene, camera, sampler, ray, active, radiance)
+    def connect(sampler: SobolSampler, si: Any, active: Any) -> Any:
+        """Return the contribution of a connection to the camera, except from surfaces of low roughness."""
+        active = active & ~is_in_mask(shape_mask, si)
+        return _connect_to_camera(scene, camera, sampler, si, active)
+
+    received = _trace_to_camera(integrator, scene, sampler, ray, active, connect, radiance)
     received = dr.select(active, received * abs(dr.dot(si.n, ray.d)) / (bsdf_sample.pdf * LOBE_STRATA), 0)
     # The light path runs towards the camera, but the path from the camera is differentiated.
     si.wi = bsdf_sample.wo
@@ -226,10 +238,10 @@ def _sample_surface_point(
 def _trace_to_camera(
     integrator: Any,
     scene: Any,
-    camera: CameraAdjoint,
     sampler: SobolSampler,
     ray: Any,
     active: Any,
+    connect: Any,
     radiance: Any,
 ) -> Any:
     """Return the adjoint-weighted light that paths bring to the camera, with a connection at every vertex."""
@@ -241,7 +253,7 @@ def _trace_to_camera(
         active &= segments < integrator.max_depth
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
-        connection = _connect_to_camera(scene, camera, sampler, si, active)
+        connection = connect(sampler, si, active)
         received += dr.select(
             active, throughput * connection * radiance(integrator.max_depth - segments, active), 0
         )

@@ -22,9 +22,10 @@ import mitsuba as mi
 from mitsuba.python.ad.integrators.common import mis_weight
 
 from .._backward import AdjointSampledIntegrator
+from ._lobe_samples import antithetic_point
 from .path_differences import mark_met, moved_bsdf
 
-# Direct-light samples at a glossy surface, where its lobe dominates the noise of the derivative; a square number.
+# Direct-light samples at a surface whose glossy lobe dominates the noise of the derivative; an even square number.
 GLOSSY_SPLIT = 4
 
 
@@ -57,8 +58,8 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         Options
         -------
         light_traced
-            Mask of the shapes that light tracing handles. Derivatives are then propagated only where the camera
-            sees these shapes directly or by specular reflection.
+            Mask of the shapes that light tracing handles. Derivatives are then propagated only along paths from
+            the camera whose first vertex is on one of these shapes or specular, and at other first vertices.
         incident
             Where to accumulate the light that reaches the ray's origin, by path length: a target array, each ray's
             offset in it, and the number of lengths.
@@ -129,7 +130,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
                 L -= dr.detach(Le + Lr_dir)
                 L_ind = mi.Spectrum(L)
                 if dr.hint(light_traced is not None, mode="scalar"):
-                    split = _is_purely_glossy(vertex)
+                    split = _is_glossy(vertex)
                     L_ind -= _bsdf_sampled_direct_light(scene, vertex, bsdf_sample, bsdf_weight, split)
                 with dr.resume_grad():
                     if dr.hint(light_traced is not None, mode="scalar"):
@@ -157,7 +158,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
             valid_ray |= active & si.is_valid()
 
             if dr.hint(light_traced is not None, mode="scalar"):
-                active_next &= (depth > 0) | bsdf_delta_prev | (_in_mask(light_traced, si) & mi.Bool(primal))
+                active_next &= (depth > 0) | bsdf_delta_prev | is_in_mask(light_traced, si)
 
             # Russian roulette; η² undoes the scaling of radiance inside glass
             throughput_max = dr.max(throughput)
@@ -230,7 +231,7 @@ def _sampled_emitter(scene: Any, random: Any) -> Any:
     return dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
 
 
-def _in_mask(shape_mask: Any, si: Any) -> Any:
+def is_in_mask(shape_mask: Any, si: Any) -> Any:
     """Whether the interaction's shape is in a mask over Dr.Jit's shape indices."""
     index = dr.reinterpret_array(mi.UInt32, si.shape)
     return dr.gather(mi.Bool, shape_mask, index, index < dr.width(shape_mask))
@@ -244,11 +245,9 @@ def _record_incident(incident: Any, depth: Any, Le: Any, Lr_dir: Any, active: An
         dr.scatter_add(target, light, index, active & (segments > 1))
 
 
-def _is_purely_glossy(vertex: Vertex) -> Any:
-    """Whether a surface is glossy without a diffuse lobe: its direct light is sampled ``GLOSSY_SPLIT`` times."""
-    flags = vertex.bsdf.flags()
-    diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse)
-    return vertex.active_next & mi.has_flag(flags, mi.BSDFFlags.Glossy) & ~diffuse
+def _is_glossy(vertex: Vertex) -> Any:
+    """Whether a surface has a glossy lobe: its direct light is sampled ``GLOSSY_SPLIT`` times."""
+    return vertex.active_next & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Glossy)
 
 
 def _bsdf_sampled_direct_light(
@@ -268,6 +267,15 @@ def _incident_emission(scene: Any, si: Any, bsdf_sample: Any, active: Any) -> An
     return mis * ds.emitter.eval(hit, active)
 
 
+def is_valid_sample(bsdf_sample: Any, weight: Any) -> Any:
+    """Whether a sample is of a lobe that has values.
+
+    For a direction on the wrong side of a surface, a rough dielectric returns a weight of 0 and a wrong density.
+    """
+    is_delta = mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+    return (bsdf_sample.pdf > 0) & (dr.max(weight) > 0) & ~is_delta
+
+
 def _propagate(mode: Any, delta_L: Any, Lo: Any) -> Any:
     """Propagate from or to ``Lo``; return the adjoint radiance, or the sum of the derivatives so far."""
     if mode == dr.ADMode.Backward:
@@ -283,20 +291,22 @@ def _propagate_split_direct_light(
     """Propagate from or to a surface's reflected direct light, with stratified BSDF and emitter samples.
 
     The derivative of a lobe with respect to its roughness changes sign over the lobe. It cancels within a vertex
-    only with several samples of the lobe.
+    only with several samples of the lobe, which are antithetic pairs.
     """
     context, si = mi.BSDFContext(), vertex.si
     side = math.isqrt(GLOSSY_SPLIT)
     index = mi.UInt32(0)
     active = mi.Bool(active)
+    lobe_random, point_random = mi.Float(0), mi.Point2f(0)
     while active & (index < GLOSSY_SPLIT):
-        stratum = mi.Point2f(index % side, index // side)
-        bsdf_sample, _ = vertex.bsdf.sample(
-            context, si, sampler.next_1d(), (stratum + sampler.next_2d()) / side, active
-        )
-        is_delta = mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
-        smooth = active & (bsdf_sample.pdf > 0) & ~is_delta
+        outer = index % 2 == 1
+        lobe_random = dr.select(outer, lobe_random, sampler.next_1d())
+        point_random = dr.select(outer, point_random, sampler.next_2d())
+        point = antithetic_point(point_random, index // 2, GLOSSY_SPLIT // 2, outer)
+        bsdf_sample, weight = vertex.bsdf.sample(context, si, lobe_random, point, active)
+        smooth = active & is_valid_sample(bsdf_sample, weight)
         emission = vertex.throughput * _incident_emission(scene, si, bsdf_sample, smooth) / bsdf_sample.pdf
+        stratum = mi.Point2f(index % side, index // side)
         emitter_random = (stratum + sampler.next_2d()) / side
         with dr.resume_grad():
             value = vertex.bsdf.eval(context, si, bsdf_sample.wo, smooth)
