@@ -107,3 +107,33 @@ def test_kernels_stay_frozen_beside_a_scene_with_a_material_that_no_shape_uses(
         renderer(renderer.inputs, seed=seed)
     assert other is not None
     assert len(recorded) == before
+
+
+@pytest.mark.parametrize("name", ["metal.alpha.value", "glass.eta"])
+def test_a_kernel_is_right_for_other_sample_counts_than_that_of_its_recording(mi: Any, name: str) -> None:
+    """Dr.Jit guesses the sizes of arrays in a frozen function from those of the arguments."""
+    scene = room("diffuse") | {
+        "metal": {
+            "type": "sphere",
+            "center": [-0.7, 0.0, 3.0],
+            "radius": 0.5,
+            "bsdf": {"type": "roughconductor", "alpha": 0.1},
+        },
+        "glass": {"type": "sphere", "center": [0.7, 0.0, 3.0], "radius": 0.5, "bsdf": {"type": "dielectric"}},
+    }
+
+    def create() -> SceneRenderer:
+        (full,) = (
+            n for n in SceneRenderer(scene, "all").inputs if n.startswith(name[:5]) and n.endswith(name[6:])
+        )
+        return SceneRenderer(scene, full, spp=4)
+
+    def slope(renderer: SceneRenderer, spp: int) -> float:
+        leaves = renderer.leaves()
+        renderer(leaves, seed=1, seed_grad=2, spp=spp).mean().backward()
+        (leaf,) = leaves.values()
+        return float(leaf.grad)
+
+    used = create()
+    for spp in (4, 16, 64, 8):
+        assert slope(used, spp) == pytest.approx(slope(create(), spp), rel=1e-3), spp

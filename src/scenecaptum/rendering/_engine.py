@@ -5,6 +5,7 @@ Each call writes its own values into the scene; later changes of the scene do no
 
 from __future__ import annotations
 
+import math
 import operator
 import weakref
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -35,6 +36,8 @@ from ._moved_materials import MovedParameter, batches, move
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
 from ._state import Snapshot, flat, owned
+from .integrators.light_tracing import light_paths
+from .integrators.path_differences import MovedMaterials, working_arrays
 
 
 class Engine:
@@ -199,7 +202,9 @@ class Engine:
         arguments = self._pixel_arguments(adjoint, group.maps)
 
         def replay(chunk: Chunk) -> None:
-            self._kernels.render_backward_pixels(self._live.scene, *arguments(chunk), group.light_traced)
+            count = light_paths(chunk.spp * math.prod(self._live.resolution))
+            light = (group.light_traced, count) if group.light_traced else None
+            self._kernels.render_backward_pixels(self._live.scene, *arguments(chunk), light)
 
         return self._replay(replay, values, routes, group.names, self._chunks(seed, spp))
 
@@ -216,12 +221,14 @@ class Engine:
         arguments = self._pixel_arguments(adjoint, self._importance_maps.find_maps(values, names, None))
         differences = [route.difference for name in names if (route := routes[name]).difference]
 
+        def difference(chunk: Chunk, moved: MovedMaterials) -> Any:
+            fixed = arguments(chunk)
+            arrays = working_arrays(dr.width(fixed[3][0]))
+            return self._kernels.difference_backward(self._live.scene, *fixed, (arrays, moved))
+
         def differentiate() -> Any:
             moved = move([self._moved[name] for name in names], [values[name] for name in names], differences)
-            return _sum(
-                evaluate(self._kernels.difference_backward(self._live.scene, *arguments(chunk), moved))
-                for chunk in self._chunks(seed, spp)
-            )
+            return _sum(evaluate(difference(chunk, moved)) for chunk in self._chunks(seed, spp))
 
         # Of the three channels of each parameter, all of which are numbers.
         gradients = self._live.call(differentiate, values).reshape(-1, 3).sum(1)

@@ -55,13 +55,13 @@ def make_kernels(
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
-        light_traced: SampledShapes | None,
+        light: tuple[SampledShapes, int] | None,
     ) -> None:
-        mask = light_traced.mask if light_traced else None
+        mask = light[0].mask if light else None
         integrator.render_backward_pixels(scene, sensor, adjoint, samples, profile, seed, mask)
-        if light_traced is not None:
+        if light is not None:
             camera = CameraAdjoint(sensor, adjoint, profile)
-            trace_light_backward(integrator, scene, camera, light_traced, seed, dr.width(samples[0]))
+            trace_light_backward(integrator, scene, camera, *light, seed)
 
     def differences(
         scene: Any,
@@ -70,10 +70,10 @@ def make_kernels(
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
-        moved: MovedMaterials,
+        moved: tuple[tuple[Any, Any], MovedMaterials],
     ) -> Any:
         camera = CameraAdjoint(sensor, adjoint, profile)
-        return difference_backward(integrator, scene, camera, samples, seed, moved)
+        return difference_backward(integrator, scene, camera, samples, seed, *moved)
 
     functions = (render, render_samples, render_backward, render_backward_pixels, differences)
     if not freeze:

@@ -114,14 +114,18 @@ class LightSubpath:
     lengths: int
 
 
+def light_paths(samples: int) -> int:
+    """Return the number of light subpaths of each kind beside a number of samples of path replay."""
+    return max(1, PATHS_PER_SAMPLE * samples // LOBE_STRATA)
+
+
 def trace_light_backward(
-    integrator: Any, scene: Any, camera: CameraAdjoint, shapes: SampledShapes, seed: Any, samples: int
+    integrator: Any, scene: Any, camera: CameraAdjoint, shapes: SampledShapes, count: int, seed: Any
 ) -> None:
     """Backpropagate an adjoint to the parameters of the sampled shapes, for the paths that path replay omits.
 
-    ``integrator`` is a ``ReplayIntegrator``, and ``samples`` the number of samples of its path replay.
+    ``integrator`` is a ``ReplayIntegrator``, and ``count`` the number of ``light_paths``, a literal in kernels.
     """
-    count = max(1, PATHS_PER_SAMPLE * samples // LOBE_STRATA)
     with dr.suspend_grad():
         for number, sample_subpath in enumerate((_sample_direct_light, _sample_indirect_light)):
             sampler = SobolSampler.of(count, _derive_seed(seed, 2 * number))

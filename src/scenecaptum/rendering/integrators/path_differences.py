@@ -36,24 +36,37 @@ class MovedMaterials:
     weights: Any  # of each parameter: the weights of their images
 
 
+def working_arrays(lanes: int) -> tuple[Any, Any]:
+    """Return zeros for the paths, and the index of each point of each path, in Dr.Jit's memory.
+
+    They are arguments of ``difference_backward`` because a frozen function can only guess the sizes of arrays that
+    it creates itself, and guesses wrong.
+    """
+    zeros, index = dr.zeros(mi.UInt32, lanes), dr.arange(mi.UInt32, POINTS * lanes)
+    dr.make_opaque(zeros, index)
+    return zeros, index
+
+
 def difference_backward(
     integrator: Any,
     scene: Any,
     camera: CameraAdjoint,
     samples: tuple[Any, Any],
     seed: Any,
+    arrays: tuple[Any, Any],
     moved: MovedMaterials,
 ) -> Any:
     """Return ``Σ adjoint · ∂image/∂parameter`` by channel, three numbers for each parameter.
 
-    ``samples`` are those of ``AdjointSampledIntegrator.render_backward_pixels``.
+    ``samples`` are those of ``AdjointSampledIntegrator.render_backward_pixels``, and ``arrays`` the
+    ``working_arrays`` of as many lanes.
     """
     pixel, pixel_weight = samples
+    met, point = arrays
     lanes = dr.width(pixel)
     with dr.suspend_grad():
         sampler = SobolSampler.of(lanes, seed)
         ray, *_ = random_camera_rays(camera.sensor, sampler, pixel)
-        met = dr.zeros(mi.UInt32, lanes)
         integrator.sample(
             mode=dr.ADMode.Primal,
             scene=scene,
@@ -72,12 +85,11 @@ def difference_backward(
         dr.eval(material, parameter, factor)
 
         # Every point of the difference is a lane, with the random numbers of the path.
-        point = dr.arange(mi.UInt32, lanes * POINTS)
         lane = point // POINTS
         copy = dr.gather(mi.UInt32, parameter, lane) * POINTS + point % POINTS
         weight = dr.gather(mi.Float, moved.weights, copy) * dr.gather(mi.Float, factor, lane)
         active = weight != 0
-        sampler = SobolSampler(dr.brev(lane), mi.UInt32(seed), dr.zeros(mi.UInt32, lanes * POINTS))
+        sampler = SobolSampler(dr.brev(lane), mi.UInt32(seed), mi.UInt32(0))
         pixel = dr.gather(mi.UInt32, pixel, lane)
         ray, response, film_point = random_camera_rays(camera.sensor, sampler, pixel)
         original = dr.gather(mi.UInt32, moved.index, dr.gather(mi.UInt32, material, lane), active)
@@ -123,4 +135,5 @@ def mark_met(met: tuple[Any, Any, Any], bsdf: Any, active: Any) -> None:
     active = active & (index < dr.width(position))
     place = dr.gather(mi.UInt32, position, index, active)
     active &= place < MAX_MATERIALS
-    dr.scatter_reduce(dr.ReduceOp.Or, bits, mi.UInt32(1) << place, lane, active)
+    bit, mode = mi.UInt32(1) << place, dr.ReduceMode.NoConflicts
+    dr.scatter_reduce(dr.ReduceOp.Or, bits, bit, lane, active, mode)
