@@ -194,6 +194,8 @@ def _reason_against_replay(parameter: Parameter, values: Values) -> str | None:
     """Return why path replay is wrong for a parameter at its value, or None where it is correct."""
     if len(parameter.shape) > 1:
         return None
+    if parameter.plugin == "SmoothDielectric" and parameter.role == "eta":
+        return "it turns refracted light, and with it all later directions of a path"
     if not parameter.tracked:
         return (
             f"Mitsuba's {parameter.plugin} keeps it, or values derived from it, outside the derivative graph"

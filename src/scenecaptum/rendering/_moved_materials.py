@@ -58,10 +58,18 @@ def can_be_moved(material: Any, role: str) -> bool:
     return material.class_name() in _PRINCIPLED and role in dict(children(material))
 
 
-def find_moved_parameters(
+def copy_materials(materials: Mapping[str, tuple[Any, str]]) -> dict[str, MovedParameter]:
+    """Copy the ``movable_materials``, once for each point of a parameter's difference."""
+    return {
+        name: MovedParameter(material, tuple(MaterialCopy(material, role) for _ in range(POINTS)))
+        for name, (material, role) in materials.items()
+    }
+
+
+def movable_materials(
     graph: SceneGraph, parameters: SceneParameters, names: Iterable[str]
-) -> dict[str, MovedParameter]:
-    """Copy the materials of the named parameters; without those whose materials cannot be copied.
+) -> dict[str, tuple[Any, str]]:
+    """Return material and role of the named parameters whose materials can be copied.
 
     A material inside another, such as a mask, cannot: the paths meet the outer one.
     """
@@ -72,7 +80,7 @@ def find_moved_parameters(
         if parameters[name].shape or not isinstance(material, mi.BSDF) or not can_be_moved(material, role):
             continue
         if all(shape.bsdf() == material for shape in graph.shapes_using(material)):
-            found[name] = MovedParameter(material, tuple(MaterialCopy(material, role) for _ in range(POINTS)))
+            found[name] = material, role
     return found
 
 

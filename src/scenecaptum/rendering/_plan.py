@@ -142,8 +142,16 @@ def make_plan(
     reasons[f"{len(inputs)} inputs tracked"] = f"{left_out} other differentiable parameters are not tracked"
     routes = derivative_routes(parameters, values, inputs)
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
-    if count := len(differences):
-        reasons[f"{count} of them by finite differences"] = "two or three more renders each, see below"
+    if differences:
+        from ._moved_materials import movable_materials
+
+        moved = movable_materials(graph, parameters, dict(differences)) if integrator.path_differences else {}
+        if moved:
+            reasons[f"{len(moved)} of them by differences of paths"] = "one pass for all together, see below"
+        if count := len(differences) - len(moved):
+            reasons[f"{count} of them by differences of renders"] = (
+                "two or three more renders each, see below"
+            )
     if count := len(low_roughness_names(routes)):
         reasons[f"{count} of them by light tracing"] = (
             "low roughness (pinhole and lens cameras, no bump maps)"

@@ -16,7 +16,7 @@ from ._checkpointed import CheckpointedEngine
 from ._engine import Engine, StockEngine
 from ._importance_maps import ImportanceMaps
 from ._live_scene import LiveScene
-from ._moved_materials import find_moved_parameters
+from ._moved_materials import copy_materials, movable_materials
 from ._pilot import Pilots
 from ._plan import RenderPlan
 from ._texels import find_textures
@@ -61,7 +61,7 @@ def make_view(live: LiveScene, parameters: SceneParameters, plan: RenderPlan) ->
     integrator = plan.create_integrator()
     importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False))
     moved = (
-        find_moved_parameters(live.graph, parameters, [name for name, _ in plan.differences])
+        copy_materials(movable_materials(live.graph, parameters, dict(plan.differences)))
         if plan.kind.path_differences and importance_maps.film
         else {}
     )
