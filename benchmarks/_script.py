@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +32,18 @@ def _load(path: str) -> Any:
 
 
 def hand_written(
-    scene: str, metric: torch.nn.Module, size: tuple[int, int], spp: int, depth: int
+    scene: str,
+    metric: torch.nn.Module,
+    size: tuple[int, int],
+    spp: int,
+    depth: int,
+    *,
+    left_out: Collection[str] = (),
 ) -> tuple[Callable[[int], float], list[str]]:
     """Return the script as a function of the seed, and the parameters that it tracks.
 
     It renders ``(width, height)`` pixels once, differentiates a torch metric, and calls ``render_backward`` of
-    ``prb`` once, for every parameter of materials and lights that Mitsuba can track.
+    ``prb`` once, for every parameter of materials and lights that Mitsuba can track, but those in ``left_out``.
     """
     mi = activate()
     import drjit as dr
@@ -52,7 +58,8 @@ def hand_written(
     names = [
         name
         for name in params.keys()  # noqa: SIM118 -- not a dictionary
-        if not params.flags(name) & mi.ParamFlags.NonDifferentiable
+        if name not in left_out
+        and not params.flags(name) & mi.ParamFlags.NonDifferentiable
         and name.rpartition(".")[2] not in GEOMETRY
         and dr.is_jit_v(params[name])
         and dr.is_float_v(params[name])

@@ -1,11 +1,11 @@
 """Compare the time of an attribution with that of a hand-written Mitsuba script with the same samples.
 
 The script renders once, differentiates the same torch metric, and calls ``render_backward`` once. It tracks what
-Mitsuba can track; we attribute to all inputs. Both sides keep their scene loaded and their kernels compiled, the
+Mitsuba can track of our inputs. Both sides keep their scene loaded and their kernels compiled, the
 script keeps its gradients enabled, and they take turns in one process; medians over several turns are compared.
 The time of a replicate for itself is what seven more replicates with the same samples add, divided by seven.
 
-    python benchmarks/overhead.py [SCENE.xml] [--size 320x180] [--spp 64] [--turns 5]
+    python benchmarks/overhead.py [SCENE.xml] [--inputs materials] [--size 320x180] [--spp 64] [--turns 5]
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ def main() -> None:
     )
     parser.add_argument("scene", nargs="?", default=str(SCENES / "dining-room" / "scene.xml"))
     parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--inputs", default="all", help='for example "materials"')
     parser.add_argument("--size", default="320x180", help="WIDTHxHEIGHT in pixels")
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--depth", type=int, default=6)
@@ -40,9 +41,12 @@ def main() -> None:
 
     activate()
     metric = metrics.MeanLuminance()
-    script, tracked = hand_written(options.scene, metric, (width, height), options.spp, options.depth)
     renderer = SceneRenderer(
-        options.scene, "all", resolution=(width, height), spp=options.spp, max_depth=options.depth
+        options.scene, options.inputs, resolution=(width, height), spp=options.spp, max_depth=options.depth
+    )
+    left_out = renderer.parameters_table().keys() - renderer.inputs.keys()
+    script, tracked = hand_written(
+        options.scene, metric, (width, height), options.spp, options.depth, left_out=left_out
     )
     method = VanillaSceneGradient(renderer, metric)
     sides: dict[str, Callable[[int], float]] = {

@@ -137,3 +137,15 @@ def test_a_kernel_is_right_for_other_sample_counts_than_that_of_its_recording(mi
     used = create()
     for spp in (4, 16, 64, 8):
         assert slope(used, spp) == pytest.approx(slope(create(), spp), rel=1e-3), spp
+
+
+def test_an_image_is_that_of_mitsuba_at_every_sample_count(mi: Any) -> None:
+    renderer = SceneRenderer(room("principled"), "ball.*", resolution=(11, 7), max_depth=6)
+    integrator = renderer.plan.create_integrator()
+    scene = mi.load_dict(room("principled"), optimize=False)
+    film = mi.traverse(scene.sensors()[0])
+    film["film.size"] = [11, 7]
+    film.update()
+    for spp in (4, 1, 16, 3):
+        reference = integrator.render(scene, seed=5, spp=spp).torch()[..., :3]
+        torch.testing.assert_close(renderer(seed=5, spp=spp), reference, rtol=1e-5, atol=1e-6)

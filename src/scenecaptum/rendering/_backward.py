@@ -20,14 +20,17 @@ from ._sampler import SobolSampler
 class AdjointSampledIntegrator(RBIntegrator):
     """A path replay integrator whose backward pass can sample given pixels, e.g. in proportion to the adjoint."""
 
-    def render_samples(self, scene: Any, sensor: Any, sampler: Any, pixel: Any) -> Any:
-        """Render an image as ``render`` does, given a seeded sampler and the row-major pixel index of each sample.
+    def render_samples(self, scene: Any, sensor: Any, seed: Any, pixel: Any) -> Any:
+        """Render an image as ``render`` does, given the row-major pixel index of each sample.
 
         ``render`` itself has the number of samples in its code, where it would have to be recorded for each.
         """
         film = sensor.film()
         with dr.suspend_grad():
             film.prepare([])
+            # Seeded here: a sampler in memory takes half as long again as one whose state is computed.
+            sampler = sensor.sampler().clone()
+            sampler.seed(seed, dr.width(pixel))
             ray, response, point = random_camera_rays(sensor, sampler, pixel)
             radiance, valid, *_ = self.sample(
                 mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True)

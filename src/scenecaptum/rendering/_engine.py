@@ -92,17 +92,15 @@ class Engine:
             return self._kernels.render(scene, _opaque_seed(chunk), chunk.spp, scalars)
         width, height = self._live.resolution
         samples = width * height * chunk.spp
-        sampler = self._live.sensor.sampler().clone()
-        sampler.seed(_opaque_seed(chunk), samples + 1)
         lane = dr.arange(mi.UInt32, samples + 1)
         # A sample far from the film, see ``_pixel_arguments``.
         pixel = dr.select(
             lane < samples, lane // dr.opaque(mi.UInt32, chunk.spp), 2 * width * height + 16 * width
         )
-        dr.eval(pixel, sampler)
+        dr.eval(pixel)
         # The first render would otherwise be the only one of a film without pixels.
         self._live.sensor.film().prepare([])
-        return self._kernels.render_samples(scene, sampler, pixel, scalars)
+        return self._kernels.render_samples(scene, _opaque_seed(chunk), pixel, scalars)
 
     @cached_property
     def _has_independent_samples(self) -> bool:

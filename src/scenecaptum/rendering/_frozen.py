@@ -42,8 +42,8 @@ def make_kernels(
     def render(scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:
         return integrator.render(scene, sensor, seed=seed, spp=spp)
 
-    def render_samples(scene: Any, sampler: Any, pixel: Any, scalars: tuple[float, ...]) -> Any:
-        return integrator.render_samples(scene, sensor, sampler, pixel)
+    def render_samples(scene: Any, seed: Any, pixel: Any, scalars: tuple[float, ...]) -> Any:
+        return integrator.render_samples(scene, sensor, seed, pixel)
 
     def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> None:
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
