@@ -24,6 +24,10 @@ SINGULARITY_OFFSETS = {"reflectance": 1e-3, "ior": 3e-3}
 REFLECTED_LOBES = {"metallic", "spec_tint", "sheen", "sheen_tint", "clearcoat", "flatness"}
 LOBE_OFFSET = 1e-3
 
+# Light enters and leaves a solid, so the slope of a black transmission is 0, and that at a value near 0 twice the
+# value. These lobes are sampled whatever their transmission, so float32 alone limits how small it may be.
+SPECULAR_OFFSET = 1e-5
+
 JUST_ABOVE_ONE = 1.001
 
 # Up to this α of the microfacets the derivative of path replay is so noisy that light tracing from the surface is
@@ -167,6 +171,8 @@ def _clamp_off_singularity(parameter: Parameter, value: torch.Tensor) -> torch.T
         clamped = torch.where(value == 1, JUST_ABOVE_ONE, value)
     elif parameter.role in REFLECTED_LOBES:
         clamped = value.clamp_min(LOBE_OFFSET)
+    elif parameter.role == "specular_transmittance":
+        clamped = value.clamp_min(SPECULAR_OFFSET)
     else:
         clamped = value.clamp_min(SINGULARITY_OFFSETS.get(parameter.kind, -math.inf))
     return value if torch.equal(clamped, value) else clamped
