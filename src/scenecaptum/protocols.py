@@ -87,6 +87,9 @@ class Capabilities:
     )
     effective_samples = _Offer[Callable[..., dict[str, float]]]("Counts the samples behind each variance.")
     require_memory = _Offer[Callable[..., None]]("Raises if images do not fit into memory.")
+    held_values = _Offer[Callable[..., Mapping[str, torch.Tensor]]](
+        "The same values in tensors that many renders take faster."
+    )
     replace = _Offer[Callable[..., Any]]("The same renderer with other options.")
 
     def __init__(self, renderer: object) -> None:

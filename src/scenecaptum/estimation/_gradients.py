@@ -238,7 +238,7 @@ class GradientEstimator:
         Returns those of each metric, from the finished replicates, and whether Ctrl-C was pressed before the last
         backward pass finished.
         """
-        leaves = {name: value.detach().requires_grad_() for name, value in point.values.items()}
+        leaves = self._leaves(point)
         images, graphs = self._render(index, leaves)
         images = self._add_image_samples(index, point.values, images)
         self.image = torch.stack(images).mean(0)
@@ -259,6 +259,12 @@ class GradientEstimator:
         except KeyboardInterrupt:
             return results, True
         return results, False
+
+    def _leaves(self, point: Point) -> dict[str, torch.Tensor]:
+        """Return the values of a point as leaves that require grad."""
+        hold = Capabilities(self.renderer).held_values
+        values = point.values if hold is None else hold(point.values)
+        return {name: value.detach().requires_grad_() for name, value in values.items()}
 
     def _is_out_of_time(self, finished: int) -> bool:
         """Whether there is no time for another backward pass."""
@@ -433,9 +439,15 @@ def _add_replicate(
     They are freed before the next backward pass needs the memory.
     """
     gradients = [_vjp(graph, leaves, result.adjoints.per_replicate[number], point) for result in results]
-    for result, by_name in zip(results, gradients, strict=True):
+    # Finite totals show that all elements are finite.
+    totals = [{name: channel_totals(gradient) for name, gradient in by_name.items()} for by_name in gradients]
+    for by_name, own_totals in zip(gradients, totals, strict=True):
+        for name in by_name:
+            if not own_totals[name].isfinite().all():
+                _check_gradient(name, by_name[name])
+    for result, by_name, own_totals in zip(results, gradients, totals, strict=True):
         for name, gradient in by_name.items():
-            result.statistics[name].add(gradient)
+            result.statistics[name].add(gradient, own_totals[name])
 
 
 def _vjp(
@@ -448,8 +460,6 @@ def _vjp(
         name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
     }
-    for name, gradient in by_name.items():
-        check_gradient(name, gradient, "its adjoint image is finite")
     return {**by_name, **{name: by_name[name] * factor for name, factor in point.factors.items()}}
 
 
@@ -461,4 +471,11 @@ def _bias(
         return None
     if adjoints.bias_adjoint is None:
         return {}
-    return _vjp(graph, leaves, adjoints.bias_adjoint, point)
+    bias = _vjp(graph, leaves, adjoints.bias_adjoint, point)
+    for name, gradient in bias.items():
+        _check_gradient(name, gradient)
+    return bias
+
+
+def _check_gradient(name: str, gradient: torch.Tensor) -> None:
+    check_gradient(name, gradient, "its adjoint image is finite")

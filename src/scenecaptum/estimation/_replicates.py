@@ -24,6 +24,9 @@ PICTURE_RATIO = 2.0
 NOISY_PICTURE_RATIO = 4.0
 
 
+BLOCK = 2**16  # elements of a texture that are processed at once
+
+
 @dataclass(frozen=True)
 class Sampling:
     """The sampling that a user asks for; see ``VanillaSceneGradient.attribute``."""
@@ -178,18 +181,24 @@ class ReplicateStatistics:
         self.totals: list[torch.Tensor] = []
         self._norm: torch.Tensor | None = None  # root of the summed squared deviations
 
-    def add(self, gradient: torch.Tensor) -> None:
-        """Add the gradient of a replicate, with few elementwise operations because textures are large."""
-        self.totals.append(channel_totals(gradient).double())
+    def add(self, gradient: torch.Tensor, totals: torch.Tensor | None = None) -> None:
+        """Add the gradient of a replicate; its channel totals, if they are known, are not summed again.
+
+        Textures are large, so they are passed through the processor's cache once, in blocks.
+        """
+        self.totals.append((channel_totals(gradient) if totals is None else totals).double())
         count = len(self.totals)
         if count == 1:
             self.mean = gradient
             return
-        step = gradient - self.mean
-        # The first gradient belongs to the caller: do not modify it in place.
-        self.mean = self.mean.add_(step, alpha=1 / count) if count > 2 else self.mean.add(step, alpha=1 / 2)
-        step.mul_(math.sqrt(1 - 1 / count))
-        self._norm = step.abs_() if self._norm is None else self._norm.hypot_(step)
+        if self._norm is None:
+            # The first gradient belongs to the caller: do not modify it in place.
+            self.mean, self._norm = self.mean.contiguous().clone(), torch.zeros_like(self.mean)
+        blocks = (tensor.view(-1).split(BLOCK) for tensor in (gradient.contiguous(), self.mean, self._norm))
+        for new, mean, norm in zip(*blocks, strict=True):
+            step = new - mean
+            mean.add_(step, alpha=1 / count)
+            norm.hypot_(step.mul_(math.sqrt(1 - 1 / count)))
 
     def error(self) -> torch.Tensor:
         """Return the elementwise standard error of the mean; requires two replicates."""

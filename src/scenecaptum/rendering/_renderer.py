@@ -318,6 +318,17 @@ class SceneRenderer(torch.nn.Module):
         self._views[0].live.refresh_originals()
         return self._state.original
 
+    def held_values(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return equal tensors that the renderer holds, for many renders: it need not compare them each time.
+
+        Do not change them.
+        """
+        for name, value in values.items():
+            self._check_tensor(name, value)
+        tensors = {n: value.detach().to(self._device, torch.float32) for n, value in values.items()}
+        snapshot = self._views[0].live.snapshot(tensors)
+        return {name: snapshot[name].to(value.dtype) for name, value in values.items()}
+
     def leaves(self) -> dict[str, torch.Tensor]:
         """Return ``inputs`` as leaves that require grad."""
         return {name: value.requires_grad_() for name, value in self.inputs.items()}
@@ -704,7 +715,7 @@ class SceneRenderer(torch.nn.Module):
     def _check_values(self, values: Mapping[str, torch.Tensor]) -> None:
         for name, value in values.items():
             # The scene's own values were accepted by Mitsuba (e.g. a principled roughness of 0).
-            if torch.equal(value, self._state.original[name]):
+            if self._state.is_original(name, value):
                 continue
             low, high = (extreme.item() for extreme in value.aminmax())
             bounds = self._table[name].bounds

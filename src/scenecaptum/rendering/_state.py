@@ -43,6 +43,7 @@ class SceneState:
         self.leaves: dict[str, Any] = {}
         self.original = {name: self._to_torch(name, self._params[name]) for name in shapes}
         self._current = dict(self.original)
+        self._latest = Snapshot(self.original)
 
     @property
     def scalars(self) -> tuple[float, ...]:
@@ -72,18 +73,23 @@ class SceneState:
         """Return the values of all parameters, those that are not given as in the scene itself.
 
         The caller's tensors are copied: Dr.Jit borrows torch's memory, which the caller may change at any time. A
-        value that the scene has now is the same tensor as in the last snapshot, so that it is not compared again.
+        value of the latest snapshot, or one that the scene has now, is the same tensor again, and tensors of a
+        snapshot are recognized without a comparison.
         """
-        return Snapshot(
-            {**self.original, **{name: self._owned(name, value) for name, value in values.items()}}
-        )
+        owned = {name: self._owned(name, value) for name, value in values.items()}
+        self._latest = Snapshot({**self.original, **owned})
+        return self._latest
 
     def _owned(self, name: str, value: torch.Tensor) -> torch.Tensor:
         """Return a tensor with this value that nobody changes: one that there is already, or a copy."""
-        for own in (self._current.get(name), self.original[name]):
-            if own is not None and torch.equal(own, value):
+        for own in (self._latest[name], self._current.get(name), self.original[name]):
+            if own is not None and _equal(own, value):
                 return own
         return value.clone()
+
+    def is_original(self, name: str, value: torch.Tensor) -> bool:
+        """Whether a parameter's value is the scene's own."""
+        return _equal(self.original[name], value)
 
     def pending_writes(self, values: Snapshot, tracked: Collection[str]) -> dict[str, torch.Tensor]:
         """Return the writes that give the scene these values and track ``tracked``."""
@@ -176,11 +182,20 @@ class SceneState:
 
     def _is_current(self, name: str, tensor: torch.Tensor) -> bool:
         current = self._current.get(name)
-        return current is not None and torch.equal(current, tensor)
+        return current is not None and _equal(current, tensor)
 
 
 _MEAN = (1 / 3, 1 / 3, 1 / 3)
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
+
+
+def _equal(left: torch.Tensor, right: torch.Tensor) -> bool:
+    """Whether two tensors without NaN are equal; tensors that share their memory are not compared."""
+    return _memory(left) == _memory(right) or torch.equal(left, right)
+
+
+def _memory(tensor: torch.Tensor) -> tuple[Any, ...]:
+    return tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype
 
 
 def flat(value: Any) -> Any:
