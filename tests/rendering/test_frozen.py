@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import pytest
 import torch
 
-from scenecaptum import SceneRenderer
+from scenecaptum import SceneRenderer, VanillaSceneGradient
+from scenecaptum.attr import METHODS
+from scenecaptum.tradeoff import measure
 
 
 def room(plugin: str) -> dict[str, Any]:
@@ -50,6 +53,7 @@ def test_the_derivative_of_a_lobe_that_is_off_is_not_zero(mi: Any) -> None:
 @pytest.fixture
 def recorded(mi: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The modes of all recordings of our integrator so far."""
+    gc.collect()  # the scenes of other tests, which are part of a recording as long as they exist
     from scenecaptum.rendering.integrators.path import ReplayIntegrator
 
     modes: list[str] = []
@@ -63,25 +67,40 @@ def recorded(mi: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return modes
 
 
+def furnished_room() -> dict[str, Any]:
+    """A room whose inputs take every route: path replay, light tracing, and differences of paths."""
+    glass = {"type": "sphere", "center": [1.0, 1.0, 3.0], "radius": 0.3, "bsdf": {"type": "dielectric"}}
+    texture = {"type": "bitmap", "data": mitsuba_texture(), "raw": True}
+    wall = {"type": "rectangle", "to_world": behind(), "bsdf": {"type": "diffuse", "reflectance": texture}}
+    furniture = room("principled") | {"glass": glass, "wall": wall}
+    furniture["ball"]["bsdf"]["roughness"] = 0.15
+    return furniture
+
+
+def mitsuba_texture() -> Any:
+    import mitsuba as mi
+
+    return mi.TensorXf([0.2, 0.4, 0.6, 0.8] * 12, (4, 4, 3))
+
+
+def behind() -> Any:
+    """Return the transform of a wall behind the objects."""
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f().translate([0.0, 0.0, 5.0]).scale(3.0).rotate([0, 1, 0], 180)
+
+
+INPUTS = ["*.eta", "*.roughness.value", "*.base_color.value", "*.radiance.value", "wall.*"]
+
+
 def test_kernels_are_recorded_once_for_all_values_seeds_adjoints_and_sample_counts(
     recorded: list[str],
 ) -> None:
-    scene = room("principled")
-    scene["glass"] = {
-        "type": "sphere",
-        "center": [1.0, 1.0, 3.0],
-        "radius": 0.3,
-        "bsdf": {"type": "dielectric"},
-    }
-    renderer = SceneRenderer(scene, "all", resolution=(11, 7), spp=4)
+    renderer = SceneRenderer(furnished_room(), INPUTS, resolution=(11, 7), spp=4)
     assert "glass.bsdf.eta" in dict(renderer.plan.differences)
 
     def differentiate(shift: float, seed: int, spp: int) -> None:
-        leaves = {
-            name: (value + shift).detach().requires_grad_()
-            for name, value in renderer.inputs.items()
-            if name.endswith(("eta", "roughness.value", "base_color.value", "radiance.value"))
-        }
+        leaves = {name: (value + shift).requires_grad_() for name, value in renderer.inputs.items()}
         image = renderer(leaves, seed=seed, seed_grad=seed + 10, spp=spp)
         (image**2).mean().backward()
 
@@ -91,6 +110,36 @@ def test_kernels_are_recorded_once_for_all_values_seeds_adjoints_and_sample_coun
     assert before > 0
     for number in range(1, 5):
         differentiate(0.01 * number, 100 * number, 3 + 5 * number)
+    assert recorded[before:] == []
+
+
+def glare(image: torch.Tensor) -> torch.Tensor:
+    """A metric that is not linear, so that its adjoint and its bias need passes of their own."""
+    return (image**2).mean()
+
+
+@pytest.mark.parametrize(
+    "inputs",
+    [INPUTS, ["ball.bsdf.roughness.value", "ball.bsdf.base_color.value"]],
+    ids=["all routes", "light traced"],
+)
+@pytest.mark.parametrize("name", [*METHODS, "planner", "tradeoff"])
+def test_no_method_records_a_kernel_again(recorded: list[str], name: str, inputs: list[str]) -> None:
+    renderer = SceneRenderer(furnished_room(), inputs, resolution=(11, 7), spp=16, max_depth=4)
+    if name == "occlusion" and not any(value.ndim == 3 for value in renderer.inputs.values()):
+        pytest.skip("there is no texture to cover")
+
+    def run(seed: int, spp: int) -> None:
+        if name == "planner":
+            VanillaSceneGradient(renderer, glare).attribute(seed=seed, spp=spp, tolerance=0.5)
+        elif name == "tradeoff":
+            measure(renderer, glare, vary={"spp": [4, spp]}, runs=2, reference_spp=2 * spp, seed=seed)
+        else:
+            METHODS[name].create(renderer, glare).attribute(seed=seed, spp=spp)
+
+    run(1, 16), run(2, 16)
+    before = len(recorded)
+    run(3, 40)
     assert recorded[before:] == []
 
 

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
-from ._chunks import MAX_SAMPLES
 from ._sampler import SobolSampler
 
 
@@ -95,25 +94,18 @@ class AdjointSampledIntegrator(RBIntegrator):
             return mi.TensorXf(dr.sqrt(square), (height, width))
 
     def accumulate_moments(
-        self, scene: Any, sensor: Any, spp: int, seed: int, make_moments: Callable[[Any, Any], Any]
+        self, scene: Any, sensor: Any, seed: Any, pixel: Any, make_moments: Callable[[Any], Any]
     ) -> None:
-        """Trace ``spp`` paths from each pixel and accumulate moments of their vertices' contributions.
+        """Trace a path from the pixel of each lane and accumulate moments of its vertices' contributions.
 
-        ``make_moments`` returns the accumulator for the pixel and the sensor response of each lane.
+        ``make_moments`` returns the accumulator for the sensor response of each lane.
         """
-        width, height = sensor.film().crop_size()
-        pixels, max_pixels = width * height, max(1, MAX_SAMPLES // spp)
         with dr.suspend_grad():
-            for number, first in enumerate(range(0, pixels, max_pixels)):
-                lanes = spp * min(max_pixels, pixels - first)
-                pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, lanes) // spp
-                sampler = SobolSampler.of(lanes, dr.opaque(mi.UInt32, seed + number))
-                ray, response, _ = random_camera_rays(sensor, sampler, pixel)
-                fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
-                *_, state = self.sample(sampler=sampler.clone(), **fixed)
-                self.sample(sampler=sampler, state_in=state, moments=make_moments(pixel, response), **fixed)
-                dr.eval()
-                dr.sync_thread()
+            sampler = SobolSampler.at(dr.arange(mi.UInt32, dr.width(pixel)), seed)
+            ray, response, _ = random_camera_rays(sensor, sampler, pixel)
+            fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
+            *_, state = self.sample(sampler=sampler.clone(), **fixed)
+            self.sample(sampler=sampler, state_in=state, moments=make_moments(response), **fixed)
 
 
 @dataclass

@@ -36,7 +36,7 @@ from ._moved_materials import MovedParameter, batches, move
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
 from ._state import Snapshot, flat, owned
-from .integrators.light_tracing import light_paths
+from .integrators.light_tracing import LightPaths
 from .integrators.path_differences import MovedMaterials, working_arrays
 
 
@@ -57,6 +57,8 @@ class Engine:
         self._integrator = integrator
         self._importance_maps = importance_maps
         self._moved = moved
+        self._latest_routes: tuple[Snapshot, Routes] = Snapshot(), {}
+        self._latest_adjoint: tuple[torch.Tensor, torch.Tensor] | None = None  # and its magnitude
         self._kernels = make_kernels(
             integrator, live.sensor, live.state.forget_gradients, freeze=plan.kind.freezable
         )
@@ -80,7 +82,7 @@ class Engine:
 
         if tracked and not self._live.state.leaves and not self._live.is_borrowed:
             values = self._live.snapshot(values)
-            names = replayed_names(derivative_routes(self._parameters, values, tracked))
+            names = replayed_names(self._find_routes(values, tracked))
             image: torch.Tensor = self._live.call(render, values, names)
         else:
             image = self._live.call(render, values)
@@ -129,7 +131,7 @@ class Engine:
         those of the primal with the same seed, so that the result is the derivative of that very image.
         """
         values = self._live.snapshot(values)
-        routes = derivative_routes(self._parameters, values, tracked)
+        routes = self._find_routes(values, tracked)
         adjoint = adjoint.detach().float()
         gradients: dict[str, torch.Tensor] = {}
         difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
@@ -154,7 +156,7 @@ class Engine:
     def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
         """Return the Jacobian–vector product: the derivative image in the direction of ``tangents``."""
         values = self._live.snapshot(values)
-        routes = derivative_routes(self._parameters, values, tangents)
+        routes = self._find_routes(values, tangents)
         routes = {name: route for name, route in routes.items() if not route.is_constant}
         replayed = {name: tangents[name] for name in replayed_names(routes)}
         width, height = self._live.resolution
@@ -165,6 +167,18 @@ class Engine:
             quotient = self._difference_quotient(name, routes, values, seed, spp)
             image = image + (quotient * tangents[name]).to(image)
         return image
+
+    def _find_routes(self, values: Snapshot, tracked: Iterable[str]) -> Routes:
+        """Return the routes of the tracked parameters, the latest ones if these are of the same tensors.
+
+        A texture with black texels is copied for its route, which takes time, as does writing the copy.
+        """
+        names = tuple(tracked)
+        known, routes = self._latest_routes
+        if tuple(routes) != names or any(known.get(name) is not value for name, value in values.items()):
+            routes = derivative_routes(self._parameters, values, names)
+            self._latest_routes = values, routes
+        return routes
 
     def _difference_quotient(
         self, name: str, routes: Routes, values: Snapshot, seed: int, spp: int
@@ -200,8 +214,12 @@ class Engine:
         arguments = self._pixel_arguments(adjoint, group.maps)
 
         def replay(chunk: Chunk) -> None:
-            count = light_paths(chunk.spp * math.prod(self._live.resolution))
-            light = (group.light_traced, count) if group.light_traced else None
+            samples = chunk.spp * math.prod(self._live.resolution)
+            light = (
+                (group.light_traced, LightPaths.beside(samples, self._integrator.max_depth))
+                if group.light_traced
+                else None
+            )
             self._kernels.render_backward_pixels(self._live.scene, *arguments(chunk), light)
 
         return self._replay(replay, values, routes, group.names, self._chunks(seed, spp))
@@ -228,15 +246,20 @@ class Engine:
             moved = move([self._moved[name] for name in names], [values[name] for name in names], differences)
             return _sum(evaluate(difference(chunk, moved)) for chunk in self._chunks(seed, spp))
 
+        # The scene is that of path replay, so that its textures are not written twice in each backward pass.
+        scene = values.replace(_replay_values(routes, replayed_names(routes)))
         # Of the three channels of each parameter, all of which are numbers.
-        gradients = self._live.call(differentiate, values).reshape(-1, 3).sum(1)
+        gradients = self._live.call(differentiate, scene).reshape(-1, 3).sum(1)
         return dict(zip(names, gradients, strict=True))
 
     def _pixel_arguments(self, adjoint: torch.Tensor, maps: Maps) -> Callable[[Chunk], tuple[Any, ...]]:
         """Return the arguments of a backward pass of importance-sampled pixels, for each chunk."""
         film = self._importance_maps.film
         assert film is not None
-        magnitude = film.rms_adjoint(adjoint)
+        # A linear metric has the same adjoint for all replicates.
+        if self._latest_adjoint is None or not torch.equal(self._latest_adjoint[0], adjoint):
+            self._latest_adjoint = adjoint, film.rms_adjoint(adjoint)
+        magnitude = self._latest_adjoint[1]
 
         def arguments(chunk: Chunk) -> tuple[Any, ...]:
             pixel, weight = sample_pixels(magnitude, maps, chunk.spp, chunk.seed)

@@ -7,18 +7,26 @@ literals in kernels, so they are arguments (``scalars``): with other numbers the
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import drjit as dr
 import mitsuba as mi
 
 from ._backward import CameraAdjoint
 from ._bridge import full_message, is_detached_error
-from .integrators.light_tracing import SampledShapes, trace_light_backward
+from .integrators.light_tracing import LightPaths, SampledShapes, trace_light_backward
 from .integrators.path_differences import MovedMaterials, difference_backward
 
 # Two or three for each finite difference of a number that is a literal in kernels.
 MAX_RECORDINGS = 100
+
+
+@runtime_checkable
+class Accumulator(Protocol):
+    """An argument of a frozen function that the function accumulates into."""
+
+    def clear(self) -> None:
+        """Set the sums to 0."""
 
 
 class Kernels(NamedTuple):
@@ -55,7 +63,7 @@ def make_kernels(
         scalars: tuple[float, ...],
         samples: tuple[Any, Any],
         profile: tuple[Any, int],
-        light: tuple[SampledShapes, int] | None,
+        light: tuple[SampledShapes, LightPaths] | None,
     ) -> None:
         mask = light[0].mask if light else None
         integrator.render_backward_pixels(scene, sensor, adjoint, samples, profile, seed, mask)
@@ -75,10 +83,23 @@ def make_kernels(
         camera = CameraAdjoint(sensor, adjoint, profile)
         return difference_backward(integrator, scene, camera, samples, seed, *moved)
 
+    def reset(*arguments: Any) -> None:
+        forget_gradients()
+        clear(arguments)
+
     functions = (render, render_samples, render_backward, render_backward_pixels, differences)
     if not freeze:
         return Kernels(*functions)
-    return Kernels(*(_FrozenFunction(function, forget_gradients) for function in functions))
+    return Kernels(*(FrozenFunction(function, reset) for function in functions))
+
+
+def clear(arguments: Any) -> None:
+    """Clear the arrays that a call accumulates into, among its arguments."""
+    for argument in arguments:
+        if isinstance(argument, Accumulator):
+            argument.clear()
+        elif isinstance(argument, tuple):
+            clear(argument)
 
 
 def _registries(*arguments: Any, **options: Any) -> Any:
@@ -92,12 +113,14 @@ def _registries(*arguments: Any, **options: Any) -> Any:
     ]
 
 
-class _FrozenFunction:
+class FrozenFunction:
     """A frozen function, or the plain function where a plugin hides objects that freezing would have to see."""
 
-    def __init__(self, function: Callable[..., Any], forget_gradients: Callable[[], None]) -> None:
+    def __init__(self, function: Callable[..., Any], reset: Callable[..., None]) -> None:
         self._function = function
-        self._forget_gradients = forget_gradients
+        self._reset = (
+            reset  # takes the arguments of a recording that has failed, and undoes what it accumulated
+        )
         self._call = dr.freeze(function, state_fn=_registries, warn_after=1000, limit=MAX_RECORDINGS)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -106,7 +129,7 @@ class _FrozenFunction:
         except RuntimeError as error:
             if "record()" not in full_message(error) or is_detached_error(error):
                 raise
-            # Gradients that the failed recording has accumulated would count twice.
-            self._forget_gradients()
+            # What the failed recording has accumulated would count twice.
+            self._reset(*arguments)
             self._call = self._function
             return self._function(*arguments)

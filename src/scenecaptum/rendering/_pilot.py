@@ -6,8 +6,9 @@ cannot show whether they do. The individual paths of a pilot can.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -17,10 +18,14 @@ import torch
 from numpy.typing import NDArray
 
 from ..scene import SceneGraph, SceneParameters
+from ._bridge import evaluate
+from ._chunks import MAX_SAMPLES
 from ._derivative_routes import DIFFERENCE_SPP_DIVISOR, derivative_routes
+from ._frozen import FrozenFunction, clear
 from ._importance_maps import ImportanceMaps
 from ._live_scene import LiveScene, Values
 from ._pixel_sampling import pixel_probabilities
+from ._plan import RenderPlan
 from ._texels import shape_index
 
 # Samples of a pilot: relative to those of the estimate, and in all at most.
@@ -69,36 +74,57 @@ def _emitter_index(emitter: Any) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
 
 
+@dataclass
+class Sums:
+    """Sums of squares and of fourth powers, in double precision because squares may overflow float32."""
+
+    squares: Any
+    fourths: Any
+
+    @classmethod
+    def zeros(cls, size: int) -> Sums:
+        """Return ``size`` sums of each."""
+        arrays = [dr.zeros(dr.float64_array_t(mi.Float), size) for _ in range(2)]
+        dr.make_opaque(arrays)
+        return cls(*arrays)
+
+    def clear(self) -> None:
+        """Set all sums to 0."""
+        self.__dict__ |= vars(Sums.zeros(dr.width(self.squares)))
+
+
 class Moments:
     """Accumulates squares and fourth powers of the contributions of path vertices, by group and block of pixels.
 
     Not a dataclass, whose fields Dr.Jit would make state variables of the integrator's loop. ``block`` is that of
-    each lane, and ``response`` the sensor's to its radiance. The sums have ``groups · blocks`` elements each, in
-    double precision because squares may overflow float32.
+    each lane, and ``response`` the sensor's to its radiance. ``groups`` are the two tables of ``ParameterGroups``
+    and the number of groups; there are ``groups · blocks`` ``sums``.
     """
 
     def __init__(
-        self, groups: ParameterGroups, block: Any, blocks: int, response: Any, squares: Any, fourths: Any
+        self, groups: tuple[Any, Any, int], block: Any, blocks: int, response: Any, sums: Sums
     ) -> None:
-        self.groups, self.block, self.blocks, self.response = groups, block, blocks, response
-        self.squares, self.fourths = squares, fourths
+        self.of_shape, self.of_emitter, self.count = groups
+        self.block, self.blocks, self.response = block, blocks, response
+        self.sums = sums
 
     def add(
         self, si: Any, hit_emitter: Any, emission: Any, sampled_emitter: Any, direct: Any, indirect: Any
     ) -> None:
         """Add a vertex: emission of the hit emitter, reflected light of the sampled one, and indirect light."""
         shape, instance = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (si.shape, si.instance))
-        self._add(self.groups.of_shape, dr.select(instance != 0, instance, shape), direct + indirect)
+        self._add(self.of_shape, dr.select(instance != 0, instance, shape), direct + indirect)
         for emitter, light in ((hit_emitter, emission), (sampled_emitter, direct)):
-            self._add(self.groups.of_emitter, dr.reinterpret_array(mi.UInt32, emitter), light)
+            self._add(self.of_emitter, dr.reinterpret_array(mi.UInt32, emitter), light)
 
     def _add(self, table: mi.UInt32, jit_index: Any, light: Any) -> None:
         size = dr.sum(dr.abs(light * self.response))
         group = dr.gather(mi.UInt32, table, jit_index, jit_index < dr.width(table))
-        active = (size > 0) & (jit_index < dr.width(table)) & (group < len(self.groups.parameters))
-        square, index = dr.square(type(self.squares)(size)), group * self.blocks + self.block
-        dr.scatter_add(self.squares, square, index, active)
-        dr.scatter_add(self.fourths, dr.square(square), index, active)
+        active = (size > 0) & (jit_index < dr.width(table)) & (group < self.count)
+        sums, index = self.sums, group * self.blocks + self.block
+        square = dr.square(type(sums.squares)(size))
+        dr.scatter_add(sums.squares, square, index, active)
+        dr.scatter_add(sums.fourths, dr.square(square), index, active)
 
 
 @dataclass(frozen=True)
@@ -138,6 +164,7 @@ class Pilots:
 
     live: LiveScene
     parameters: SceneParameters
+    plan: RenderPlan
     integrator: Any
     importance_maps: ImportanceMaps
     moved: Collection[str]  # parameters that are differentiated by differences of paths
@@ -183,32 +210,68 @@ class Pilots:
             self._originals = self.live.original
             self._pilots.clear()
         if spp not in self._pilots:
-            live = self.live
-            groups = find_parameter_groups(live.graph, self.parameters)
-            with live.with_values({}):
-                self._pilots[spp] = run_pilot(self.integrator, live.scene, live.sensor, groups, spp, 0)
+            with self.live.with_values({}):
+                self._pilots[spp] = self._trace(spp)
         return self._pilots[spp]
 
+    @cached_property
+    def _groups(self) -> ParameterGroups:
+        return find_parameter_groups(self.live.graph, self.parameters)
 
-def run_pilot(
-    integrator: Any, scene: Any, sensor: Any, groups: ParameterGroups, spp: int, seed: int
-) -> Pilot:
-    """Trace ``spp`` paths from each pixel and accumulate the moments of their contributions."""
-    width, height = sensor.film().crop_size()
-    side = 1
-    while len(groups.parameters) * -(-width // side) * -(-height // side) > MAX_VALUES:
-        side += 1
-    y, x = np.divmod(np.arange(width * height), width)
-    block = y // side * -(-width // side) + x // side
-    block_of_pixel, blocks = mi.UInt32(block), int(block.max()) + 1
-    shape = len(groups.parameters), blocks
-    sums = [dr.zeros(dr.float64_array_t(mi.Float), max(1, shape[0] * blocks)) for _ in range(2)]
+    def _trace(self, spp: int) -> Pilot:
+        """Trace ``spp`` paths from each pixel and accumulate the moments of their contributions."""
+        (width, height), groups = self.live.resolution, self._groups
+        side = 1
+        while len(groups.parameters) * -(-width // side) * -(-height // side) > MAX_VALUES:
+            side += 1
+        y, x = np.divmod(np.arange(width * height), width)
+        block = y // side * -(-width // side) + x // side
+        blocks = int(block.max()) + 1
+        tables = groups.of_shape, groups.of_emitter, mi.UInt32(block), blocks
+        shape = len(groups.parameters), blocks
+        sums = Sums.zeros(max(1, shape[0] * blocks))
+        scene, scalars = self.live.scene, self.live.state.scalars
+        for number, pixel in enumerate(_pixels_in_chunks(width * height, spp)):
+            if scene.emitters():  # otherwise none can be sampled
+                self._kernel(scene, dr.opaque(mi.UInt32, number), scalars, pixel, tables, sums)
+                evaluate(sums)
+        samples = spp * np.bincount(block)
+        squares, fourths = (
+            total.numpy()[: shape[0] * blocks].reshape(shape) / samples
+            for total in (sums.squares, sums.fourths)
+        )
+        return Pilot(groups.parameters, squares, fourths, block)
 
-    def make_moments(pixel: Any, response: Any) -> Moments:
-        return Moments(groups, dr.gather(mi.UInt32, block_of_pixel, pixel), blocks, response, *sums)
+    @cached_property
+    def _kernel(self) -> Callable[..., None]:
+        """The integrator's ``accumulate_moments``, frozen where possible."""
+        integrator, sensor, count = self.integrator, self.live.sensor, len(self._groups.parameters)
 
-    if scene.emitters():  # otherwise none can be sampled
-        integrator.accumulate_moments(scene, sensor, spp, seed, make_moments)
-    samples = spp * np.bincount(block)
-    squares, fourths = (total.numpy()[: shape[0] * blocks].reshape(shape) / samples for total in sums)
-    return Pilot(groups.parameters, squares, fourths, block)
+        def accumulate(
+            scene: Any,
+            seed: Any,
+            scalars: tuple[float, ...],
+            pixel: Any,
+            tables: tuple[Any, Any, Any, int],
+            sums: Sums,
+        ) -> None:
+            of_shape, of_emitter, block_of_pixel, blocks = tables
+            block = dr.gather(mi.UInt32, block_of_pixel, pixel)
+
+            def make_moments(response: Any) -> Moments:
+                return Moments((of_shape, of_emitter, count), block, blocks, response, sums)
+
+            integrator.accumulate_moments(scene, sensor, seed, pixel, make_moments)
+
+        freeze = self.plan.kind.freezable
+        return FrozenFunction(accumulate, lambda *arguments: clear(arguments)) if freeze else accumulate
+
+
+def _pixels_in_chunks(pixels: int, spp: int) -> Iterator[Any]:
+    """Return the pixel of each sample, in as few chunks as fit into memory."""
+    at_once = max(1, MAX_SAMPLES // spp)
+    for first in range(0, pixels, at_once):
+        lane = dr.arange(mi.UInt32, spp * min(at_once, pixels - first))
+        pixel = dr.opaque(mi.UInt32, first) + lane // dr.opaque(mi.UInt32, spp)
+        dr.eval(pixel)
+        yield pixel

@@ -31,8 +31,12 @@ class SobolSampler:
     @staticmethod
     def of(lanes: int, seed: Any) -> SobolSampler:
         """Return a sampler with the given number of lanes."""
-        index = dr.brev(dr.arange(mi.UInt32, lanes))
-        return SobolSampler(index, mi.UInt32(seed), dr.zeros(mi.UInt32, lanes))
+        return SobolSampler(dr.brev(dr.arange(mi.UInt32, lanes)), mi.UInt32(seed), dr.zeros(mi.UInt32, lanes))
+
+    @staticmethod
+    def at(lane: Any, seed: Any) -> SobolSampler:
+        """Return a sampler for the given lanes: those whose numbers are equal draw the same."""
+        return SobolSampler(dr.brev(lane), mi.UInt32(seed), mi.UInt32(0))
 
     def clone(self) -> SobolSampler:
         """Return a copy that draws the same numbers."""

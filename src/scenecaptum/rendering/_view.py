@@ -68,5 +68,5 @@ def make_view(live: LiveScene, parameters: SceneParameters, plan: RenderPlan) ->
     arguments = (live, parameters, plan, integrator, importance_maps, moved)
     if plan.kind.is_stock:
         return View(live, StockEngine(*arguments), None, surface_map)
-    pilots = Pilots(live, parameters, integrator, importance_maps, moved)
+    pilots = Pilots(live, parameters, plan, integrator, importance_maps, moved)
     return View(live, Engine(*arguments), pilots, surface_map)

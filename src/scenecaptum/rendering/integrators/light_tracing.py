@@ -114,30 +114,67 @@ class LightSubpath:
     lengths: int
 
 
-def light_paths(samples: int) -> int:
-    """Return the number of light subpaths of each kind beside a number of samples of path replay."""
-    return max(1, PATHS_PER_SAMPLE * samples // LOBE_STRATA)
+@dataclass
+class LightPaths:
+    """Arrays of Dr.Jit as long as each launch of ``trace_light_backward``, which are used up by one call.
+
+    They are arguments because a frozen function can only guess the sizes of arrays that it creates itself.
+    """
+
+    count: Any  # of subpaths of each kind
+    index: Any  # of each subpath
+    lane: Any  # of each sample of a lobe
+    incident: Any  # zeros for each subpath and each length that it may have
+    radiance: Any  # likewise
+
+    @classmethod
+    def beside(cls, samples: int, max_depth: int) -> LightPaths:
+        """Return the arrays for the paths beside a number of samples of path replay."""
+        count = max(1, PATHS_PER_SAMPLE * samples // LOBE_STRATA)
+        # A kernel is recorded again where two arrays of different lengths have the same: not that of the adjoint.
+        count += (1 - count) % 3
+        index, lane = dr.arange(mi.UInt32, count), dr.arange(mi.UInt32, count * LOBE_STRATA)
+        paths = cls(dr.opaque(mi.Float, count), index, lane, *_zeros(count * _lengths(max_depth)))
+        dr.eval(index, lane)
+        return paths
+
+    def clear(self) -> None:
+        """Set all light to 0."""
+        self.incident, self.radiance = _zeros(dr.width(self.incident))
+
+
+def _zeros(entries: int) -> tuple[Any, Any]:
+    arrays = dr.zeros(mi.Spectrum, entries), dr.zeros(mi.Spectrum, entries)
+    dr.make_opaque(arrays)
+    return arrays
+
+
+def _lengths(max_depth: int) -> int:
+    """Return the number of lengths that subpaths are told apart by; without a depth limit one is enough."""
+    return max_depth if max_depth < 2**31 else 1
 
 
 def trace_light_backward(
-    integrator: Any, scene: Any, camera: CameraAdjoint, shapes: SampledShapes, count: int, seed: Any
+    integrator: Any, scene: Any, camera: CameraAdjoint, shapes: SampledShapes, paths: LightPaths, seed: Any
 ) -> None:
     """Backpropagate an adjoint to the parameters of the sampled shapes, for the paths that path replay omits.
 
-    ``integrator`` is a ``ReplayIntegrator``, and ``count`` the number of ``light_paths``, a literal in kernels.
+    ``integrator`` is a ``ReplayIntegrator``.
     """
     with dr.suspend_grad():
         for number, sample_subpath in enumerate((_sample_direct_light, _sample_indirect_light)):
-            sampler = SobolSampler.of(count, _derive_seed(seed, 2 * number))
-            point = _sample_surface_point(scene, camera.sensor, shapes, sampler, count)
-            subpath = sample_subpath(integrator, scene, point, sampler)
+            sampler = SobolSampler.at(paths.index, _derive_seed(seed, 2 * number))
+            point = _sample_surface_point(scene, camera.sensor, shapes, sampler, paths.count)
+            subpath = sample_subpath(integrator, scene, point, sampler, paths)
             dr.eval(subpath)
-            sampler = SobolSampler.of(count * LOBE_STRATA, _derive_seed(seed, 2 * number + 1))
-            _propagate(integrator, scene, camera, sampler, subpath, shapes.mask)
+            sampler = SobolSampler.at(paths.lane, _derive_seed(seed, 2 * number + 1))
+            _propagate(integrator, scene, camera, sampler, paths.lane, subpath, shapes.mask)
             dr.eval()
 
 
-def _sample_direct_light(integrator: Any, scene: Any, point: Any, sampler: SobolSampler) -> LightSubpath:
+def _sample_direct_light(
+    integrator: Any, scene: Any, point: Any, sampler: SobolSampler, paths: LightPaths
+) -> LightSubpath:
     """Sample directions from which an emitter illuminates points of surfaces."""
     si, density, valid = point
     ds, emitter_weight = scene.sample_emitter_direction(si, sampler.next_2d(), True, valid)
@@ -145,7 +182,9 @@ def _sample_direct_light(integrator: Any, scene: Any, point: Any, sampler: Sobol
     return LightSubpath(si, si.to_local(ds.d), active, dr.select(active, emitter_weight / density, 0), 1)
 
 
-def _sample_indirect_light(integrator: Any, scene: Any, point: Any, sampler: SobolSampler) -> LightSubpath:
+def _sample_indirect_light(
+    integrator: Any, scene: Any, point: Any, sampler: SobolSampler, paths: LightPaths
+) -> LightSubpath:
     """Sample directions from which other surfaces illuminate points of surfaces."""
     si, density, valid = point
     # The back side matters where the BSDF transmits or reflects light there.
@@ -155,26 +194,22 @@ def _sample_indirect_light(integrator: Any, scene: Any, point: Any, sampler: Sob
     density *= dr.select(mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.BackSide), 0.5, 1)
     direction.z *= dr.select(behind, -1, 1)
 
-    # Without a depth limit one entry is enough.
-    lengths = integrator.max_depth if integrator.max_depth < 2**31 else 1
-    count = dr.width(density)
-    offset = dr.arange(mi.UInt32, count) * lengths
-    incident = dr.zeros(mi.Spectrum, count * lengths)
+    lengths = _lengths(integrator.max_depth)
+    offset = paths.index * lengths
     integrator.sample(
         mode=dr.ADMode.Primal,
         scene=scene,
         sampler=sampler,
         ray=si.spawn_ray(si.to_world(direction)),
         active=valid,
-        incident=(incident, offset, lengths),
+        incident=(paths.incident, offset, lengths),
     )
-    dr.eval(incident)
-    radiance = dr.zeros(mi.Spectrum, count * lengths)
+    dr.eval(paths.incident)
     total = mi.Spectrum(0)
     for length in range(lengths):
-        total += dr.gather(mi.Spectrum, incident, offset + length) / density
-        dr.scatter(radiance, total, offset + length)
-    return LightSubpath(si, direction, valid, radiance, lengths)
+        total += dr.gather(mi.Spectrum, paths.incident, offset + length) / density
+        dr.scatter(paths.radiance, total, offset + length)
+    return LightSubpath(si, direction, valid, paths.radiance, lengths)
 
 
 def _propagate(
@@ -182,11 +217,11 @@ def _propagate(
     scene: Any,
     camera: CameraAdjoint,
     sampler: SobolSampler,
+    lane: Any,
     subpath: LightSubpath,
     shape_mask: Any,
 ) -> None:
     """Continue each subpath in all strata of the lobe, and backpropagate what reaches the camera."""
-    lane = dr.arange(mi.UInt32, dr.width(subpath.active) * LOBE_STRATA)
     index, stratum = lane // LOBE_STRATA, lane % LOBE_STRATA
     si, active = (
         dr.gather(mi.SurfaceInteraction3f, subpath.si, index),
@@ -222,7 +257,7 @@ def _propagate(
 
 
 def _sample_surface_point(
-    scene: Any, sensor: Any, shapes: SampledShapes, sampler: SobolSampler, count: int
+    scene: Any, sensor: Any, shapes: SampledShapes, sampler: SobolSampler, count: Any
 ) -> tuple[Any, Any, Any]:
     """Return random surface points, their density times ``count``, and whether a ray confirmed them."""
     time = sensor.shutter_open() + sampler.next_1d() * sensor.shutter_open_time()

@@ -242,7 +242,8 @@ def _record_incident(incident: Any, depth: Any, Le: Any, Lr_dir: Any, active: An
     target, offset, lengths = incident
     for light, segments in ((Le, depth + 1), (Lr_dir, depth + 2)):
         index = offset + dr.minimum(segments, lengths) - 1
-        dr.scatter_add(target, light, index, active & (segments > 1))
+        # Each ray has entries of its own. Other modes copy the array, whose size a frozen function must know.
+        dr.scatter_add(target, light, index, active & (segments > 1), dr.ReduceMode.NoConflicts)
 
 
 def _is_glossy(vertex: Vertex) -> Any:

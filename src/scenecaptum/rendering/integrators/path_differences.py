@@ -89,7 +89,7 @@ def difference_backward(
         copy = dr.gather(mi.UInt32, parameter, lane) * POINTS + point % POINTS
         weight = dr.gather(mi.Float, moved.weights, copy) * dr.gather(mi.Float, factor, lane)
         active = weight != 0
-        sampler = SobolSampler(dr.brev(lane), mi.UInt32(seed), mi.UInt32(0))
+        sampler = SobolSampler.at(lane, seed)
         pixel = dr.gather(mi.UInt32, pixel, lane)
         ray, response, film_point = random_camera_rays(camera.sensor, sampler, pixel)
         original = dr.gather(mi.UInt32, moved.index, dr.gather(mi.UInt32, material, lane), active)
