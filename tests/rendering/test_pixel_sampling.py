@@ -23,13 +23,13 @@ def counts(pixel: torch.Tensor) -> torch.Tensor:
 
 def test_a_uniform_adjoint_gives_every_pixel_the_same_samples() -> None:
     for seed in seeds(20):
-        pixel, weight = sample_pixels(torch.full((6, 8), 0.3), [(0.7, UNIFORM)], 5, seed)
+        pixel, weight = sample_pixels(torch.full((6, 8), 0.3), [(0.7, UNIFORM)], 5 * 48, seed)
         assert (counts(pixel) == 5).all()
         torch.testing.assert_close(weight, torch.full((48,), 1 / 5))
 
 
 def test_a_zero_adjoint_samples_uniformly() -> None:
-    pixel, weight = sample_pixels(torch.zeros(6, 8), [(0.7, UNIFORM)], 4, 0)
+    pixel, weight = sample_pixels(torch.zeros(6, 8), [(0.7, UNIFORM)], 4 * 48, 0)
     assert (counts(pixel) == 4).all()
     assert torch.isfinite(weight).all()
 
@@ -40,7 +40,7 @@ def test_samples_are_stratified_by_adjoint_and_importance() -> None:
     density = (magnitude * importance).flatten()
     expected = 48 * 16 * (0.7 * density / density.sum() + 0.3 / 48)
     for seed in seeds(20):
-        pixel, weight = sample_pixels(magnitude, [(0.7, importance)], 16, seed)
+        pixel, weight = sample_pixels(magnitude, [(0.7, importance)], 16 * 48, seed)
         assert len(pixel) == 48 * 16
         assert ((counts(pixel) - expected).abs() < 1.001).all()
         torch.testing.assert_close(weight, 1 / expected)
@@ -48,7 +48,7 @@ def test_samples_are_stratified_by_adjoint_and_importance() -> None:
 
 def test_the_expected_count_is_in_proportion_to_the_probability() -> None:
     magnitude = torch.rand(6, 8, generator=torch.Generator().manual_seed(shifted(3)))
-    drawn = [sample_pixels(magnitude, [(0.7, UNIFORM)], 2, seed) for seed in seeds(2000)]
+    drawn = [sample_pixels(magnitude, [(0.7, UNIFORM)], 2 * 48, seed) for seed in seeds(2000)]
     mean = torch.stack([counts(pixel).float() for pixel, _ in drawn]).mean(0)
     error = torch.stack([counts(pixel).float() for pixel, _ in drawn]).std(0) / 2000**0.5
     expected = 1 / drawn[0][1]

@@ -97,23 +97,25 @@ class GradientSum:
 
     def add(self, point: PointGradient) -> None:
         """Add a point; after an interruption it may have fewer replicates."""
+        self.__dict__.pop("degrees_of_freedom", None)  # those of the points so far
+        replicates = point.replicates
         self.weight += point.weight
         self.adjoints = point.adjoints
-        self._counts.append(point.replicates)
+        self._counts.append(replicates)
         self.totals.append({name: statistics.totals for name, statistics in point.statistics.items()})
-        variance = point.weight**2 / (point.replicates * point.spp)
+        variance = point.weight**2 / (replicates * point.spp)
         self._total_variance += variance
-        self._measured_variance += variance if point.replicates > 1 else 0.0
+        self._measured_variance += variance if replicates > 1 else 0.0
         for name, statistics in point.statistics.items():
             if self._between_points is None:
                 self._sum[name] = _added(self._sum.get(name), statistics.mean, point.weight)
             else:
                 self._between_points[name].add(statistics.mean)
-            if point.replicates > 1 and self._error_from_replicates:
+            if replicates > 1 and self._error_from_replicates:
                 error = statistics.error().mul_(point.weight)
                 self._error[name] = error.hypot_(self._error[name]) if name in self._error else error
                 totals = torch.stack(statistics.totals)
-                scale = point.weight / math.sqrt(point.replicates * (point.replicates - 1))
+                scale = point.weight / math.sqrt(replicates * (replicates - 1))
                 deviations = scale * (totals - totals.mean(0))
                 self._deviations[name].extend(deviations)
                 self._variances[name].append(deviations.square().sum().item())
@@ -139,7 +141,7 @@ class GradientSum:
             return len(self._counts)
         return sum(n for n in self._counts if n > 1) or sum(self._counts)
 
-    @property
+    @cached_property
     def degrees_of_freedom(self) -> int:
         """Effective degrees of freedom of the error; 0 for a single replicate.
 

@@ -40,8 +40,8 @@ STEPS = {"reflectance": 0.02, "opacity": 0.02, "ior": 0.02, "surface": 0.02, "me
 STEP_NEAR_ONE = 0.004  # for an index near 1, where the curvature is greater
 RELATIVE_STEP = 0.05  # relative to the value, for parameters without a natural scale
 
-# With importance sampling a finite difference takes this many times fewer samples per render: common random
-# numbers remove most of its noise.
+# With importance sampling a finite difference, of renders or of paths, takes this many times fewer samples: common
+# random numbers remove most of its noise.
 DIFFERENCE_SPP_DIVISOR = 4
 
 # Scale factors of emitters that Mitsuba does not track, each with that of the same emitter's other light. The

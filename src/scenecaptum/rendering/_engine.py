@@ -134,20 +134,20 @@ class Engine:
         routes = self._find_routes(values, tracked)
         adjoint = adjoint.detach().float()
         gradients: dict[str, torch.Tensor] = {}
-        difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
         if importance_sampling and self._importance_maps.film:
             for group in self._importance_maps.groups(values, routes):
                 gradients |= self._replay_sampled_pixels(values, routes, group, adjoint, seed, spp)
             moved = [name for name in self._moved if name in routes and routes[name].difference is not None]
             for names in batches(moved, self._moved):
-                gradients |= self._difference_of_paths(values, routes, names, adjoint, seed, difference_spp)
+                gradients |= self._difference_of_paths(values, routes, names, adjoint, seed, spp)
         else:
             gradients |= self._replay_all_pixels(values, routes, adjoint, seed, spp)
         for name, route in routes.items():
             if route.is_constant:
                 gradients[name] = torch.zeros_like(values[name])
             elif name not in gradients and route.difference is not None:
-                quotient = self._difference_quotient(name, routes, values, seed, difference_spp)
+                fewer = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
+                quotient = self._difference_quotient(name, routes, values, seed, fewer)
                 product = (adjoint * quotient).sum((0, 1))
                 # Each channel of the image depends only on the same channel of a colour.
                 gradients[name] = product if values[name].ndim else product.sum()
@@ -233,8 +233,12 @@ class Engine:
         seed: int,
         spp: int,
     ) -> dict[str, torch.Tensor]:
-        """Return gradients by differences of paths through one of the ``batches`` of moved materials."""
-        arguments = self._pixel_arguments(adjoint, self._importance_maps.find_maps(values, names, None))
+        """Return gradients by differences of paths through one of the ``batches`` of moved materials.
+
+        There are ``DIFFERENCE_SPP_DIVISOR`` times fewer paths than samples.
+        """
+        maps = self._importance_maps.find_maps(values, names, None)
+        arguments = self._pixel_arguments(adjoint, maps, DIFFERENCE_SPP_DIVISOR)
         differences = [route.difference for name in names if (route := routes[name]).difference]
 
         def difference(chunk: Chunk, moved: MovedMaterials) -> Any:
@@ -252,8 +256,13 @@ class Engine:
         gradients = self._live.call(differentiate, scene).reshape(-1, 3).sum(1)
         return dict(zip(names, gradients, strict=True))
 
-    def _pixel_arguments(self, adjoint: torch.Tensor, maps: Maps) -> Callable[[Chunk], tuple[Any, ...]]:
-        """Return the arguments of a backward pass of importance-sampled pixels, for each chunk."""
+    def _pixel_arguments(
+        self, adjoint: torch.Tensor, maps: Maps, divisor: int = 1
+    ) -> Callable[[Chunk], tuple[Any, ...]]:
+        """Return the arguments of a backward pass of importance-sampled pixels, for each chunk.
+
+        The samples are those of the chunk, divided by ``divisor``.
+        """
         film = self._importance_maps.film
         assert film is not None
         # A linear metric has the same adjoint for all replicates.
@@ -262,7 +271,8 @@ class Engine:
         magnitude = self._latest_adjoint[1]
 
         def arguments(chunk: Chunk) -> tuple[Any, ...]:
-            pixel, weight = sample_pixels(magnitude, maps, chunk.spp, chunk.seed)
+            count = math.ceil(math.prod(self._live.resolution) * chunk.spp / divisor)
+            pixel, weight = sample_pixels(magnitude, maps, count, chunk.seed)
             # One more sample, of weight 0: a kernel is recorded again where two of its arrays that had different
             # lengths have the same, and the number of samples would sometimes be that of pixels or channels.
             pixel, weight = pad(pixel, (0, 1), value=len(weight)), pad(weight, (0, 2))

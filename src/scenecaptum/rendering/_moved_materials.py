@@ -15,6 +15,7 @@ import torch
 from ..scene import SceneGraph, SceneParameters, children
 from ..scene.dielectric import SmoothDielectric
 from ._derivative_routes import FiniteDifference
+from ._registry import bsdf_index, index_table
 from ._state import owned
 from .integrators.path_differences import MAX_MATERIALS, POINTS, MovedMaterials
 
@@ -111,19 +112,12 @@ def move(
             weights[row, column] = weight
     counts = Counter(parameter.material for parameter in parameters)
     count, indices = np.array(list(counts.values())), [bsdf_index(material) for material in counts]
-    position = np.full(max(indices) + 1, MAX_MATERIALS, np.uint32)
-    position[indices] = np.arange(len(indices))
     copies = [bsdf_index(copy.bsdf) for parameter in parameters for copy in parameter.copies]
     return MovedMaterials(
-        position=owned(mi.UInt32(position)),
+        position=index_table(dict(zip(indices, range(len(indices)), strict=True)), MAX_MATERIALS),
         first=owned(mi.UInt32(count.cumsum() - count)),
         count=owned(mi.UInt32(count)),
         index=owned(mi.UInt32(indices)),
         copies=owned(mi.UInt32(copies)),
         weights=owned(mi.Float(weights.ravel())),
     )
-
-
-def bsdf_index(bsdf: Any) -> int:
-    """Return Dr.Jit's index of a material."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0])

@@ -26,7 +26,7 @@ from ._importance_maps import ImportanceMaps
 from ._live_scene import LiveScene, Values
 from ._pixel_sampling import pixel_probabilities
 from ._plan import RenderPlan
-from ._texels import shape_index
+from ._registry import emitter_index, index_table, shape_index
 
 # Samples of a pilot: relative to those of the estimate, and in all at most.
 PILOT_FACTOR, MAX_PILOT_SAMPLES = 4, 2**17
@@ -53,7 +53,7 @@ def find_parameter_groups(graph: SceneGraph, parameters: SceneParameters) -> Par
     light = {n: node for n, node in differentiable.items() if parameters[n].kind == "emitters"}
     matter = {n: node for n, node in differentiable.items() if n not in light}
     shapes = {shape_index(shape): _names_below(matter, below) for _, shape, below in graph.shapes()}
-    emitters = {_emitter_index(emitter): _names_below(light, below) for emitter, below in graph.emitters()}
+    emitters = {emitter_index(emitter): _names_below(light, below) for emitter, below in graph.emitters()}
     groups = tuple(dict.fromkeys(names for names in (*shapes.values(), *emitters.values()) if names))
     return ParameterGroups(groups, _table(shapes, groups), _table(emitters, groups))
 
@@ -63,15 +63,8 @@ def _names_below(nodes: dict[str, Any], below: Collection[Any]) -> frozenset[str
 
 
 def _table(names_by_index: dict[int, frozenset[str]], groups: Sequence[frozenset[str]]) -> mi.UInt32:
-    table = np.full(max(names_by_index, default=0) + 1, len(groups), np.uint32)
-    for index, names in names_by_index.items():
-        if names:
-            table[index] = groups.index(names)
-    return mi.UInt32(table)
-
-
-def _emitter_index(emitter: Any) -> int:
-    return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
+    group_of = {index: groups.index(names) for index, names in names_by_index.items() if names}
+    return index_table(group_of, len(groups))
 
 
 @dataclass
@@ -193,7 +186,9 @@ class Pilots:
             difference_spp = max(1, spp // DIFFERENCE_SPP_DIVISOR)
             moved = [name for name in self.moved if name in routes and routes[name].difference is not None]
             maps = self.importance_maps.find_maps(values, moved, None)
-            moved_samples = pixel_probabilities(magnitude, maps) * (width * height * difference_spp)
+            moved_samples = pixel_probabilities(magnitude, maps) * (
+                width * height * spp / DIFFERENCE_SPP_DIVISOR
+            )
         weights = magnitude.cpu().double().numpy().ravel()
         samples = dict.fromkeys(tracked, np.full_like(weights, difference_spp))
         samples |= dict.fromkeys(replayed.names, sampled) | dict.fromkeys(moved, moved_samples)

@@ -10,28 +10,27 @@ import torch
 
 
 def sample_pixels(
-    magnitude: torch.Tensor, importance_maps: Sequence[tuple[float, torch.Tensor]], spp: int, seed: int
+    magnitude: torch.Tensor, importance_maps: Sequence[tuple[float, torch.Tensor]], samples: int, seed: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Distribute ``H·W·spp`` samples over the pixels according to ``pixel_probabilities``.
+    """Distribute a number of samples over the pixels according to ``pixel_probabilities``.
 
     The samples are stratified: a pixel with an expected count of ``n`` samples gets ``n``, rounded up or down at
-    random. A constant adjoint with constant importance therefore loses nothing: each pixel gets exactly ``spp``.
+    random. A constant adjoint with constant importance therefore loses nothing: each pixel gets equally many.
 
     Returns
     -------
     pixel : Tensor
-        ``(H·W·spp,)`` int32: the pixel of each sample, in ascending order.
+        ``(samples,)`` int32: the pixel of each sample, in ascending order.
     weight : Tensor
         ``(H·W,)`` float32: the weight of a sample in each pixel; ``Σ weight·f`` estimates ``Σ f`` over pixels.
     """
     probability = pixel_probabilities(magnitude, importance_maps)
-    pixels, samples = probability.size, probability.size * spp
     ends = np.minimum(probability.cumsum() * samples, samples)
     ends[-1] = samples
     # Kept away from 0 and 1, where the rounding errors of the sum would move samples between neighbours.
     shift = np.random.default_rng(seed).uniform(1e-3, 1 - 1e-3)
     counts = np.diff(np.ceil(ends - shift), prepend=0).astype(np.int64)
-    pixel = np.repeat(np.arange(pixels, dtype=np.int32), counts)
+    pixel = np.repeat(np.arange(probability.size, dtype=np.int32), counts)
     weight = (1 / (samples * probability)).astype(np.float32)
     return torch.from_numpy(pixel).to(magnitude.device), torch.from_numpy(weight).to(magnitude.device)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..projection import TexelMap
 from ._live_scene import LiveScene
+from ._registry import shape_index
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -157,11 +158,6 @@ def find_textures(live: LiveScene, shapes: dict[str, tuple[int, ...]]) -> Iterat
         elif isinstance(node, mi.Mesh):
             of_mesh = MeshLookup.of(node, name.rsplit(".", 1)[-1])
             yield ShownTexture(name, of_mesh, [shape_index(node)], _on_mesh)
-
-
-def shape_index(shape: Any) -> int:
-    """Return Dr.Jit's index of a shape."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
 def _bitmap_lookup(texture: Any, texels: Floats) -> Lookup:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..projection import SurfaceMap, TexelMap
 from ..scene import SceneGraph, SceneParameters
-from ._texels import Indices, ShownTexture, shape_index
+from ._registry import shape_index
+from ._texels import Indices, ShownTexture
 
 # Rays per pixel, at Hammersley points: no two share a row or column, which locates an axis-aligned edge to
 # within 1/16 of a pixel, and the map is the same at every call.

@@ -29,6 +29,7 @@ import numpy as np
 from ...scene import SceneGraph
 from .._backward import CameraAdjoint, filtered_adjoint
 from .._plan import RenderPlan
+from .._registry import index_table, shape_index
 from .._sampler import SobolSampler
 from .._sensors import is_connectable
 from .path import is_in_mask, is_valid_sample
@@ -82,15 +83,13 @@ def find_sampled_shapes(
     index = np.flatnonzero(probabilities)
     if not len(index):
         return None
-    jit_indices = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes[k]))[0]) for k in index]
-    mask = np.zeros(max(jit_indices) + 1, bool)
-    mask[jit_indices] = True
+    mask = index_table({shape_index(shapes[k]): 1 for k in index}, 0)
     probabilities = probabilities[index] / probabilities.sum()
     return SampledShapes(
         mi.UInt32(index),
         mi.Float(probabilities.cumsum()),
         mi.Float(probabilities / areas[index]),
-        mi.Bool(mask),
+        mask == 1,
     )
 
 
