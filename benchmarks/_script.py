@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,9 @@ GEOMETRY = (
 
 
 def _load(path: str) -> Any:
-    """Load a scene file with differentiable textures, where it has a parameter for their format."""
-    declared = re.findall(r'<default\s+name="(\w+)"', Path(path).read_text(encoding="utf-8"))
-    options = {"texture_format": "variant"} if "texture_format" in declared else {}
+    """Load a scene file with differentiable textures, where it uses a parameter for their format."""
+    used = "$texture_format" in Path(path).read_text(encoding="utf-8")
+    options = {"texture_format": "variant"} if used else {}
     return activate().load_file(path, optimize=False, **options)
 
 
