@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import torch
 
 from scenecaptum import activate
 from scenecaptum.scene.bundled import BUNDLED
+
+SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 
 # What moves visibility; stock path replay does not differentiate it.
 GEOMETRY = (
@@ -21,6 +24,12 @@ GEOMETRY = (
     "bbox_min",
     "bbox_max",
 )
+
+
+def scene_of(room: str) -> str:
+    """Return the path of a room; the name of a bundled one and a path stay as they are."""
+    path = SCENES / room / "scene.xml"
+    return str(path) if path.exists() else room
 
 
 def _load(path: str) -> Any:
