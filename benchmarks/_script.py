@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,8 @@ import torch
 
 from scenecaptum import activate
 from scenecaptum.scene.bundled import BUNDLED
+
+SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 
 # What moves visibility; stock path replay does not differentiate it.
 GEOMETRY = (
@@ -24,10 +26,16 @@ GEOMETRY = (
 )
 
 
+def scene_of(room: str) -> str:
+    """Return the path of a room; the name of a bundled one and a path stay as they are."""
+    path = SCENES / room / "scene.xml"
+    return str(path) if path.exists() else room
+
+
 def _load(path: str) -> Any:
-    """Load a scene file with differentiable textures, where it has a parameter for their format."""
-    declared = re.findall(r'<default\s+name="(\w+)"', Path(path).read_text(encoding="utf-8"))
-    options = {"texture_format": "variant"} if "texture_format" in declared else {}
+    """Load a scene file with differentiable textures, where it uses a parameter for their format."""
+    used = "$texture_format" in Path(path).read_text(encoding="utf-8")
+    options = {"texture_format": "variant"} if used else {}
     return activate().load_file(path, optimize=False, **options)
 
 

@@ -1,11 +1,12 @@
 """Memory, file size and start-up of an attribution in real rooms, beside a hand-written Mitsuba script.
 
-Each figure is that of a fresh process: the peak resident memory of an attribution to all inputs, the predicted one
-beyond the loaded scene, the size of the saved result, and the processor time from loading to the first result. The
+Each figure is that of a fresh process: the peak memory of an attribution to all inputs, the predicted one
+beyond the loaded scene, the size of the saved result, and the time from loading to the first result. On a CPU they
+are resident memory and processor time; on a GPU, what Dr.Jit and torch allocate there, and elapsed time. The
 script renders and differentiates once by ``prb``, with respect to the same inputs as far as Mitsuba tracks them.
-Mitsuba's start-up is loading and a first render. Kernels are in Dr.Jit's cache on disk, unless ``--cold``.
+Mitsuba's start-up is loading and a first render. Kernels are in the caches on disk, unless ``--cold``.
 
-    python benchmarks/rooms.py [ROOM …] [--cold] [--write docs/performance.md]
+    python benchmarks/rooms.py [ROOM …] [--cold] [--variant cuda_ad_rgb] [--write docs/performance.md]
 """
 
 from __future__ import annotations
@@ -16,47 +17,34 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from _pages import replace_table
+from _device import activate_variant, add_variant, clock, memory, peak_memory
+from _pages import measured, replace_table
+from _script import SCENES, scene_of
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, activate, metrics
 from scenecaptum.scene import load_scene
 
 RESOLUTION, SPP, DEPTH, REPLICATES = (160, 90), 16, 6, 8
 MEBIBYTE = 2**20
-SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 ROOMS = ["office", *sorted(path.parent.name for path in SCENES.glob("*/scene.xml"))]
-
-
-def scene_of(room: str) -> str:
-    """Return the path of a room, or the name of a bundled one."""
-    path = SCENES / room / "scene.xml"
-    return str(path) if path.exists() else room
-
-
-def status(key: str) -> int:
-    """Return a number of bytes from this process's status (Linux)."""
-    lines = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
-    return 1024 * int(lines[key].split()[0])
 
 
 def attribution(room: str) -> dict[str, Any]:
     """Attribute to all inputs."""
-    activate()
-    start = time.process_time()
+    start = clock()
     renderer = SceneRenderer(scene_of(room), "all", resolution=RESOLUTION, spp=SPP, max_depth=DEPTH)
-    loaded, resident = time.process_time(), status("VmRSS")
+    loaded, loading_peak, resident = clock(), peak_memory(), memory()
     result = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(replicates=REPLICATES)
-    finished, peak = time.process_time(), status("VmHWM")
+    finished, peak = clock(), peak_memory()
     with tempfile.TemporaryDirectory() as folder:
         result.save(Path(folder) / "attribution.npz")
         size = (Path(folder) / "attribution.npz").stat().st_size
     return {
-        "peak": peak,
+        "peak": max(loading_peak, peak),
         "beyond": peak - resident,
         "predicted": renderer.memory(spp=SPP // REPLICATES, pictures=REPLICATES),
         "size": size,
@@ -93,7 +81,7 @@ def script(room: str, names: list[str]) -> dict[str, Any]:
     gradients = {name: dr.grad(params[name]) for name in names}
     dr.eval(gradients)
     dr.sync_thread()
-    return {"peak": status("VmHWM")}
+    return {"peak": peak_memory()}
 
 
 def first_render(room: str) -> dict[str, Any]:
@@ -104,24 +92,24 @@ def first_render(room: str) -> dict[str, Any]:
     from scenecaptum.scene.bundled import BUNDLED
 
     dr.set_thread_count(max(2, dr.thread_count()))  # with a single thread Mitsuba waits forever for EXR files
-    start = time.process_time()
+    start = clock()
     if room in BUNDLED and not (SCENES / room / "scene.xml").exists():
         scene = mi.load_dict(BUNDLED[room](), optimize=False)
     else:
         scene = mi.load_file(scene_of(room), optimize=False)
-    loaded = time.process_time()
+    loaded = clock()
     dr.eval(mi.render(scene, integrator=_with_film(scene), spp=SPP, seed=0))
-    dr.sync_thread()
-    return {"load": loaded - start, "seconds": time.process_time() - start}
+    return {"load": loaded - start, "seconds": clock() - start}
 
 
 TASKS = {"attribution": attribution, "script": script, "first_render": first_render}
 
 
 def in_fresh_process(task: str, *arguments: Any, cache: str | None = None) -> dict[str, Any]:
-    """Run a task in another Python, and return its answer."""
-    command = [sys.executable, "-W", "ignore", __file__, "--task", json.dumps([task, *arguments])]
-    environment = {**os.environ, **({"HOME": cache} if cache else {})}
+    """Run a task in another Python with the active variant, and return its answer."""
+    own = ["--variant", activate().variant(), "--task", json.dumps([task, *arguments])]
+    command = [sys.executable, "-W", "ignore", __file__, *own]
+    environment = {**os.environ, **({"HOME": cache, "OPTIX_CACHE_PATH": cache} if cache else {})}
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment)
     answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return answer
@@ -139,12 +127,12 @@ def measure(room: str, *, cold: bool) -> list[str]:
     written = in_fresh_process("script", room, ours["names"])
     return [
         room,
-        f"{ours['peak'] / MEBIBYTE:.0f} MiB",
-        f"{written['peak'] / MEBIBYTE:.0f} MiB",
-        f"{ours['peak'] / written['peak']:.2f}×",
-        f"{ours['beyond'] / MEBIBYTE:.0f} MiB",
+        measured(ours["peak"] / MEBIBYTE, "{:.0f} MiB"),
+        measured(written["peak"] / MEBIBYTE, "{:.0f} MiB"),
+        measured(ours["peak"] / written["peak"], "{:.2f}×"),
+        measured(ours["beyond"] / MEBIBYTE, "{:.0f} MiB"),
         f"{ours['predicted'] / MEBIBYTE:.0f} MiB",
-        f"{100 * (ours['beyond'] / ours['predicted'] - 1):+.0f} %",
+        measured(100 * (ours["beyond"] / ours["predicted"] - 1), "{:+.0f} %"),
         f"{ours['size'] / 1e6:.2f} MB",
         f"{ours['load']:.1f} + {ours['seconds'] - ours['load']:.1f} s",
         f"{theirs['load']:.1f} + {theirs['seconds'] - theirs['load']:.1f} s",
@@ -173,9 +161,11 @@ def main() -> None:
     )
     parser.add_argument("rooms", nargs="*", default=ROOMS, metavar="ROOM")
     parser.add_argument("--cold", action="store_true", help="start with an empty kernel cache on disk")
-    parser.add_argument("--write", type=Path, help="page with the table 'rooms'")
+    add_variant(parser)
+    parser.add_argument("--write", type=Path, help="page with the tables 'rooms VARIANT'")
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    variant = activate_variant(parser, options.variant)
     if options.task:
         task, *arguments = options.task
         print(json.dumps(TASKS[task](*arguments)))
@@ -186,7 +176,7 @@ def main() -> None:
         rows.append(measure(room, cold=options.cold))
         print(" | ".join(rows[-1]), flush=True)
     if options.write:
-        replace_table(options.write, "rooms", rows)
+        replace_table(options.write, f"rooms {variant}", rows)
 
 
 if __name__ == "__main__":
