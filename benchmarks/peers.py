@@ -55,6 +55,7 @@ DEPTH = 6
 TIME = 10.0  # seconds, in which scenecaptum reaches the common error
 COUNTS = (4, 16, 64)
 STEPS = (0.001, 0.005, 0.02, 0.08)  # fractions of a scalar's range
+FEWER = 2  # runs, for their time
 BOOTSTRAPS = 1000
 OURS, SINGLE, SCRIPT = "scenecaptum", "scenecaptum, one replicate", "hand-written"
 CAPTUM, DIFFERENCES = "Captum", "finite differences"
@@ -68,7 +69,7 @@ Metric = Callable[[torch.Tensor], torch.Tensor]
 class Size:
     """Amount of work.
 
-    ``repeats`` is the number of runs per turn with all scalars; with fewer scalars there is one run, for its time.
+    ``repeats`` is the number of runs per turn with all scalars; with fewer scalars there are ``FEWER``.
     Finite differences are measured for up to ``differences`` scalars; for more, their time is scaled.
     """
 
@@ -87,8 +88,8 @@ class Size:
     points: int
 
 
-FULL = Size((64, 36), 256, 3, 4, 32, 64, 64, 4, (64, 36), 16, 12, 32, 32)
-FILE = Size((64, 36), 128, 2, 4, 32, 16, 32, 4, (64, 36), 16, 12, 32, 32)  # slower scenes
+FULL = Size((64, 36), 256, 2, 5, 24, 64, 64, 4, (64, 36), 16, 12, 32, 32)
+FILE = Size((64, 36), 64, 2, 4, 32, 16, 32, 4, (64, 36), 16, 12, 32, 32)  # slower scenes
 QUICK = Size((32, 18), 16, 1, 4, 8, 16, 8, 2, (24, 14), 8, 4, 8, 8)
 
 
@@ -332,10 +333,11 @@ def sample_gradients(case: Case, size: Size) -> Samples:
             run = start(peer, case, size)
             for count in case.counts:
                 values = {name: case.values[name] for name in case.names(count)}
-                run(values, metrics.MeanLuminance(), 1)  # compiles
+                for metric in case.metrics.values():
+                    run(values, metric, 1)  # compiles
                 for number, (name, metric) in enumerate(case.metrics.items()):
                     repeats = size.repeats if peer != CAPTUM else (size.repeats + 1) // 2
-                    for repeat in range(repeats if count == case.counts[-1] else 1):
+                    for repeat in range(repeats if count == case.counts[-1] else FEWER):
                         # All runs of a peer have different seeds: runs with more scalars also count for fewer.
                         seed = 2 * (1000 * (10 * turn + number) + 10 * count + repeat) + 2
                         began = time.perf_counter()
@@ -522,9 +524,14 @@ class Errors:
         return math.sqrt(excess) if excess > 5 * noise else 0.0
 
     def parts(self, square: float) -> tuple[float, float]:
-        """Return the parts of the mean square of a run that decrease with the samples, and with their square."""
-        whole = max(self.systematic, self.constant) ** 2
-        return max(square - whole, 0.0), whole - self.constant**2
+        """Return the parts of the mean square of a run that decrease with the samples, and with their square.
+
+        Their ratio is that of all runs, whatever the mean square of a bootstrap sample.
+        """
+        bias = max(self.systematic, self.constant) ** 2 - self.constant**2
+        share = min(1.0, bias / max(self.square(self.runs) - self.constant**2, 1e-300))
+        rest = max(square - self.constant**2, 0.0)
+        return (1 - share) * rest, share * rest
 
     def after(self, times: float, square: float | None = None) -> float:
         """Return the error of a run with ``times`` as many samples, given the mean square of a run."""
@@ -783,7 +790,7 @@ def _ratio(cost: Cost) -> str:
 def _multiple(ratio: float, unit: str = "×") -> str:
     if math.isinf(ratio):
         return "never"
-    return f"{ratio:.3g}{unit}" if ratio < 1000 else f"{ratio:,.0f}{unit}".replace(",", " ")
+    return f"{ratio:.2g}{unit}" if ratio < 99.5 else f"{ratio:,.0f}{unit}".replace(",", " ")
 
 
 def _percent(share: float) -> str:
@@ -830,7 +837,11 @@ def _run(cost: Cost) -> str:
     if cost.constant:
         parts.append(f"{_percent(cost.constant)} from the step")
     parts.append(
-        "–" if not cost.resolved else "never" if math.isinf(cost.times) else f"{cost.times:.2g} runs"
+        "–"
+        if not cost.resolved
+        else "never"
+        if math.isinf(cost.times)
+        else f"{_multiple(cost.times, '')} runs"
     )
     return ", ".join(parts[:-1]) + f" → {parts[-1]}"
 
@@ -1099,8 +1110,10 @@ def measure(scene: Any, name: str, size: Size, command: str) -> Results:
         for count in case.counts
         for peer in PEERS
     }
-    sampled = {} if isinstance(scene, Path) else compare_global(case, size)
-    log("Morris and Sobol")
+    sampled = {}
+    if not isinstance(scene, Path):
+        sampled = compare_global(case, size)
+        log("Morris and Sobol")
     wrong, shares = find_wrong(case, size), batched_share(case, size)
     log("wrong derivatives of prb")
     return Results(case, size, name, command, costs, steps, sampled, wrong, shares)
