@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..errors import SceneCaptumError
-from ..estimation import Adjoints, GradientSum
+from ..estimation import Adjoints, GradientSum, scaled
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..visualization import DEFAULT_TOP
@@ -234,10 +234,10 @@ def make_attribution(
     replicates = {name: scale * gradients.rows(name) for name in names}
     has_errors = gradients.degrees_of_freedom > 0
     bias = (
-        None if gradients.bias is None else {n: _scaled(value, scale) for n, value in gradients.bias.items()}
+        None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
     return SceneAttribution(
-        attributions={name: _scaled(value, scale) for name, value in gradients.mean.items()},
+        attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
         standard_error={n: _error(gradients, n) for n in names} if has_errors else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
@@ -282,14 +282,9 @@ def surfaces_of(renderer: Renderer, names: Iterable[str]) -> SurfaceMap | None:
 def _error(gradients: GradientSum, name: str) -> torch.Tensor:
     """Return the elementwise standard error, including the bias."""
     error = gradients.error(name)
-    if gradients.bias is not None:
-        error = error.hypot_(gradients.bias[name])
-    return error.div_(gradients.weight)
-
-
-def _scaled(value: torch.Tensor, scale: float) -> torch.Tensor:
-    """Return a multiple of a tensor, without a copy if that is the tensor itself."""
-    return value if scale == 1 else scale * value
+    if gradients.bias is not None and gradients.bias[name].any():
+        error = error.hypot(gradients.bias[name])
+    return scaled(error, 1 / gradients.weight)
 
 
 def versions() -> dict[str, str]:

@@ -161,7 +161,7 @@ def _second_moment(total: GradientSum, centre: dict[str, torch.Tensor], noise_fa
         for name, gradient in point.statistics.items():
             square = (gradient.mean - centre[name]).square_()
             if point.replicates > 1:
-                square.sub_(gradient.error().square_(), alpha=noise_factor)
+                square.addcmul_(gradient.error, gradient.error, value=-noise_factor)
             statistics[name] = ReplicateStatistics()
             statistics[name].add(square)
         squares.add(PointGradient(statistics, point.adjoints, point.weight))

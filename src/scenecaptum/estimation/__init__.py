@@ -16,6 +16,7 @@ from ._gradients import PointGradient as PointGradient
 from ._gradients import input_values as input_values
 from ._gradients import interpolated_point as interpolated_point
 from ._gradients import require_memory as require_memory
+from ._gradients import scaled as scaled
 from ._gradients import sum_gradients as sum_gradients
 from ._heavy_tails import FALSE_ALARM_RATE as FALSE_ALARM_RATE
 from ._heavy_tails import MIN_EFFECTIVE_SAMPLES as MIN_EFFECTIVE_SAMPLES

@@ -112,8 +112,8 @@ class GradientSum:
             else:
                 self._between_points[name].add(statistics.mean)
             if replicates > 1 and self._error_from_replicates:
-                error = statistics.error().mul_(point.weight)
-                self._error[name] = error.hypot_(self._error[name]) if name in self._error else error
+                error = scaled(statistics.error, point.weight)
+                self._error[name] = error.hypot(self._error[name]) if name in self._error else error
                 totals = torch.stack(statistics.totals)
                 scale = point.weight / math.sqrt(replicates * (replicates - 1))
                 deviations = scale * (totals - totals.mean(0))
@@ -160,8 +160,8 @@ class GradientSum:
     def error(self, name: str) -> torch.Tensor:
         """Return the elementwise standard error of ``mean``."""
         if self._error_from_replicates or self._between_points is None:
-            return math.sqrt(self._total_variance / self._measured_variance) * self._error[name]
-        return self.weight * self._between_points[name].error()
+            return scaled(self._error[name], math.sqrt(self._total_variance / self._measured_variance))
+        return scaled(self._between_points[name].error, self.weight)
 
     def rows(self, name: str) -> torch.Tensor:
         """Return ``(replicates, C)`` channel totals that have the mean and the covariance of the mean of the sum.
@@ -191,10 +191,13 @@ class GradientSum:
 
 
 def _added(total: torch.Tensor | None, value: torch.Tensor, weight: float) -> torch.Tensor:
-    """Return ``total + weight · value``, which may be the value itself: textures are large."""
-    if total is not None:
-        return total.add(value, alpha=weight)
-    return value if weight == 1 else weight * value
+    """Return ``total + weight · value``, which may be the value itself."""
+    return scaled(value, weight) if total is None else total.add(value, alpha=weight)
+
+
+def scaled(value: torch.Tensor, factor: float) -> torch.Tensor:
+    """Return ``factor · value``, which may be the value itself: textures are large."""
+    return value if factor == 1 else factor * value
 
 
 class GradientEstimator:

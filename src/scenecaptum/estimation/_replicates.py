@@ -24,7 +24,10 @@ PICTURE_RATIO = 2.0
 NOISY_PICTURE_RATIO = 4.0
 
 
-BLOCK = 2**16  # elements of a texture that are processed at once
+# Elements of a texture that are processed at once: few enough for the processor's cache, and for torch not to
+# divide them among threads. These wait for each other after each operation, which takes a hundred times as long
+# if another process has one of the cores.
+BLOCK = 2**14
 
 
 @dataclass(frozen=True)
@@ -176,10 +179,10 @@ class ReplicateStatistics:
     """
 
     mean: torch.Tensor
+    error: torch.Tensor  # elementwise standard error of the mean, from two replicates on
 
     def __init__(self) -> None:
         self.totals: list[torch.Tensor] = []
-        self._norm: torch.Tensor | None = None  # root of the summed squared deviations
 
     def add(self, gradient: torch.Tensor, totals: torch.Tensor | None = None) -> None:
         """Add the gradient of a replicate; its channel totals, if they are known, are not summed again.
@@ -191,20 +194,14 @@ class ReplicateStatistics:
         if count == 1:
             self.mean = gradient
             return
-        if self._norm is None:
+        if count == 2:
             # The first gradient belongs to the caller: do not modify it in place.
-            self.mean, self._norm = self.mean.contiguous().clone(), torch.zeros_like(self.mean)
-        blocks = (tensor.view(-1).split(BLOCK) for tensor in (gradient.contiguous(), self.mean, self._norm))
-        for new, mean, norm in zip(*blocks, strict=True):
-            step = new - mean
-            mean.add_(step, alpha=1 / count)
-            norm.hypot_(step.mul_(math.sqrt(1 - 1 / count)))
-
-    def error(self) -> torch.Tensor:
-        """Return the elementwise standard error of the mean; requires two replicates."""
-        assert self._norm is not None
-        count = len(self.totals)
-        return self._norm / math.sqrt(count * (count - 1))
+            self.mean, self.error = self.mean.contiguous().clone(), torch.zeros_like(self.mean)
+        blocks = (tensor.view(-1).split(BLOCK) for tensor in (gradient.contiguous(), self.mean, self.error))
+        for new, mean, error in zip(*blocks, strict=True):
+            step = torch.sub(new, mean).div_(count)
+            mean.add_(step)
+            error.mul_(math.sqrt(1 - 2 / count)).hypot_(step)
 
 
 def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
