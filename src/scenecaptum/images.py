@@ -1,10 +1,13 @@
-"""Shape and layout of rendered images."""
+"""Shape, layout and luminance of rendered images."""
 
 from __future__ import annotations
 
 import torch
 
 from .errors import SceneCaptumError
+
+# Of R, G and B with the Rec. 709 primaries, as in Mitsuba and kornia.
+LUMINANCE_WEIGHTS = (0.212671, 0.715160, 0.072169)
 
 
 def channels_first(image: torch.Tensor) -> torch.Tensor:

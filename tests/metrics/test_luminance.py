@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from kornia.color import rgb_to_xyz
 
 from scenecaptum import SceneCaptumError
 from scenecaptum.metrics import MeanLuminance, luminance
@@ -12,6 +13,11 @@ def test_luminance_has_the_weights_of_rec_709():
     torch.testing.assert_close(
         luminance(primaries).flatten(), torch.tensor([0.2126, 0.7152, 0.0722]), atol=1e-4, rtol=0
     )
+
+
+def test_luminance_is_that_of_kornia():
+    image = torch.rand(5, 7, 3, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(luminance(image), rgb_to_xyz(image.movedim(-1, 0)[None])[0, 1])
 
 
 def test_luminance_of_white_is_one():

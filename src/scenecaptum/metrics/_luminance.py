@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from ..errors import SceneCaptumError
-from ..images import channels_first
+from ..images import LUMINANCE_WEIGHTS, check_image_shape
 
 
 def luminance(image: torch.Tensor) -> torch.Tensor:
@@ -28,12 +28,10 @@ def luminance(image: torch.Tensor) -> torch.Tensor:
 
     References
     ----------
-    Recommendation ITU-R BT.709: the weights 0.2127, 0.7152 and 0.0722, as in kornia.
+    Recommendation ITU-R BT.709: the weights 0.2127, 0.7152 and 0.0722, as in Mitsuba and kornia.
     """
-    from kornia.color import rgb_to_xyz
-
-    y: torch.Tensor = rgb_to_xyz(channels_first(image))[0, 1]
-    return y
+    check_image_shape(image)
+    return (image * image.new_tensor(LUMINANCE_WEIGHTS)).sum(-1)
 
 
 class MeanLuminance(torch.nn.Module):

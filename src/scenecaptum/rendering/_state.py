@@ -9,6 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
+from ..images import LUMINANCE_WEIGHTS
+
 
 class Snapshot(dict[str, torch.Tensor]):
     """The values of all parameters, in tensors that nobody changes."""
@@ -159,7 +161,7 @@ class SceneState:
     def _to_torch(self, name: str, value: Any) -> torch.Tensor:
         tensor: torch.Tensor = flat(dr.detach(value)).torch()
         if name in self._monochrome:
-            weights = torch.tensor(_LUMINANCE if self._shapes[name] else _MEAN).to(tensor)
+            weights = torch.tensor(LUMINANCE_WEIGHTS if self._shapes[name] else _MEAN).to(tensor)
             tensor = (tensor * weights).sum(-1, keepdim=bool(self._shapes[name]))
         # A mesh attribute is a table of rows; a texture may have been resized since it was loaded.
         rows = (-1, *self._shapes[name][1:]) if len(self._shapes[name]) == 2 else tensor.shape
@@ -186,7 +188,6 @@ class SceneState:
 
 
 _MEAN = (1 / 3, 1 / 3, 1 / 3)
-_LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
 def _equal(left: torch.Tensor, right: torch.Tensor) -> bool:

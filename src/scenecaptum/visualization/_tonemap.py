@@ -8,9 +8,8 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..images import channels_first, channels_last, check_image_shape
+from ..images import LUMINANCE_WEIGHTS, channels_first, channels_last, check_image_shape
 
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _MIDDLE_GREY = 0.18
 _MAX_RADIANCE = 1e30  # far above any radiance; avoids overflow
 _SHADOW_THRESHOLD = 1e-3  # relative to the bright level; darker pixels do not affect the exposure
@@ -83,7 +82,7 @@ def save_render(image: torch.Tensor, path: str | os.PathLike[str], exposure: flo
 
 def automatic_exposure(radiance: torch.Tensor) -> float:
     """Return the exposure that maps the log-average luminance to middle grey, within limits."""
-    luminance = (radiance.double() @ radiance.new_tensor(_LUMINANCE).double()).flatten()
+    luminance = (radiance.double() @ radiance.new_tensor(LUMINANCE_WEIGHTS).double()).flatten()
     lit = luminance[luminance > 0]
     if not len(lit):
         return 1.0
