@@ -1,8 +1,9 @@
 """Compare the derivatives of every plugin's parameters with finite differences, and write the table.
 
 The reference is independent: Mitsuba's own ``path`` or ``volpath`` renders the scene, loaded without this package,
-with the parameter moved up and down and common random numbers. The whole table takes about an hour on four cores;
-the cache stores each finished case.
+with the parameter moved up and down and common random numbers. Ours are measured twice: with independent samples
+in the backward pass, as in every attribution method, and by replay of the image's samples. The cache stores each
+finished case.
 
     python benchmarks/derivatives.py [--only 'rough*'] [--quick] [--resume] [--write docs/derivatives.md]
 """
@@ -40,8 +41,8 @@ GOOD = 0.10  # largest relative standard error of a resolved row
 START = 1e-3  # steps
 STEP_BIAS = 0.005  # allowed bias of a difference quotient from its step, as a fraction of its value
 BUDGET, QUICK_BUDGET = 30.0, 4.0  # seconds for the difference of a row, and for our derivatives of three rows
-# Separate seeds, so that the errors of the three estimates are independent.
-OURS, DIFFERENCE, STOCK = 0, 100_000, 200_000
+# Separate seeds, so that the errors of the estimates are independent.
+OURS, DIFFERENCE, STOCK, REPLAY = 0, 100_000, 200_000, 300_000
 SIDES = {ABOVE: " ↑", BELOW: " ↓"}
 
 Targets = Mapping[str, Row]  # by the parameter's full name
@@ -91,6 +92,7 @@ class Outcome:
     verdict: str
     z: float | None = None
     ours: Estimate | None = None
+    replay: Estimate | None = None
     difference: Estimate | None = None
     stock: Estimate | str | None = None
     note: str = ""
@@ -219,6 +221,14 @@ class MitsubaReference:
         return float((gradient * pattern).sum(dtype=np.float64))
 
 
+@dataclass(frozen=True)
+class Derivatives:
+    """Our two derivatives of one parameter."""
+
+    attributed: Estimate  # with independent samples in the backward pass, as attribution methods
+    replayed: Estimate  # with the samples of the image, as plain ``backward()``
+
+
 class Ours:
     """The same scene in this package."""
 
@@ -227,11 +237,27 @@ class Ours:
         self._targets = targets
         self._weights = torch.from_numpy(weights(*self.renderer.resolution)).float()
 
-    def gradients(self, seed: int, spp: int) -> list[float]:
-        """Return the directional derivatives of the metric, one for each row."""
+    def attributed(self, names: Sequence[str], seed: int, spp: int) -> list[float]:
+        """Return the directional derivatives of some rows as attribution methods take them."""
+        # The metric is linear: its adjoint, and so the backward pass, does not depend on the image.
+        return self._gradients(names, seed=seed, seed_grad=seed + 1, spp=1, spp_grad=spp)
+
+    def replayed(self, seed: int, spp: int) -> list[float]:
+        """Return the directional derivatives of all rows by replay of the image's samples."""
+        return self._gradients(list(self._targets), seed=seed, spp=spp)
+
+    def groups(self) -> list[list[str]]:
+        """Divide the rows: each roughness alone, because light tracing starts only among low roughnesses."""
+        table = self.renderer.parameters_table()
+        alone = [name for name in self._targets if table[name].kind == "roughness"]
+        others = [name for name in self._targets if name not in alone]
+        return [group for group in (others, *([name] for name in alone)) if group]
+
+    def _gradients(self, names: Sequence[str], **settings: int) -> list[float]:
         leaves = self.renderer.leaves()
-        (self.renderer(leaves, seed=seed, spp=spp) * self._weights).sum().backward()
-        return [self._directional(row, leaves[name]) for name, row in self._targets.items()]
+        moved = {name: leaves[name] for name in names}
+        (self.renderer(moved, **settings) * self._weights).sum().backward()
+        return [self._directional(self._targets[name], leaf) for name, leaf in moved.items()]
 
     @staticmethod
     def _directional(row: Row, leaf: torch.Tensor) -> float:
@@ -293,13 +319,24 @@ def run_case(case: Case, known: Sequence[Outcome], budget: float, with_stock: bo
         gc.collect()
     targets = {outcome.parameter: row for outcome, row in zip(known, case.rows, strict=True)}
     ours, notes = measure_ours(case, targets, budget)
-    outcomes = []
-    for outcome in known:
-        mine, theirs = ours.get(outcome.parameter), outcome.difference
-        z = None if mine is None or theirs is None else z_score(mine, theirs)
-        note = notes.get(outcome.parameter, "")
-        outcomes.append(replace(outcome, verdict=verdict(mine, theirs, z), z=z, ours=mine, note=note))
-    return outcomes
+    return [_judged(known, ours.get(known.parameter), notes.get(known.parameter, "")) for known in known]
+
+
+def _judged(known: Outcome, ours: Derivatives | None, note: str) -> Outcome:
+    """Return a row of the reference with our derivatives and the verdict."""
+    theirs = known.difference
+    if ours is None:
+        return replace(known, verdict="unsupported", note=note)
+    if theirs is None:
+        return replace(known, verdict="unresolved", ours=ours.attributed, replay=ours.replayed, note=note)
+    pairs = ((ours.attributed, theirs), (ours.replayed, theirs), (ours.attributed, ours.replayed))
+    found = verdict(*pairs)
+    if found != "right":
+        distances = [f"{z_score(*pair):+.1f}" for pair in pairs[1:]]
+        replay = f"replay {ours.replayed}, z {distances[0]}, ours from it {distances[1]}"
+        note = f"{replay}; {note}" if note else replay
+    z = z_score(ours.attributed, theirs)
+    return replace(known, verdict=found, z=z, ours=ours.attributed, replay=ours.replayed, note=note)
 
 
 def measure_reference(case: Case, budget: float, with_stock: bool) -> list[Outcome]:
@@ -326,13 +363,14 @@ def measure_reference(case: Case, budget: float, with_stock: bool) -> list[Outco
     ]
 
 
-def measure_ours(case: Case, targets: Targets, budget: float) -> tuple[dict[str, Estimate], dict[str, str]]:
+def measure_ours(
+    case: Case, targets: Targets, budget: float
+) -> tuple[dict[str, Derivatives], dict[str, str]]:
     """Return our derivatives, and the error message or caution of parameters that have one."""
     try:
         ours = Ours(case, targets)
         notes = {name: f"caution: {caution}" for name, caution in ours.renderer.plan.cautions}
-        seconds = budget * max(1.0, len(targets) / 3)
-        return dict(zip(targets, sample(ours.gradients, OURS, seconds), strict=True)), notes
+        return _sample_ours(ours, targets, budget), notes
     except Exception as error:
         if len(targets) == 1:
             return {}, dict.fromkeys(targets, _error_text(error))
@@ -350,31 +388,49 @@ def measure_ours(case: Case, targets: Targets, budget: float) -> tuple[dict[str,
         gc.collect()
     some_failed = 0 < len(supported) < len(targets)
     parts = [supported] if some_failed else [{name: row} for name, row in supported.items()]
-    found: dict[str, Estimate] = {}
+    found: dict[str, Derivatives] = {}
     for part in parts:
-        estimates, part_notes = measure_ours(case, part, budget)
-        found.update(estimates)
+        part_found, part_notes = measure_ours(case, part, budget)
+        found.update(part_found)
         notes.update(part_notes)
     return found, notes
 
 
-def z_score(ours: Estimate, difference: Estimate) -> float:
+def _sample_ours(ours: Ours, targets: Targets, budget: float) -> dict[str, Derivatives]:
+    def seconds(rows: int) -> float:
+        return budget * max(1.0, rows / 3)
+
+    attributed: dict[str, Estimate] = {}
+    for group in ours.groups():
+        # Two seeds for each draw: that of the image and that of the backward pass.
+        found = sample(
+            lambda seed, spp, group=group: ours.attributed(group, 2 * seed, spp), OURS, seconds(len(group))
+        )
+        attributed.update(zip(group, found, strict=True))
+    replayed = sample(ours.replayed, REPLAY, seconds(len(targets)))
+    return {
+        name: Derivatives(attributed[name], replay) for name, replay in zip(targets, replayed, strict=True)
+    }
+
+
+def z_score(ours: Estimate, other: Estimate) -> float:
     """Return the difference of the two in standard errors, which include the bias of the step."""
-    error = math.hypot(ours.error, difference.error, STEP_BIAS * difference.value)
-    deviation = ours.value - difference.value
+    error = math.hypot(ours.error, other.error, STEP_BIAS * other.value)
+    deviation = ours.value - other.value
     return deviation / error if error else (0.0 if deviation == 0 else math.copysign(math.inf, deviation))
 
 
-def verdict(ours: Estimate | None, difference: Estimate | None, z: float | None) -> str:
-    if ours is None:
-        return "unsupported"
-    if difference is None or z is None:
-        return "unresolved"
-    if ours.is_zero and difference.is_zero:
+def verdict(*pairs: tuple[Estimate, Estimate]) -> str:
+    """Return the worst verdict on any pair of estimates of the same derivative."""
+    return max((_verdict_on_pair(*pair) for pair in pairs), key=("right", "unresolved", "wrong").index)
+
+
+def _verdict_on_pair(ours: Estimate, other: Estimate) -> str:
+    if ours.is_zero and other.is_zero:
         return "right"
-    if not math.isfinite(ours.value) or abs(z) >= 4:
+    if not math.isfinite(ours.value) or abs(z_score(ours, other)) >= 4:
         return "wrong"
-    return "right" if max(ours.relative_error, difference.relative_error) <= GOOD else "unresolved"
+    return "right" if max(ours.relative_error, other.relative_error) <= GOOD else "unresolved"
 
 
 def _error_text(error: BaseException) -> str:
@@ -422,7 +478,8 @@ def _step_text(row: Row) -> str:
 
 def _outcome(entry: dict[str, Any]) -> Outcome:
     sides = {
-        k: Estimate(**v) if isinstance(v := entry[k], dict) else v for k in ("ours", "difference", "stock")
+        k: Estimate(**v) if isinstance(v := entry[k], dict) else v
+        for k in ("ours", "replay", "difference", "stock")
     }
     return Outcome(**{**entry, **sides})
 
@@ -442,16 +499,23 @@ the camera. Measured by `python benchmarks/derivatives.py --write docs/derivativ
 **{summary}**.
 
 - *Ours* is the derivative of a weighted mean of the image from `SceneRenderer`, summed over all elements of the
-  parameter (for a bump map, weighted by their values). *Difference* is the finite difference of the same number,
+  parameter (for a bump map, weighted by their values). It is taken with `seed_grad`, as in every attribution
+  method: pixels are importance-sampled, low roughnesses are traced from the lights, and indices of refraction use
+  differences of paths. Each roughness is the only input of its backward pass, because light tracing only starts
+  where at least half of the inputs are low roughnesses.
+- *Difference* is the finite difference of the same number,
   from Mitsuba's own `path` or `volpath` (same depth, no Russian roulette) on a scene loaded without this package:
   of second order, with common random numbers, central or from above (↑) or below (↓), with the given step. Each is
   a mean over at least {seeds} seeds ± its standard error.
 - *z* is their distance in standard errors; {bias:.1%} of the difference is added to the error for its step.
+- *Replay*, which is shown in wrong rows only, is our derivative without `seed_grad`, as in plain `backward()`: it
+  replays the samples of the image, with all parameters of a scene as inputs.
 - *prb* is Mitsuba's own `prb` or `prbvolpath` on the same scene; *raises*: it refuses the scene; *not tracked*:
   the parameter has no derivative there.
-- *right*: |z| < 4, and both errors are at most {good:.0%} of their values. *wrong*: |z| ≥ 4. *unresolved*: the
-  errors are larger, after the given samples per pixel. *unsupported*: followed by the error message. Parameters
-  that only control the sampling, and poses, have only this message.
+- *right*: |z| < 4 between any two of ours, replay and difference, and all errors are at most {good:.0%} of
+  their values. *wrong*: any |z| ≥ 4. *unresolved*: the errors are larger, after the given samples per pixel.
+  *unsupported*: followed by the error message. Parameters that only control the sampling, and poses, have only
+  this message.
 """
 
 
@@ -500,11 +564,15 @@ def _verdict_text(outcome: Outcome) -> str:
     if outcome.verdict == "unresolved":
         samples = ", ".join(
             f"{side} {estimate.spp} spp"
-            for side, estimate in (("ours", outcome.ours), ("difference", outcome.difference))
+            for side, estimate in (
+                ("ours", outcome.ours),
+                ("replay", outcome.replay),
+                ("difference", outcome.difference),
+            )
             if estimate is not None
         )
         return f"unresolved ({samples})"
-    return outcome.verdict + (f": {outcome.note}" if outcome.verdict == "unsupported" else "")
+    return outcome.verdict + (f": {outcome.note}" if outcome.verdict in ("unsupported", "wrong") else "")
 
 
 def main() -> None:

@@ -45,7 +45,7 @@ def test_derivatives_agree_with_finite_differences(mi: Any, case: Case) -> None:
     del judge
     gc.collect()  # Dr.Jit's calls include every live scene
     ours = Ours(case, targets)
-    draws = np.array([ours.gradients(OURS + seed, spp) for seed in seeds(SEEDS)])
+    draws = np.array([ours.replayed(OURS + seed, spp) for seed in seeds(SEEDS)])
     found = estimates(draws, spp)
     faults = [fault(name, mine, theirs[name]) for name, mine in zip(targets, found, strict=True)]
     assert not any(faults), "\n".join(filter(None, faults))
