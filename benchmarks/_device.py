@@ -52,9 +52,9 @@ def synchronize() -> None:
 
 
 def clock() -> float:
-    """Return seconds after the device has finished: processor time, or elapsed time with a GPU."""
+    """Return elapsed seconds after the device has finished."""
     synchronize()
-    return time.perf_counter() if is_gpu() else time.process_time()
+    return time.perf_counter()
 
 
 def memory() -> float:

@@ -1,10 +1,10 @@
 """Memory, file size and start-up of an attribution in real rooms, beside a hand-written Mitsuba script.
 
 Each figure is that of a fresh process: the peak memory of an attribution to all inputs, the predicted one
-beyond the loaded scene, the size of the saved result, and the time from loading to the first result. On a CPU they
-are resident memory and processor time; on a GPU, what Dr.Jit and torch allocate there, and elapsed time. The
-script renders and differentiates once by ``prb``, with respect to the same inputs as far as Mitsuba tracks them.
-Mitsuba's start-up is loading and a first render. Kernels are in the caches on disk, unless ``--cold``.
+beyond the loaded scene, the size of the saved result, and the time from loading to the first result, a median of
+turns with Mitsuba's start-up, which is loading and a first render. Memory is resident memory on a CPU, and what
+Dr.Jit and torch allocate on a GPU. The script renders and differentiates once by ``prb``, with respect to the same
+inputs as far as Mitsuba tracks them. Kernels are in the caches on disk, unless ``--cold``.
 
     python benchmarks/rooms.py [ROOM …] [--cold] [--variant cuda_ad_rgb] [--write docs/performance.md]
 """
@@ -19,6 +19,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from _device import activate_variant, add_variant, clock, memory, peak_memory
@@ -29,6 +30,7 @@ from scenecaptum import SceneRenderer, VanillaSceneGradient, activate, metrics
 from scenecaptum.scene import load_scene
 
 RESOLUTION, SPP, DEPTH, REPLICATES = (160, 90), 16, 6, 8
+TURNS = 3  # of starts
 MEBIBYTE = 2**20
 ROOMS = ["office", *sorted(path.parent.name for path in SCENES.glob("*/scene.xml"))]
 
@@ -115,16 +117,26 @@ def in_fresh_process(task: str, *arguments: Any, cache: str | None = None) -> di
     return answer
 
 
-def measure(room: str, *, cold: bool) -> list[str]:
-    """Return the row of a room."""
+def start(room: str, *, cold: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Attribute in a fresh process, and render by Mitsuba in another."""
     with tempfile.TemporaryDirectory() as empty:
         cache = empty if cold else None
-        if not cold:  # fill the cache on disk
-            in_fresh_process("first_render", room)
-            in_fresh_process("attribution", room)
-        ours = in_fresh_process("attribution", room, cache=cache)
-        theirs = in_fresh_process("first_render", room, cache=cache)
+        return in_fresh_process("attribution", room, cache=cache), in_fresh_process(
+            "first_render", room, cache=cache
+        )
+
+
+def measure(room: str, *, cold: bool) -> list[str]:
+    """Return the row of a room."""
+    if not cold:  # fill the cache on disk
+        start(room, cold=False)
+    starts = [start(room, cold=cold) for _ in range(TURNS)]
+    ours = starts[0][0]
     written = in_fresh_process("script", room, ours["names"])
+    (load, seconds), (their_load, their_seconds) = (
+        [median(answer[key] for answer in answers) for key in ("load", "seconds")]
+        for answers in zip(*starts, strict=True)
+    )
     return [
         room,
         measured(ours["peak"] / MEBIBYTE, "{:.0f} MiB"),
@@ -134,9 +146,9 @@ def measure(room: str, *, cold: bool) -> list[str]:
         f"{ours['predicted'] / MEBIBYTE:.0f} MiB",
         measured(100 * (ours["beyond"] / ours["predicted"] - 1), "{:+.0f} %"),
         f"{ours['size'] / 1e6:.2f} MB",
-        f"{ours['load']:.1f} + {ours['seconds'] - ours['load']:.1f} s",
-        f"{theirs['load']:.1f} + {theirs['seconds'] - theirs['load']:.1f} s",
-        f"{ours['seconds'] / theirs['seconds']:.1f}×",
+        f"{load:.1f} + {seconds - load:.1f} s",
+        f"{their_load:.1f} + {their_seconds - their_load:.1f} s",
+        f"{seconds / their_seconds:.1f}×",
     ]
 
 

@@ -458,9 +458,9 @@ def _add_replicate(
 def _vjp(
     graph: torch.Tensor, leaves: dict[str, torch.Tensor], adjoint: torch.Tensor, point: Point
 ) -> dict[str, torch.Tensor]:
-    gradients = torch.autograd.grad(
-        graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True
-    )
+    # Of a scalar: torch loads sympy for the first gradient of any other tensor, which takes half a second.
+    product = (graph * adjoint).sum()
+    gradients = torch.autograd.grad(product, list(leaves.values()), retain_graph=True, allow_unused=True)
     by_name = {
         name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
