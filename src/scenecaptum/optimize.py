@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from tqdm import tqdm
 
-from .attr import VanillaSceneGradient, ranges, summarize
+from .attr import VanillaSceneGradient, range_lengths, summarize
 from .errors import SceneCaptumError, whole_number
 from .estimation import (
     DEFAULT_REPLICATES,
@@ -123,9 +123,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     count = whole_number("steps", steps)
     ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
-    ranked = VanillaSceneGradient(renderer, metric).attribute(
-        scale="range", seed=ranking_seed, spp=spp, denoise=denoise
-    )
+    ranked = VanillaSceneGradient(renderer, metric).attribute(seed=ranking_seed, spp=spp, denoise=denoise)
     metric_name = str(ranked.info["metric"])
     top_rows = [row for row in ranked.ranking(whole_number("top", top)) if row.saliency > 0]
     if not top_rows:
@@ -180,7 +178,7 @@ class _BoundedAdam:
     def __init__(self, renderer: Renderer, start: Mapping[str, torch.Tensor], change: float) -> None:
         self.start = start
         self.change = change
-        self._ranges = {name: length.item() for name, length in ranges(renderer, start).items()}
+        self._ranges = {name: length.item() for name, length in range_lengths(renderer, start).items()}
         bounds = Capabilities(renderer).bounds or {}
         self._bounds = {name: bounds[name] for name in start}
         self._offsets = {

@@ -5,11 +5,14 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
-from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 import torch
 
 T = TypeVar("T")
+
+# How parameters are compared: by the effect of a change over their ranges, by one unit, or relative to them.
+Scale: TypeAlias = Literal["range", "unit", "value"]
 
 
 def accepted_keywords(function: Any) -> frozenset[str]:
@@ -72,6 +75,9 @@ class Capabilities:
 
     inputs = _Offer[Mapping[str, torch.Tensor]]("The scene's own values.")
     bounds = _Offer[Mapping[str, tuple[float, float]]]("The physical range of each input.")
+    ranges = _Offer[Mapping[str, tuple[float, float]]](
+        "The interval of each input over which effects are compared; by default its bounds."
+    )
     labels = _Offer[Mapping[str, str]]("Readable names of the inputs.")
     info = _Offer[Mapping[str, Any]]("How it renders, for the ``info`` of results.")
     name = _Offer[str]("The name of the scene.")
@@ -130,8 +136,8 @@ class ResultKind(str, Enum):
         return kind
 
     GRADIENT = "gradient per unit", "change of {} per unit of the parameter"
-    GRADIENT_OVER_RANGE = "gradient × range", "change of {} over the parameter's range, at its gradient"
-    GRADIENT_TIMES_VALUE = "gradient × value", "gradient of {} × value of the parameter"
+    EFFECT = "effect over the range", "change of {} over the range of the parameter"
+    RELATIVE_EFFECT = "effect per relative change", "change of {} per relative change of the parameter"
     INPUT_X_GRADIENT = "input × gradient", "value of the parameter × gradient of {}"
     MEAN_GRADIENT = "mean gradient per unit", "mean change of {} per unit of the parameter"
     MEAN_SQUARED_GRADIENT = (
@@ -160,7 +166,13 @@ class ResultKind(str, Enum):
     @property
     def is_contribution(self) -> bool:
         """Whether it describes the presence of the parameter's value, not a change of it."""
-        return self.has_sign and not self.is_gradient_per_unit and self != ResultKind.GRADIENT_OVER_RANGE
+        return self.has_sign and not self.is_gradient_per_unit and self != ResultKind.EFFECT
+
+    def in_scale(self, scale: Scale) -> ResultKind:
+        """Return the kind of the numbers that are compared in a scale."""
+        if not self.is_gradient_per_unit or scale == "unit":
+            return self
+        return ResultKind.EFFECT if scale == "range" else ResultKind.RELATIVE_EFFECT
 
 
 class RankedParameter(Protocol):
@@ -179,8 +191,16 @@ class RankedParameter(Protocol):
         """The parameter's readable name."""
 
     @property
+    def effect(self) -> float:
+        """Signed effect of changing all channels together."""
+
+    @property
+    def effect_error(self) -> float | None:
+        """Standard error of the effect."""
+
+    @property
     def saliency(self) -> float:
-        """ℓ2 norm of the channel totals."""
+        """Magnitude by which the parameters are ranked."""
 
     @property
     def saliency_error(self) -> float | None:
@@ -254,13 +274,25 @@ class Attribution(Protocol):
     def info(self) -> Mapping[str, Any]:
         """How it was computed."""
 
-    def saliency(self) -> dict[str, float]:
+    def factors(self, scale: Scale | None = None) -> Mapping[str, torch.Tensor]:
+        """Return what turns the channels of each parameter into effects."""
+
+    def effects(self, scale: Scale | None = None) -> dict[str, float]:
+        """Return the signed effect of each parameter."""
+
+    def ranks_by_norm(self, scale: Scale | None = None) -> bool:
+        """Whether parameters are ranked by the norm over their channels, which have no common unit."""
+
+    def scale_or_default(self, scale: Scale | None = None) -> Scale:
+        """Return the scale, by default that of rankings; raise if it is unknown."""
+
+    def saliency(self, scale: Scale | None = None) -> dict[str, float]:
         """Return each parameter's magnitude."""
 
-    def saliency_error(self) -> dict[str, float] | None:
+    def saliency_error(self, scale: Scale | None = None) -> dict[str, float] | None:
         """Return the standard error of each magnitude."""
 
-    def ranking(self, top: int | None = None) -> Sequence[RankedParameter]:
+    def ranking(self, top: int | None = None, *, scale: Scale | None = None) -> Sequence[RankedParameter]:
         """Return the parameters by descending saliency."""
 
     def untrusted_errors(self) -> dict[str, str]:

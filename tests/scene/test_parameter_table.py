@@ -27,6 +27,7 @@ def parameter(name: str, problem: str | None = None, caution: str | None = None,
         "role": "reflectance",
         "shape": (3,),
         "bounds": Bounds(0, 1),
+        "range": Bounds(0, 1),
         "owners": (name.split(".", maxsplit=1)[0],),
     }
     return Parameter(name=name, problem=problem, caution=caution, **{**given, **other})

@@ -35,7 +35,7 @@ from ._method import target_list as target_list
 from ._occlusion import OcclusionScene as OcclusionScene
 from ._perturbation import Perturbation as Perturbation
 from ._ranges import Noise as Noise
-from ._ranges import ranges as ranges
+from ._ranges import range_lengths as range_lengths
 from ._shapley_value import ShapleyValueScene as ShapleyValueScene
 from ._smooth_grad import SmoothGradScene as SmoothGradScene
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient

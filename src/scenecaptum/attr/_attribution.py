@@ -14,10 +14,11 @@ import torch
 from ..errors import SceneCaptumError
 from ..estimation import Adjoints, GradientSum, scaled
 from ..projection import SurfaceMap
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, Renderer, Scale
 from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Tensors, covariances, summarize
 from ._difference import subtract
+from ._ranges import extents
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
 
@@ -48,6 +49,9 @@ class SceneAttribution(AttributionData):
         For each parameter a ``(replicates, C)`` tensor: its channel totals in every replicate.
     covariance
         For each parameter a ``(C, C)`` tensor: the covariance of its channel totals. None if there are no errors.
+    extents
+        For each parameter a ``(C,)`` tensor: the change of its channels over its range, by which effects are
+        compared. Empty if the renderer has no ranges.
     metric_value, metric_standard_error
         The metric at the rendered image, or at the denoised image with a first-order correction of the denoiser's
         bias, and its standard error or None.
@@ -123,8 +127,13 @@ class SceneAttribution(AttributionData):
             )
         return subtract(self, other)
 
-    def to_dataframe(self) -> pandas.DataFrame:
+    def to_dataframe(self, *, scale: Scale | None = None) -> pandas.DataFrame:
         """Return the ranking as a pandas DataFrame with the columns of `Ranked`, indexed by rank.
+
+        Parameters
+        ----------
+        scale
+            As for ``ranking``.
 
         Raises
         ------
@@ -137,7 +146,7 @@ class SceneAttribution(AttributionData):
             raise SceneCaptumError(
                 "to_dataframe() needs pandas: pip install 'scenecaptum[frames]'"
             ) from error
-        return pandas.DataFrame([row._asdict() for row in self.ranking()]).set_index("rank")
+        return pandas.DataFrame([row._asdict() for row in self.ranking(scale=scale)]).set_index("rank")
 
     def save(self, path: str | os.PathLike[str], *, exact_texels: bool = False) -> None:
         """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.
@@ -178,8 +187,8 @@ class SceneAttribution(AttributionData):
     def heatmap(self, **options: Any) -> torch.Tensor:
         """Return an ``(H, W)`` tensor in [0, 1]: the saliency of the parameters visible in each pixel.
 
-        The ``options`` are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale`` (by default
-        ``"sqrt"``), ``decades``, ``maximum``, ``texels``, ``surfaces``.
+        The ``options`` are those of ``projection.heatmap``: ``parameter``, ``signed``, ``scale``, ``norm`` (by
+        default ``"sqrt"``), ``decades``, ``maximum``, ``texels``, ``surfaces``.
         """
         from ..projection import heatmap
 
@@ -197,11 +206,13 @@ class SceneAttribution(AttributionData):
 
         return plot_overlay(self, ax=ax, **options)
 
-    def plot_bars(self, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None) -> Figure:
-        """Draw the first ``top`` parameters, or all, as bars with standard errors, into ``ax`` if given."""
+    def plot_bars(
+        self, top: int | None = DEFAULT_TOP, *, scale: Scale | None = None, ax: Axes | None = None
+    ) -> Figure:
+        """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given."""
         from ..visualization import plot_bars
 
-        return plot_bars(self, top=top, ax=ax)
+        return plot_bars(self, top=top, scale=scale, ax=ax)
 
     def __str__(self) -> str:
         from ..visualization import table_text
@@ -244,6 +255,7 @@ def make_attribution(
         bias=bias,
         replicates=replicates,
         covariance=covariances(replicates, bias) if has_errors else None,
+        extents=extents(renderer, values),
         parameter_values=summarize(values),
         labels=dict(Capabilities(renderer).labels or {}),
         image=image,

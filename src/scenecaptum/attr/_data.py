@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 
 from ..errors import SceneCaptumError, UnknownNameError, near_misses
 from ..estimation import channel_totals, covariance_of_mean, student_t
 from ..projection import SurfaceMap
-from ..protocols import ResultKind
+from ..protocols import ResultKind, Scale
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -27,8 +27,11 @@ class Ranked(NamedTuple):
         From 1, the most salient.
     name, label
         The parameter's name in the scene, and a readable label.
+    effect, effect_error
+        The signed effect of changing all channels together, in the scale of the ranking, and its standard error;
+        errors are None with fewer than two replicates.
     saliency, saliency_error
-        Its magnitude and the standard error; errors are None with fewer than two replicates.
+        The magnitude by which the parameters are ranked, and its standard error.
     total, total_error
         The attribution summed over texels, one element per channel, and its standard errors.
     """
@@ -36,6 +39,8 @@ class Ranked(NamedTuple):
     rank: int
     name: str
     label: str
+    effect: float
+    effect_error: float | None
     saliency: float
     saliency_error: float | None
     total: tuple[float, ...]
@@ -56,6 +61,7 @@ class AttributionData(Mapping[str, torch.Tensor]):
     quadrature_error: Tensors | None = None
     replicates: Tensors = field(default_factory=dict)
     covariance: Tensors | None = None
+    extents: Tensors = field(default_factory=dict)
     parameter_values: Tensors = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
     image: torch.Tensor | None = None
@@ -85,32 +91,95 @@ class AttributionData(Mapping[str, torch.Tensor]):
         default = ResultKind.GRADIENT if self.convergence_delta is None else ResultKind.CONTRIBUTION
         return ResultKind(self.info.get("quantity", default))
 
-    def saliency(self) -> dict[str, float]:
-        """Return each parameter's magnitude: the ℓ2 norm over its channels.
+    def scale_or_default(self, scale: Scale | None = None) -> Scale:
+        """Return the scale of a comparison: by default ``"range"``, or ``"unit"`` where the ranges are unknown.
 
-        Textures are first summed over their texels, the derivative with respect to a common offset, so that a
-        uniform texture ranks like a constant colour.
+        Raises
+        ------
+        SceneCaptumError
+            If the scale is unknown, or needs ranges or values that this result does not have.
         """
-        return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
+        if scale is None:
+            return "range" if self.extents or not self.kind.is_gradient_per_unit else "unit"
+        if scale not in get_args(Scale):
+            raise SceneCaptumError(f'scale must be "range", "unit" or "value", not {scale!r}.')
+        known = {"range": self.extents, "value": self.parameter_values}.get(scale, self)
+        missing = [name for name in self if name not in known]
+        if missing and self.kind.is_gradient_per_unit:
+            raise SceneCaptumError(
+                f"scale={scale!r} needs the {scale} of {missing[0]!r}, which this result does not have. Use "
+                'scale="unit".'
+            )
+        return scale
 
-    def saliency_error(self) -> dict[str, float] | None:
+    def factors(self, scale: Scale | None = None) -> dict[str, torch.Tensor]:
+        """Return a ``(C,)`` tensor for each parameter, by which its channels are multiplied in a scale.
+
+        Contributions and other quantities in the metric's unit are compared as they are, in any scale.
+        """
+        chosen = self.scale_or_default(scale)
+        if chosen == "unit" or not self.kind.is_gradient_per_unit:
+            return {name: torch.ones_like(channel_totals(value)) for name, value in self.items()}
+        if chosen == "range":
+            return {name: self.extents[name] for name in self}
+        return {name: self.parameter_values[name].reshape(-1) for name in self}
+
+    def effects(self, scale: Scale | None = None) -> dict[str, float]:
+        """Return the signed effect of each parameter in the metric's unit: one number, all channels together.
+
+        To first order, ``scale="range"`` is the change of the metric over the parameter's range (for a radiance
+        from off to its value), ``"value"`` that per relative change of its value, and ``"unit"`` that per unit.
+        A texture changes by the same amount in all texels.
+        """
+        factors = self.factors(scale)
+        return {
+            name: (channel_totals(value).double() @ factors[name].double()).item()
+            for name, value in self.items()
+        }
+
+    def effects_error(self, scale: Scale | None = None) -> dict[str, float] | None:
+        """Return the standard error of each effect; None with fewer than two replicates."""
+        if self.covariance is None:
+            return None
+        factors = {name: factor.double() for name, factor in self.factors(scale).items()}
+        return {name: _error_along(factors[name], self.covariance[name]) for name in self}
+
+    def saliency(self, scale: Scale | None = None) -> dict[str, float]:
+        """Return each parameter's magnitude, by which it is ranked: that of its effect.
+
+        Per unit (``scale="unit"``) it is the ℓ2 norm over the channels, as in the paper. Textures are summed over
+        their texels, the derivative with respect to a common offset, so that a uniform texture ranks like a
+        constant colour.
+        """
+        if self.ranks_by_norm(scale):
+            return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
+        return {name: abs(effect) for name, effect in self.effects(scale).items()}
+
+    def saliency_error(self, scale: Scale | None = None) -> dict[str, float] | None:
         """Return the standard error of each saliency, from the covariance of the channel totals.
 
         It is None with fewer than two replicates.
         """
-        if self.covariance is None:
-            return None
+        if self.covariance is None or not self.ranks_by_norm(scale):
+            return self.effects_error(scale)
         return {name: _norm_error(channel_totals(self[name]), self.covariance[name]) for name in self}
 
-    def ranking(self, top: int | None = None) -> list[Ranked]:
-        """Return the parameters by descending saliency, all or the first ``top``."""
-        saliency, errors = self.saliency(), self.saliency_error()
+    def ranks_by_norm(self, scale: Scale | None) -> bool:
+        """Whether parameters are ranked by the norm over their channels, which have no common unit."""
+        return self.kind.is_gradient_per_unit and self.scale_or_default(scale) == "unit"
+
+    def ranking(self, top: int | None = None, *, scale: Scale | None = None) -> list[Ranked]:
+        """Return the parameters by descending saliency, all or the first ``top``; scales as for ``effects``."""
+        effects, effect_errors = self.effects(scale), self.effects_error(scale)
+        saliency, errors = self.saliency(scale), self.saliency_error(scale)
         order = sorted(self, key=lambda name: -saliency[name])
         return [
             Ranked(
                 rank=rank,
                 name=name,
                 label=self.labels.get(name, name),
+                effect=effects[name],
+                effect_error=None if effect_errors is None else effect_errors[name],
                 saliency=saliency[name],
                 saliency_error=None if errors is None else errors[name],
                 total=tuple(channel_totals(self[name]).tolist()),
@@ -177,5 +246,9 @@ def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:
     norm = total.norm()
     if norm == 0:
         return float(covariance.diagonal().sum().sqrt())
-    direction = total / norm
-    return float((direction @ covariance @ direction).clamp_min(0).sqrt())
+    return _error_along(total / norm, covariance)
+
+
+def _error_along(weights: torch.Tensor, covariance: torch.Tensor) -> float:
+    """Return the standard error of a weighted sum of channels."""
+    return float((weights @ covariance.double() @ weights).clamp_min(0).sqrt())

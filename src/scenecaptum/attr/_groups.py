@@ -10,6 +10,7 @@ from typing import TypeAlias, TypeVar
 import torch
 
 from ..errors import SceneCaptumError, near_misses
+from ..estimation import channel_totals
 from ..protocols import Capabilities, Renderer
 from ..scene import Parameter
 from ._baselines import table_of
@@ -144,13 +145,18 @@ def _abbreviate(owners: tuple[str, ...]) -> str:
 
 
 def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
-    """Return the sum of each group's attributions, 0-d by group, with standard errors from the replicates."""
+    """Return the sum of each group's effects, 0-d by group, with standard errors from the replicates.
+
+    Gradients are summed over the ranges of the members where these are known: they have no common unit.
+    """
+    kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), attribution.factors()
 
     def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:
-        return torch.stack([tensors[name].sum() for name in names]).sum()
+        return torch.stack([channel_totals(tensors[name]) @ factors[name] for name in names]).sum()
 
+    effects = {name: rows @ factors[name].double() for name, rows in attribution.replicates.items()}
     rows = {
-        group: torch.stack([attribution.replicates[name].sum(1) for name in names]).sum(0)[:, None]
+        group: torch.stack([effects[name] for name in names]).sum(0)[:, None]
         for group, names in members.items()
     }
     bias = None if attribution.bias is None else {g: total(attribution.bias, n) for g, n in members.items()}
@@ -164,6 +170,11 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
         bias=bias,
         replicates=rows,
         covariance=covariance,
+        extents={},
         labels={group: attribution.labels.get(group, group) for group in members},
-        info={**attribution.info, "groups": {group: list(names) for group, names in members.items()}},
+        info={
+            **attribution.info,
+            "quantity": kind.value,
+            "groups": {group: list(names) for group, names in members.items()},
+        },
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 
 from ..checkpoint import Folder
-from ..estimation import DEFAULT_REPLICATES, DEFAULT_SHARE, Denoise, Goal, Point
+from ..estimation import DEFAULT_REPLICATES, DEFAULT_SHARE, Denoise, Goal, Point, channel_totals
 from ..protocols import ResultKind
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
@@ -80,4 +80,5 @@ class InputXGradientScene(GradientMethod):
         run = self._start(inputs, target, settings)
         goal = Goal(tolerance, share, top, time_limit)
         point = Point(run.values, factors=run.values)
-        return run.attribute_point(point, goal, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)
+        factors = {name: torch.ones_like(channel_totals(value)) for name, value in run.values.items()}
+        return run.attribute_point(point, goal, factors, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)

@@ -17,6 +17,7 @@ from ..estimation import (
     MIN_METRIC_SPP,
     Adjoints,
     Budget,
+    Compared,
     Denoise,
     Goal,
     GradientEstimator,
@@ -41,7 +42,7 @@ from ..estimation import (
 )
 from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, make_attribution, surfaces_of
-from ._data import metric_interval
+from ._data import Tensors, metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
 
 Targets: TypeAlias = "Target | list[Target]"
@@ -144,28 +145,41 @@ class Run:
         return self.return_results(results, interrupted=interrupted)
 
     def attribute_point(
-        self, point: Point, goal: Goal, first_spp: int | None, against: Any = None, **info: Any
+        self,
+        point: Point,
+        goal: Goal,
+        factors: Tensors | None,
+        first_spp: int | None,
+        against: Any = None,
+        **info: Any,
     ) -> Result:
         """Return the result of ``attribute`` for a single point, in rounds if there is a goal.
 
+        The goal refers to effects: sums over the channels times their ``factors``; without these, to norms.
         ``first_spp`` are the samples per pixel of the first round. ``against`` is another renderer, with which the
         gradients are compared at the end.
         """
         if goal.is_set:
-            return self._attribute_to_goal(point, goal, first_spp, against, **info)
+            return self._attribute_to_goal(point, goal, factors, first_spp, against, **info)
         if against is not None:
             raise SceneCaptumError("against= requires a goal: give tolerance=, top= or time_limit= as well.")
         return self.attribute([point], **info)
 
     def _attribute_to_goal(
-        self, point: Point, goal: Goal, first_spp: int | None, against: Any, **info: Any
+        self,
+        point: Point,
+        goal: Goal,
+        factors: Tensors | None,
+        first_spp: int | None,
+        against: Any,
+        **info: Any,
     ) -> Result:
         planner = Planner(
             self.renderer,
             self.metrics,
             self.transform_selector,
             point,
-            self.members,
+            Compared(factors, self.members),
             goal,
             dataclasses.replace(self.settings, spp=first_spp),
             against=against,

@@ -1,4 +1,4 @@
-"""Physical ranges of parameters, which make different kinds comparable, and noise relative to these ranges."""
+"""Ranges of parameters, over which effects of different kinds are compared, and noise relative to these ranges."""
 
 from __future__ import annotations
 
@@ -19,14 +19,31 @@ from ._baselines import table_of
 Tensors = Mapping[str, torch.Tensor]
 
 
-def ranges(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
-    """Return the length of each parameter's physical range, a 0-d tensor.
+def extents(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
+    """Return the change of each parameter over its range, a ``(C,)`` tensor by channel; none without ranges.
 
-    For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the largest
-    magnitude of its value, or 1 if that is 0. Raises if the renderer has no ``bounds``.
+    For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the value, for a
+    texture the mean of its texels, or 1 if that is 0: the change from off to its value.
     """
-    bounds = _bounds(renderer)
-    return {name: _length(value, *bounds.get(name, (-math.inf, math.inf))) for name, value in values.items()}
+    ranges = _ranges(renderer)
+    if ranges is None:
+        return {}
+    return {name: _extent(value, *ranges.get(name, (-math.inf, math.inf))) for name, value in values.items()}
+
+
+def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
+    """Return the length of each parameter's range, a 0-d tensor.
+
+    For an infinite range this is the largest magnitude of its value, or 1 if that is 0. Raises if the renderer has
+    neither ``ranges`` nor ``bounds``.
+    """
+    ranges = _ranges(renderer)
+    if ranges is None:
+        raise SceneCaptumError(
+            "Ranges require physical bounds: give the renderer an attribute `bounds`, a dict from parameter name "
+            "to (low, high)."
+        )
+    return {name: _length(value, *ranges.get(name, (-math.inf, math.inf))) for name, value in values.items()}
 
 
 class Noise:
@@ -41,9 +58,9 @@ class Noise:
         self._scales = dict.fromkeys(values, 0.0)
         fractions = _stdevs(renderer, values, stdevs)
         if any(fractions.values()):
-            lengths = ranges(renderer, values)
-            self._scales = {name: fractions[name] * lengths[name].item() for name in values}
-            self._bounds = _bounds(renderer)
+            length = range_lengths(renderer, values)
+            self._scales = {name: fractions[name] * length[name].item() for name in values}
+            self._bounds = Capabilities(renderer).bounds or {}
         table = table_of(renderer)
         self._open = {name: table is not None and table[name].bounds.open_low for name in values}
 
@@ -61,14 +78,16 @@ class Noise:
         return reflect(noise.mul_(self._scales[name]).add_(value), low, high, open_low=self._open[name])
 
 
-def _bounds(renderer: Renderer) -> Mapping[str, tuple[float, float]]:
-    bounds = Capabilities(renderer).bounds
-    if bounds is None:
-        raise SceneCaptumError(
-            "Ranges require physical bounds: give the renderer an attribute `bounds`, a dict from parameter name "
-            "to (low, high)."
-        )
-    return bounds
+def _ranges(renderer: Renderer) -> Mapping[str, tuple[float, float]] | None:
+    offered = Capabilities(renderer)
+    return offered.bounds if offered.ranges is None else offered.ranges
+
+
+def _extent(value: torch.Tensor, low: float, high: float) -> torch.Tensor:
+    channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
+    if math.isfinite(high - low):
+        return torch.full_like(channels, high - low)
+    return channels.abs() if bool(channels.any()) else torch.ones_like(channels)
 
 
 def _length(value: torch.Tensor, low: float, high: float) -> torch.Tensor:

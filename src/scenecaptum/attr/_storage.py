@@ -20,7 +20,15 @@ from ._texel_blocks import TexelBlocks, choose_blocks
 
 FORMAT = "scenecaptum attribution 4"
 
-_TENSOR_FIELDS = ("attributions", "standard_error", "bias", "quadrature_error", "replicates", "covariance")
+_TENSOR_FIELDS = (
+    "attributions",
+    "standard_error",
+    "bias",
+    "quadrature_error",
+    "replicates",
+    "covariance",
+    "extents",
+)
 # Elementwise, so that those of large textures are stored in blocks.
 _TEXEL_FIELDS = ("attributions", "standard_error", "bias")
 _BLOCK_PARTS = ("/visible", "/means")

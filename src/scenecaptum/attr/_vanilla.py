@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
 from ..checkpoint import Folder
-from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, DEFAULT_SHARE, Denoise, Goal, Point
-from ..protocols import Renderer, ResultKind
+from ..protocols import ResultKind
 from ._groups import Groups
 from ._method import GradientMethod, Result, Settings, Targets
-from ._ranges import ranges
-
-AttributionScale = Literal["unit", "range", "value"]
-
-_KINDS = {
-    "unit": ResultKind.GRADIENT,
-    "range": ResultKind.GRADIENT_OVER_RANGE,
-    "value": ResultKind.GRADIENT_TIMES_VALUE,
-}
+from ._ranges import extents
 
 
 class VanillaSceneGradient(GradientMethod):
@@ -54,7 +45,6 @@ class VanillaSceneGradient(GradientMethod):
         inputs: Mapping[str, torch.Tensor] | None = None,
         *,
         target: Targets = None,
-        scale: AttributionScale = "unit",
         groups: Groups = None,
         seed: int = 0,
         spp: int | None = None,
@@ -78,10 +68,6 @@ class VanillaSceneGradient(GradientMethod):
         target
             Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
             the same renders.
-        scale
-            ``"unit"``: gradient per unit of each parameter. ``"range"``: times its physical range, which makes
-            albedos and indices of refraction comparable (for an infinite range, times its largest value).
-            ``"value"``: times its value, the change per relative change.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
             members: the result has the sum of each group. Parameters in no group stay separate.
@@ -140,20 +126,7 @@ class VanillaSceneGradient(GradientMethod):
         """
         settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
         run = self._start(inputs, target, settings)
-        factors = _factors(scale, self.renderer, run.values)
-        point = Point(run.values, factors=factors)
         goal = Goal(tolerance, share, top, time_limit)
-        info = {"scale": scale, "quantity": _KINDS[scale].value}
-        return run.attribute_point(point, goal, spp, against, **info)
-
-
-def _factors(
-    scale: AttributionScale, renderer: Renderer, values: Mapping[str, torch.Tensor]
-) -> dict[str, torch.Tensor]:
-    if scale == "unit":
-        return {}
-    if scale == "value":
-        return dict(values)
-    if scale == "range":
-        return ranges(renderer, values)
-    raise SceneCaptumError(f'scale must be "unit", "range" or "value", not {scale!r}.')
+        factors = extents(self.renderer, run.values) or None
+        quantity = ResultKind.GRADIENT.value
+        return run.attribute_point(Point(run.values), goal, factors, spp, against, quantity=quantity)

@@ -7,6 +7,7 @@ __all__: list[str] = []
 
 from ._comparison import differences as differences
 from ._goal import DEFAULT_SHARE as DEFAULT_SHARE
+from ._goal import Compared as Compared
 from ._goal import Goal as Goal
 from ._gradients import MIN_METRIC_SPP as MIN_METRIC_SPP
 from ._gradients import GradientEstimator as GradientEstimator

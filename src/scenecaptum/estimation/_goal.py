@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from ..errors import SceneCaptumError, whole_number
-from ._gradients import GradientSum
+from ._gradients import GradientSum, Tensors
 from ._replicates import channel_totals
 from ._simultaneous import Quantity, simultaneous_quantile
 
@@ -113,10 +113,20 @@ class Assessment:
         return max((quantity.required_growth(quantile) for quantity in self.criteria), default=1.0)
 
 
+@dataclass(frozen=True)
+class Compared:
+    """What the goal refers to: the effects of parameters, or of groups of them."""
+
+    factors: Tensors | None = (
+        None  # ``(C,)`` of each parameter: an effect is the sum of its channels times these
+    )
+    members: Mapping[str, tuple[str, ...]] | None = None  # of each group
+
+
 def assess(
     gradients: GradientSum,
     goal: Goal,
-    members: Mapping[str, tuple[str, ...]] | None,
+    compared: Compared,
     effective_samples: Mapping[str, float] | None = None,
 ) -> Assessment:
     """Compare the errors with the goal; ``effective_samples`` are those behind the variance of each gradient.
@@ -125,7 +135,7 @@ def assess(
     is below the share of the lower limit of the total saliency. A small estimate alone does not suffice as long as
     its error is large.
     """
-    quantities = totals(gradients, members, effective_samples or {})
+    quantities = totals(gradients, compared, effective_samples or {})
     degrees = gradients.degrees_of_freedom
     tolerance = goal.tolerance or 0.0
     total = _total_saliency(quantities)
@@ -150,11 +160,9 @@ def assess(
 
 
 def totals(
-    gradients: GradientSum,
-    members: Mapping[str, tuple[str, ...]] | None,
-    effective_samples: Mapping[str, float],
+    gradients: GradientSum, compared: Compared, effective_samples: Mapping[str, float]
 ) -> list[Quantity]:
-    """Return the channel totals of every parameter or group, by descending size."""
+    """Return the effects of every parameter or group, by descending size; without factors, the channel totals."""
     scale = 1 / gradients.weight
     vectors = {}
     for name, mean in gradients.mean.items():
@@ -163,17 +171,21 @@ def totals(
         deviations = scale * gradients.deviations(name) if gradients.degrees_of_freedom else zeros[None]
         bias = zeros if gradients.bias is None else scale * channel_totals(gradients.bias[name]).double()
         vectors[name] = (total, deviations, bias)
+        if compared.factors is not None:
+            factors = compared.factors[name].double()[:, None]
+            vectors[name] = (total @ factors, deviations @ factors, bias @ factors)
     # 0 means that the pilot has found no path: nothing is known.
     counts = {name: count for name, count in effective_samples.items() if count > 0}
-    if members is not None:
-        counts = _group_effective_samples(counts, {n: vector[1] for n, vector in vectors.items()}, members)
+    if compared.members is not None:
+        deviations_of = {n: vector[1] for n, vector in vectors.items()}
+        counts = _group_effective_samples(counts, deviations_of, compared.members)
         vectors = {
             group: (
                 torch.stack([vectors[name][0].sum() for name in names]).sum(0, keepdim=True),
                 torch.stack([vectors[name][1].sum(1, keepdim=True) for name in names]).sum(0),
                 torch.stack([vectors[name][2].sum() for name in names]).sum(0, keepdim=True),
             )
-            for group, names in members.items()
+            for group, names in compared.members.items()
         }
     quantities = [
         Quantity((name,), *vector, target=0.0, effective_samples=counts.get(name))

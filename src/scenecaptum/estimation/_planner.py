@@ -13,7 +13,7 @@ from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ..protocols import Capabilities, Renderer
 from ._comparison import differences
-from ._goal import Assessment, Goal, assess, totals
+from ._goal import Assessment, Compared, Goal, assess, totals
 from ._gradients import GradientSum, Point, require_memory
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
@@ -55,8 +55,8 @@ class Planner:
     dominates the variance or a pilot found few paths. The search does not end after the first round, because rare
     paths that it has missed are missing in its errors as well; the second round has at least half as many samples.
 
-    The ``sampling`` is that of the first round, by default few samples that cost nearly nothing; ``members`` are
-    the parameters of each group. With ``against``, another renderer, the gradients are compared at the end.
+    The ``sampling`` is that of the first round, by default few samples that cost nearly nothing; ``compared`` is
+    what the goal refers to. With ``against``, another renderer, the gradients are compared at the end.
     ``prepare`` is called before the time limit starts, for one-time costs.
 
     References
@@ -71,7 +71,7 @@ class Planner:
         metrics: Sequence[TargetedMetric],
         transform_selector: TransformSelector,
         point: Point,
-        members: Mapping[str, tuple[str, ...]] | None,
+        compared: Compared,
         goal: Goal,
         sampling: Sampling,
         *,
@@ -89,7 +89,7 @@ class Planner:
         self.renderer = renderer
         self.metrics = metrics
         self.point = point
-        self.members = members
+        self.compared = compared
         self.goal = goal
         self.seed = seed
         self.replicates = replicates
@@ -144,7 +144,7 @@ class Planner:
         for estimate, total in zip(estimates, self.sums, strict=True):
             total.add(estimate)
         self.assessments = [
-            assess(total, self.goal, self.members, self._effective_samples(number))
+            assess(total, self.goal, self.compared, self._effective_samples(number))
             for number, total in enumerate(self.sums)
         ]
         seconds = self.time.now() - start
@@ -248,7 +248,7 @@ class Planner:
         self.bar.total += 2 * budget.replicates[0]
         changes = differences(self.renderer, self.against, self.metrics, self.point, budget, self.bar)
         self.changes = [
-            _describe_change(change, assessment, self.members, Capabilities(self.against).info or {})
+            _describe_change(change, assessment, self.compared, Capabilities(self.against).info or {})
             for change, assessment in zip(changes, self.assessments, strict=True)
         ]
 
@@ -288,12 +288,12 @@ class Planner:
 def _describe_change(
     change: GradientSum,
     assessment: Assessment,
-    members: Mapping[str, tuple[str, ...]] | None,
+    compared: Compared,
     info: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the changes of the significant gradients and their half-widths."""
     sizes = {quantity.names[0]: quantity.size for quantity in assessment.significant}
-    changes = [quantity for quantity in totals(change, members, {}) if quantity.names[0] in sizes]
+    changes = [quantity for quantity in totals(change, compared, {}) if quantity.names[0] in sizes]
     quantile = simultaneous_quantile(changes, change.degrees_of_freedom)
     norms = {quantity.names[0]: quantity.total.norm().item() for quantity in changes}
     half_widths = {quantity.names[0]: quantile * quantity.error for quantity in changes}

@@ -5,10 +5,10 @@ __all__ = ["SurfaceMap", "TexelMap", "export", "heatmap", "shared_maximum"]
 
 from ._export import export as export
 from ._projection import DECADES as DECADES
-from ._projection import DEFAULT_SCALE as DEFAULT_SCALE
-from ._projection import MapScale as MapScale
+from ._projection import DEFAULT_NORM as DEFAULT_NORM
+from ._projection import MapNorm as MapNorm
 from ._projection import heatmap as heatmap
-from ._projection import scaled as scaled
+from ._projection import normalized as normalized
 from ._projection import shared_maximum as shared_maximum
 from ._projection import used_by_objects as used_by_objects
 from ._surfaces import SurfaceMap as SurfaceMap

@@ -15,14 +15,14 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
-from ..protocols import Attribution
+from ..protocols import Attribution, Scale
 from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
-MapScale: TypeAlias = Literal["sqrt", "linear", "log"]
+MapNorm: TypeAlias = Literal["sqrt", "linear", "log"]
 
 # Saliencies span orders of magnitude: on a linear scale all but a few lamps are nearly black.
-DEFAULT_SCALE: MapScale = "sqrt"
+DEFAULT_NORM: MapNorm = "sqrt"
 DECADES = 3.0  # of a logarithmic map
 
 IMAGE = 3  # number of axes
@@ -33,7 +33,8 @@ def heatmap(
     *,
     parameter: Names = None,
     signed: bool = False,
-    scale: MapScale = DEFAULT_SCALE,
+    scale: Scale | None = None,
+    norm: MapNorm = DEFAULT_NORM,
     decades: float = DECADES,
     maximum: float | None = None,
     texels: bool = False,
@@ -60,9 +61,11 @@ def heatmap(
         A name or glob of the attribution's parameters (or groups), or a list of these: only they are mapped and
         determine the scale. By default all.
     signed
-        Whether to give an object's saliency the sign of the sum over all its channels and parameters: positive if
-        increasing all of them equally would increase the metric. Objects of opposite sign cancel within a pixel.
+        Whether to give an object's saliency the sign of the sum of its parameters' effects. Objects of opposite
+        sign cancel within a pixel.
     scale
+        What is compared, as for ``SceneAttribution.ranking``: by default effects over the parameters' ranges.
+    norm
         ``"sqrt"``: the square root, which keeps faint objects visible. ``"linear"``: in proportion to saliency.
         ``"log"``: in proportion to its logarithm, with 0 at and below the maximum divided by 10 to the power of
         ``decades``. The sign is kept.
@@ -72,9 +75,9 @@ def heatmap(
         Saliency that maps to 1; larger values are clipped. See ``shared_maximum``. If it is 0, the map is 0.
     texels
         Whether to map bitmaps and environment maps per texel, and mesh attributes per vertex or face, instead of
-        uniformly over their objects. A pixel then gets the norm of the mean gradient per unit of texture over its
-        texels: for a uniform gradient this is the saliency of the whole texture. Gradients of single texels are
-        noisy, and the largest determines the scale; use more samples or set ``maximum``.
+        uniformly over their objects. A pixel then gets the mean effect per unit of texture over its texels: for a
+        uniform gradient this is the saliency of the whole texture. Gradients of single texels are noisy, and the
+        largest determines the maximum; use more samples or set ``maximum``.
     surfaces
         The surface map to use instead of the directly visible objects: ``renderer.see_through()``.
 
@@ -86,11 +89,11 @@ def heatmap(
     Raises
     ------
     SceneCaptumError
-        If the attribution has no surface map, a name matches nothing, no texels are available, or a scale option
-        is invalid.
+        If the attribution has no surface map, a name matches nothing, no texels are available, or an option is
+        invalid.
     """
     surfaces = surfaces_of(attribution, surfaces)
-    magnitude, sign, largest = _entries(attribution, surfaces, parameter, texels)
+    magnitude, sign, largest = _entries(attribution, surfaces, parameter, texels, scale)
     if maximum is not None:
         if not 0 <= maximum < math.inf:
             raise SceneCaptumError(f"maximum must be finite and not negative, not {maximum!r}.")
@@ -106,21 +109,21 @@ def heatmap(
             torch.from_numpy(surfaces.fraction) * torch.from_numpy(values).float() / largest,
         )
     # The fractions of a pixel sum to 1 up to rounding.
-    return scaled(result.clamp(-1, 1).reshape(height, width), scale, decades)
+    return normalized(result.clamp(-1, 1).reshape(height, width), norm, decades)
 
 
-def scaled(values: torch.Tensor, scale: MapScale = DEFAULT_SCALE, decades: float = DECADES) -> torch.Tensor:
-    """Return relative saliencies from -1 to 1 on a scale; ``scale`` and ``decades`` as for ``heatmap``."""
-    if scale not in get_args(MapScale):
+def normalized(values: torch.Tensor, norm: MapNorm = DEFAULT_NORM, decades: float = DECADES) -> torch.Tensor:
+    """Return relative saliencies from -1 to 1 as they are shown; ``norm`` and ``decades`` as for ``heatmap``."""
+    if norm not in get_args(MapNorm):
         raise SceneCaptumError(
-            f"scale must be one of {', '.join(map(repr, get_args(MapScale)))}, not {scale!r}."
+            f"norm must be one of {', '.join(map(repr, get_args(MapNorm)))}, not {norm!r}."
         )
     if not decades > 0:
         raise SceneCaptumError(f"decades must be positive, not {decades!r}.")
-    if scale == "linear":
+    if norm == "linear":
         return values
     magnitude = values.abs()
-    along = magnitude.sqrt() if scale == "sqrt" else (1 + magnitude.log10() / decades).clamp(0, 1)
+    along = magnitude.sqrt() if norm == "sqrt" else (1 + magnitude.log10() / decades).clamp(0, 1)
     return along * values.sign()
 
 
@@ -128,16 +131,18 @@ def shared_maximum(
     attributions: Iterable[Attribution],
     *,
     parameter: Names = None,
+    scale: Scale | None = None,
     texels: bool = False,
     surfaces: SurfaceMap | None = None,
 ) -> float:
     """Return a common ``maximum`` for heatmaps that are to be compared: the largest of their own, 0 if all are 0.
 
-    The ``attributions`` have the same unit; ``parameter``, ``texels``, ``surfaces`` and the errors are as for
-    ``heatmap``.
+    The ``attributions`` have the same unit; ``parameter``, ``scale``, ``texels``, ``surfaces`` and the errors are
+    as for ``heatmap``.
     """
     return max(
-        (_entries(a, surfaces_of(a, surfaces), parameter, texels)[2] for a in attributions), default=0.0
+        (_entries(a, surfaces_of(a, surfaces), parameter, texels, scale)[2] for a in attributions),
+        default=0.0,
     )
 
 
@@ -151,12 +156,13 @@ def surfaces_of(attribution: Attribution, given: SurfaceMap | None) -> SurfaceMa
 
 
 def _entries(
-    attribution: Attribution, surfaces: SurfaceMap, parameter: Names, texels: bool
+    attribution: Attribution, surfaces: SurfaceMap, parameter: Names, texels: bool, scale: Scale | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return the saliency and sign of each entry of the surface map, and the largest saliency."""
     selected = _select(attribution, parameter)
-    saliency = {name: value for name, value in attribution.saliency().items() if name in selected}
-    total = {name: attribution[name].double().sum().item() for name in selected}
+    saliency = {name: value for name, value in attribution.saliency(scale).items() if name in selected}
+    effects, factors = attribution.effects(scale), attribution.factors(scale)
+    is_norm = attribution.ranks_by_norm(scale)
     params_by_object = used_by_objects(attribution, surfaces, saliency)
     textures = _texel_maps(attribution, surfaces, selected) if texels else {}
 
@@ -166,12 +172,14 @@ def _entries(
         params_by_object = [names - textures.keys() for names in params_by_object]
         objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
     magnitude = np.array(objects)[surfaces.object_index]
-    sums = np.array([math.fsum(total[name] for name in names) for names in params_by_object])
+    sums = np.array([math.fsum(effects[name] for name in names) for names in params_by_object])
     effect = sums[surfaces.object_index]
     for name, texel_map in textures.items():
         density = texel_map.density(attribution[name].numpy(force=True), len(surfaces.pixel))
-        magnitude = np.hypot(magnitude, np.linalg.norm(density, axis=-1))
-        effect += density.sum(-1)
+        density = density * factors[name].numpy(force=True)
+        total = density.sum(-1)
+        magnitude = np.hypot(magnitude, np.linalg.norm(density, axis=-1) if is_norm else total)
+        effect += total
         largest = max(largest, float(magnitude.max(initial=0.0)))
     return magnitude, np.sign(effect), largest
 

@@ -25,6 +25,7 @@ from ..scene import (
     Selection,
     XmlParameters,
     check_scale,
+    choose_ranges,
     discover,
     format_parameters,
     hashable_source,
@@ -76,6 +77,9 @@ class SceneRenderer(torch.nn.Module):
         ``(cameras, H, W, 3)``, which the metric reduces; its results have no heatmap.
     parameters
         Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
+    ranges
+        Intervals ``(low, high)`` over which results compare the effects of parameters, by name, glob or kind, in
+        place of those in ``parameters_table()``: ``{"wall.reflectance.*": (0.3, 0.8)}``.
 
     Attributes
     ----------
@@ -96,8 +100,8 @@ class SceneRenderer(torch.nn.Module):
     Raises
     ------
     SceneCaptumError
-        If the scene cannot be loaded, ``inputs`` selects nothing differentiable, or ``parameters`` does not
-        match the file's placeholders.
+        If the scene cannot be loaded, ``inputs`` selects nothing differentiable, ``parameters`` does not match the
+        file's placeholders, or ``ranges`` has a name that matches nothing or an invalid interval.
     """
 
     def __init__(
@@ -110,6 +114,7 @@ class SceneRenderer(torch.nn.Module):
         max_depth: int | None = None,
         sensor: int | str | list[int | str] = 0,
         parameters: XmlParameters | None = None,
+        ranges: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         super().__init__()
         with exclusively(_variant_of(scene)) as mi:
@@ -119,6 +124,7 @@ class SceneRenderer(torch.nn.Module):
             self._granted_memory = 0  # bytes that were found to be available
             try:
                 size = self._load(scene, parameters, inputs, sensor, resolution, spp)
+                self._ranges = choose_ranges(self._table, self._names, ranges or {})
                 self._prepare(size, self._plan_for(max_depth))
             except SceneCaptumError as error:
                 # Free the scene now: freed together with the error, it could go while another thread renders.
@@ -337,6 +343,11 @@ class SceneRenderer(torch.nn.Module):
     def bounds(self) -> dict[str, tuple[float, float]]:
         """The physical bounds of each input, infinite where there are none."""
         return {n: (self._table[n].bounds.low, self._table[n].bounds.high) for n in self._names}
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """The interval over which the effect of each input is compared; infinite: from 0 to its value."""
+        return dict(self._ranges)
 
     @property
     def labels(self) -> dict[str, str]:

@@ -79,7 +79,7 @@ def _result(
     row_index = {row.name: row.rank - 1 for row in ranking}
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
-    saliencies = [_object_saliency(ranking, rows) for rows in object_rows]
+    saliencies = [_object_effect(ranking, rows) for rows in object_rows]
     value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
     return {
         "title": title,
@@ -127,16 +127,16 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
     return {
         "largest": _number(shared_maximum([attribution], texels=True)),
         **{
-            name: encode_map(heatmap(attribution, texels=True, signed=signed, scale="linear"), signed=signed)
+            name: encode_map(heatmap(attribution, texels=True, signed=signed, norm="linear"), signed=signed)
             for name, signed in maps.items()
         },
     }
 
 
-def _object_saliency(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> float:
-    """Return an object's saliency as in ``heatmap``, with the sign of the sum of its attributions."""
+def _object_effect(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> float:
+    """Return an object's saliency as in ``heatmap``, with the sign of the sum of its effects."""
     magnitude = math.hypot(*(ranking[index].saliency for index in rows))
-    return math.copysign(magnitude, math.fsum(sum(ranking[index].total) for index in rows))
+    return math.copysign(magnitude, math.fsum(ranking[index].effect for index in rows))
 
 
 def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
@@ -146,9 +146,10 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
     return {
         "name": row.name,
         "label": row.label,
+        "effect": _number(row.effect),
         "saliency": _number(row.saliency),
         "error": _number(row.saliency_error),
-        "written": with_error(row.saliency, row.saliency_error),
+        "written": _format_signed(row.effect, row.effect_error),
         "sign": _SIGNS[color_of(row, attribution)],
         "total": [_number(value) for value in row.total] if few else [],
         "totalError": [_number(error) for error in errors] if few and row.total_error else [],

@@ -58,13 +58,13 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
     caution = _metric_caution(attribution) or ""
     with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        columns = ["rank", "name", "label", "saliency", "saliency_error"]
+        columns = ["rank", "name", "label", "effect", "effect_error"]
         gradients = [f"gradient_{c + 1}" for c in channels] + [f"error_{c + 1}" for c in channels]
         writer.writerow([*columns, *gradients, "metric_caution"])
         for row in rows:
             padding = [""] * (len(channels) - len(row.total))
             errors = ("",) * len(row.total) if row.total_error is None else row.total_error
-            head = [row.rank, row.name, row.label, row.saliency, row.saliency_error]
+            head = [row.rank, row.name, row.label, row.effect, row.effect_error]
             writer.writerow([*head, *row.total, *padding, *errors, *padding, caution])
 
 

@@ -53,6 +53,9 @@ class Parameter:
         reads a colour as one number, such as an opacity, ``()`` for a colour and ``(H, W, 1)`` for a texture.
     bounds
         The physically meaningful interval.
+    range
+        The interval over which effects are compared: the bounds where they are finite, and that of real glass for
+        an index of refraction. Unbounded (a radiance, a metal's index, a density) means from 0 to its value.
     owners
         The materials, emitters or media that it belongs to.
     tracked
@@ -78,6 +81,7 @@ class Parameter:
     role: str
     shape: tuple[int, ...]
     bounds: Bounds
+    range: Bounds
     owners: tuple[str, ...]
     tracked: bool = True
     specular_inside: bool = False

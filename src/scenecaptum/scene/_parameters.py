@@ -49,7 +49,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     mi = activate()
     own_name = name.rsplit(".", 1)[-1]
     user, role = graph.role(node, own_name)
-    kind, bounds = _kind_and_bounds(user, role)
+    kind, bounds, effect_range = _kind_bounds_and_range(user, role)
     shape = stored_shape = _shape(value, mesh_attribute_size(node, own_name))
     if _is_scalar(graph, node, shape):
         shape = (*shape[:-1], 1) if len(shape) > 1 else ()
@@ -64,6 +64,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         role=role,
         shape=shape,
         bounds=bounds,
+        range=effect_range,
         owners=graph.owners(node),
         tracked=tracked,
         specular_inside=_is_specular(user),
@@ -75,13 +76,20 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     )
 
 
-def _kind_and_bounds(user: Any, role: str) -> tuple[str, Bounds]:
+def _kind_bounds_and_range(user: Any, role: str) -> tuple[str, Bounds, Bounds]:
     mi = activate()
-    if isinstance(user, mi.BSDF):
-        # A perfect mirror without a named metal has eta = 0, k = 1.
-        if role == "eta" and "Conductor" in user.class_name():
-            return "ior", NON_NEGATIVE
-        return _material_role(role).kind, _material_role(role).bounds
+    # A perfect mirror without a named metal has eta = 0, k = 1.
+    is_metal = role == "eta" and "Conductor" in user.class_name()
+    if isinstance(user, mi.BSDF) and not is_metal:
+        own = _material_role(role)
+        return own.kind, own.bounds, own.range or own.bounds
+    kind, bounds = ("ior", NON_NEGATIVE) if is_metal else _kind_and_bounds(user, role)
+    return kind, bounds, bounds
+
+
+def _kind_and_bounds(user: Any, role: str) -> tuple[str, Bounds]:
+    """Return the kind and the bounds of a parameter that does not belong to a material."""
+    mi = activate()
     if isinstance(user, mi.Emitter):
         return "emitters", EMITTER_BOUNDS.get(role, NON_NEGATIVE)
     if isinstance(user, (mi.Medium, mi.PhaseFunction)):

@@ -14,13 +14,15 @@ UNIT = Bounds(0.0, 1.0)
 POSITIVE_UNIT = Bounds(0.0, 1.0, open_low=True)
 NON_NEGATIVE = Bounds(0.0)
 POSITIVE = Bounds(0.0, open_low=True)
+GLASS = Bounds(1.45, 1.95)  # indices of refraction from fused silica to dense flint glass
 
 
 class MaterialRole(NamedTuple):
-    """A property of a material, with kind and bounds as in ``Parameter``."""
+    """A property of a material, with kind, bounds and range as in ``Parameter``."""
 
     kind: str = "surface"
     bounds: Bounds = Bounds()
+    range: Bounds | None = None  # by default the bounds
     is_number: bool = False  # whether materials read the mean of a colour's channels, or a bitmap's luminance
     is_lobe_weight: bool = (
         False  # whether it weighs a lobe that is never sampled where the weight is at a bound
@@ -48,7 +50,7 @@ MATERIAL_ROLES = {
     "roughness": _ROUGHNESS,
     "longitudinal_roughness": _HAIR_ROUGHNESS,
     "azimuthal_roughness": _HAIR_ROUGHNESS,
-    "eta": MaterialRole("ior", POSITIVE),
+    "eta": MaterialRole("ior", POSITIVE, GLASS),
     "k": MaterialRole("ior", NON_NEGATIVE),
     "specular": MaterialRole("ior", UNIT, is_lobe_weight=True),
     "opacity": _OPACITY,

@@ -48,7 +48,7 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
             raise SceneCaptumError(f"{item!r} cannot be differentiated: {parameters[item].problem}{fix}.")
         return [item]
     if item in KINDS:
-        matched = [p for p in parameters.values() if _is_of_kind(p, item)]
+        matched = [p for p in parameters.values() if is_of_kind(p, item)]
     else:
         matched = [p for p in parameters.values() if fnmatchcase(p.name, item)]
     differentiable = [p.name for p in matched if not p.problem]
@@ -57,7 +57,8 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
     return differentiable
 
 
-def _is_of_kind(parameter: Parameter, kind: str) -> bool:
+def is_of_kind(parameter: Parameter, kind: str) -> bool:
+    """Whether a parameter belongs to a kind of ``inputs``."""
     if kind == "all":
         return True
     if kind == "materials":

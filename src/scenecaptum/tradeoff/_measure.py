@@ -232,7 +232,7 @@ class ReferenceGradient:
     """
 
     attribution: SceneAttribution
-    gradient: torch.Tensor  # (P,): the channel totals of all parameters
+    gradient: torch.Tensor  # (P,): the channel totals of all parameters, over their ranges
     noise: torch.Tensor  # (rows, P)
     saliency: torch.Tensor  # one value per parameter
     saliency_error: torch.Tensor
@@ -243,7 +243,8 @@ class ReferenceGradient:
         gradient, saliency = gradient_of(attribution), saliency_of(attribution)
         if not gradient.any():
             raise SceneCaptumError("All gradients are 0: there is no relative error, and nothing to rank.")
-        replicates = torch.cat([attribution.replicates[name].double() for name in attribution], 1)
+        factors = _factors(attribution)
+        replicates = torch.cat([attribution.replicates[name].double() for name in attribution], 1) * factors
         count = len(replicates)
         spread = (replicates - replicates.mean(0)) / math.sqrt(count * max(count - 1, 1))
         errors = attribution.saliency_error() or {}
@@ -252,7 +253,7 @@ class ReferenceGradient:
         return cls(
             attribution,
             gradient,
-            torch.cat([spread, torch.cat(removed)[None].double()]),
+            torch.cat([spread, torch.cat(removed)[None].double() * factors]),
             saliency,
             torch.tensor([errors[name] for name in attribution], dtype=torch.float64),
         )
@@ -286,12 +287,16 @@ class ReferenceGradient:
 
     def describe(self, setting: Setting) -> Reference:
         """Return the cost and accuracy of the reference itself."""
-        replicates = [totals.double() for totals in self.attribution.replicates.values()]
-        half = len(replicates[0]) // 2
-        first, second = (
-            torch.stack([totals[part].mean(0).norm() for totals in replicates])
-            for part in (slice(half), slice(half, 2 * half))
+        factors = self.attribution.factors()
+        effects = torch.stack(
+            [
+                totals.double() @ factors[name].double()
+                for name, totals in self.attribution.replicates.items()
+            ],
+            1,
         )
+        half = len(effects) // 2
+        first, second = (effects[part].mean(0).abs() for part in (slice(half), slice(half, 2 * half)))
         return Reference(
             setting=setting,
             seconds=self.attribution.info["seconds"],
@@ -301,8 +306,13 @@ class ReferenceGradient:
 
 
 def gradient_of(attribution: SceneAttribution) -> torch.Tensor:
-    """Return the channel totals of all parameters as one vector, in float64."""
-    return torch.cat([channel_totals(value) for value in attribution.values()]).double()
+    """Return the channel totals of all parameters, over their ranges, as one vector in float64."""
+    totals = torch.cat([channel_totals(value) for value in attribution.values()]).double()
+    return totals * _factors(attribution)
+
+
+def _factors(attribution: SceneAttribution) -> torch.Tensor:
+    return torch.cat(list(attribution.factors().values())).double()
 
 
 def saliency_of(attribution: SceneAttribution) -> torch.Tensor:

@@ -38,6 +38,7 @@ from ._scenes import (
     Scenes,
     denoise_of,
     distances_to_bounds,
+    is_plain_gradient,
     unit_gradient,
 )
 
@@ -130,16 +131,19 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
         attribution = VanillaSceneGradient(renderer, metric).attribute(
             target=target, seed=seed, spp=spp, show_progress=show_progress
         )
-    if attribution.info.get("scale") != "unit" or attribution.covariance is None:
+    if not is_plain_gradient(attribution) or attribution.covariance is None:
         raise SceneCaptumError(
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
-    rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
+    slopes, errors = attribution.saliency("unit"), attribution.saliency_error("unit") or {}
+    rows = [row for row in attribution.ranking(whole_number("top", top)) if slopes[row.name] > 0]
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(
-            rows=tuple(_ablate(scenes, row, attribution[row.name]) for row in bar),
+            rows=tuple(
+                _ablate(scenes, row, attribution[row.name], slopes[row.name], errors[row.name]) for row in bar
+            ),
             metric=str(attribution.info["metric"]),
         )
 
@@ -172,7 +176,9 @@ def _choose_step(value: torch.Tensor, gradient: torch.Tensor, low: float, high: 
     return max(steps, key=lambda step: step.share)
 
 
-def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
+def _ablate(
+    scenes: Scenes, row: Any, gradient: torch.Tensor, predicted: float, predicted_error: float
+) -> Ablated:
     value, (low, high) = scenes.values[row.name], (Capabilities(scenes.renderer).bounds or {})[row.name]
     chosen = _choose_step(value, gradient, low, high)
 
@@ -190,13 +196,13 @@ def _ablate(scenes: Scenes, row: Any, gradient: torch.Tensor) -> Ablated:
             break
         step /= STEP_REDUCTION
     distance = distances_to_bounds(value, -chosen.direction, low, high).min().item()
-    fixed_step = min(FIXED_STEP * row.saliency, MAX_BOUND_FRACTION * distance)
+    fixed_step = min(FIXED_STEP * predicted, MAX_BOUND_FRACTION * distance)
     fixed, fixed_error = mean_and_error(slope(-fixed_step)) if fixed_step > 0 else (None, None)
     return Ablated(
         name=row.name,
         label=row.label,
-        predicted=row.saliency,
-        predicted_error=row.saliency_error,
+        predicted=predicted,
+        predicted_error=predicted_error,
         measured=measured,
         measured_error=error,
         step=step,

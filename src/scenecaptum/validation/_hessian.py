@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient, ranges
+from ..attr import SceneAttribution, VanillaSceneGradient, range_lengths
 from ..checkpoint import Folder, with_checkpoint
 from ..denoising import Guides
 from ..errors import SceneCaptumError, near_misses
@@ -127,12 +127,11 @@ def product_of(
         values, target=scenes.metric.target, **options, denoise=scenes.metric.transform.denoises
     )
     assert product.image is not None
-    info = {key: value for key, value in product.info.items() if key != "scale"}
     return dataclasses.replace(
         product,
         image=product.image.mean(0),
         surfaces=Capabilities(scenes.renderer).surfaces,
-        info={**info, "method": "hessian_vector_product", "step": stencil.length},
+        info={**product.info, "method": "hessian_vector_product", "step": stencil.length},
     )
 
 
@@ -203,7 +202,7 @@ def max_steps(scenes: Scenes, direction: Direction) -> tuple[float, float]:
 
     A step is a tenth of the smallest range, at most half the distance to a bound, which may be unphysical.
     """
-    lengths = ranges(scenes.renderer, {name: scenes.values[name] for name in direction})
+    lengths = range_lengths(scenes.renderer, {name: scenes.values[name] for name in direction})
     bounds = Capabilities(scenes.renderer).bounds or {}
     longest = {1: math.inf, -1: math.inf}
     for name, tangent in direction.items():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient, ranges
+from ..attr import SceneAttribution, VanillaSceneGradient, range_lengths
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, student_t
@@ -28,7 +28,7 @@ from ..visualization import (
     shorten,
 )
 from ._hessian import max_steps, product_of
-from ._scenes import Scenes, denoise_of, unit_gradient
+from ._scenes import Scenes, denoise_of, is_plain_gradient, unit_gradient
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,7 +104,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     if attribution is None:
         attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
-    if attribution.info.get("scale") != "unit":
+    if not is_plain_gradient(attribution):
         raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
     scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
@@ -113,7 +113,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     if not directions:
         raise SceneCaptumError("All gradients are 0 or lead out of bounds: there is no direction to move in.")
     products = [product_of(scenes, {name: u}, directions, **options) for name, u in directions.items()]
-    lengths = ranges(renderer, {name: scenes.values[name] for name in directions})
+    lengths = range_lengths(renderer, {name: scenes.values[name] for name in directions})
     factors = torch.tensor([lengths[name].item() if scale == "range" else 1.0 for name in directions])
     both = torch.outer(factors, factors).double()
     return Interactions(

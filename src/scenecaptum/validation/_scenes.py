@@ -22,7 +22,7 @@ from ..estimation import (
     require_memory,
     with_image_transform,
 )
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, Renderer, ResultKind
 
 # Fractions of a parameter's range: the longest step, and the shortest before it is taken in the other direction.
 MAX_STEP, MIN_STEP = 0.1, 0.01
@@ -77,6 +77,11 @@ def denoise_of(attribution: SceneAttribution) -> Denoise:
     """Return the ``denoise=`` that reproduces how an attribution's metric image was made."""
     picture = attribution.info.get("picture")
     return "auto" if picture is None else bool(picture["denoised"])
+
+
+def is_plain_gradient(attribution: SceneAttribution) -> bool:
+    """Whether an attribution consists of the gradients of the parameters themselves."""
+    return attribution.info.get("quantity") == ResultKind.GRADIENT.value and "groups" not in attribution.info
 
 
 def unit_gradient(gradient: torch.Tensor, value: torch.Tensor) -> torch.Tensor:

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..protocols import Attribution, RankedParameter
+from ..protocols import Attribution, RankedParameter, Scale
 from ._figures import (
     DEFAULT_TOP,
     LOWERS,
@@ -50,12 +50,19 @@ _NAME_WIDTH = 36
 _MAX_NAMES = 6
 
 
-def plot_bars(attribution: Attribution, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None) -> Figure:
-    """Plot the ranking as horizontal bars of saliency with standard errors, the most salient on top.
+def plot_bars(
+    attribution: Attribution,
+    top: int | None = DEFAULT_TOP,
+    *,
+    scale: Scale | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Plot the ranking as horizontal bars of effects with standard errors, the largest on top.
 
-    The colour of a bar and the sign at its end show whether raising the parameter raises or lowers the metric or,
-    for contributions, whether the parameter adds to the metric or takes from it. Bars are neutral if the channels
-    of a colour disagree, or if no channel is two standard errors from zero.
+    The side and the colour of a bar show whether raising the parameter raises or lowers the metric or, for
+    contributions, whether the parameter adds to the metric or takes from it. Bars are grey if the effect is less
+    than two standard errors from zero. Gradients per unit, whose channels have no common sign, are shown by their
+    norm.
 
     Parameters
     ----------
@@ -63,23 +70,25 @@ def plot_bars(attribution: Attribution, top: int | None = DEFAULT_TOP, *, ax: Ax
         The result to plot.
     top
         Number of parameters; None for all.
+    scale
+        ``"range"`` (the default where ranges are known), ``"unit"`` or ``"value"``, as for ``ranking``.
     ax
         Axes to draw into; by default those of a new figure.
     """
-    rows = first(attribution.ranking(), top)
+    rows = first(attribution.ranking(scale=scale), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
-    legend = bar_legend(attribution, rows)
+    legend = bar_legend(attribution, rows, scale)
     # Up to a third of the width is for the names.
     width = 0.67 * WIDTH if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE))
-    axis = textwrap.wrap(axis_label(attribution), characters_per_line(width, TEXT))
-    footnotes = _footnotes(attribution, rows, cautions, characters_per_line(width, SMALL))
+    axis = textwrap.wrap(axis_label(attribution, scale), characters_per_line(width, TEXT))
+    footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
     if ax is None:
         points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
         ax = new_figure(WIDTH, 0.7 + 1.4 * points / 72 + 0.21 * max(len(rows), 2)).add_subplot()
 
     style_axes(ax, x="\n".join(axis))
-    draw_bars(ax, attribution, rows, name_width=_NAME_WIDTH)
+    draw_bars(ax, attribution, rows, scale=scale, name_width=_NAME_WIDTH)
     write_header(ax, title, handles=legend, size=TEXT)
     add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
     return figure_of(ax)
@@ -90,14 +99,17 @@ def draw_bars(
     attribution: Attribution,
     rows: Sequence[RankedParameter],
     *,
+    scale: Scale | None,
     name_width: int,
     size: float = TEXT,
 ) -> None:
     """Draw the bars, error bars and signs, and write the names."""
+    signed = _is_signed(attribution, scale)
     positions = range(len(rows))
     colors = [color_of(row, attribution) for row in rows]
     inaccurate = _inaccurate(attribution, rows)
-    lengths, errors = [row.saliency for row in rows], [row.saliency_error for row in rows]
+    lengths = [row.effect if signed else row.saliency for row in rows]
+    errors = [row.saliency_error for row in rows]
     bars = ax.barh(positions, lengths, height=0.7, color=colors)
     for bar, hatched in zip(bars, inaccurate, strict=True):
         if hatched:
@@ -108,13 +120,23 @@ def draw_bars(
         ax.errorbar(lengths, positions, xerr=known, ecolor=ax.xaxis.label.get_color(), **style)
     if sign_labels(attribution) is not None:
         for position, (row, color) in enumerate(zip(rows, colors, strict=True)):
-            end = row.saliency + (row.saliency_error or 0.0)
+            side = -1 if signed and row.effect < 0 else 1
+            end = side * (row.saliency + (row.saliency_error or 0.0))
             sign, ink = (SIGNS[color], color) if row.saliency else ("0", UNCLEAR)
-            write_at(ax, sign, (end, position), (4, 0), va="center", color=ink, fontweight="bold")
+            style = {"va": "center", "ha": "left" if side > 0 else "right", "fontweight": "bold"}
+            write_at(ax, sign, (end, position), (4 * side, 0), color=ink, **style)
     names = shorten([row.label for row in rows], name_width)
     name_rows(ax, [f"! {name}" if mark else name for name, mark in zip(names, inaccurate, strict=True)], size)
     ax.margins(x=0.08)
-    ax.set_xlim(left=0, right=None if any(lengths) else 1)
+    if not any(length < 0 for length in lengths):
+        ax.set_xlim(left=0, right=None if any(lengths) else 1)
+    else:
+        ax.axvline(0, color=UNCLEAR, linewidth=0.8)
+
+
+def _is_signed(attribution: Attribution, scale: Scale | None) -> bool:
+    """Whether bars show signed effects, not norms."""
+    return attribution.kind.has_sign and not attribution.ranks_by_norm(scale)
 
 
 def _inaccurate(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[bool]:
@@ -123,7 +145,7 @@ def _inaccurate(attribution: Attribution, rows: Iterable[RankedParameter]) -> li
     return [row.name in cautions for row in rows]
 
 
-def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[Any]:
+def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None) -> list[Any]:
     """Return legend entries for the colours of these rows' bars; bars of length 0 have none."""
     from matplotlib.patches import Patch
 
@@ -134,7 +156,7 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter]) -> lis
         meanings = {
             RAISES: labels[0],
             LOWERS: labels[1],
-            UNCLEAR: "channels disagree, or sign lost in the noise",
+            UNCLEAR: "sign lost in the noise",
         }
     entries = [Patch(color=color, label=text) for color, text in meanings.items() if color in present]
     if any(_inaccurate(attribution, rows)):
@@ -147,6 +169,7 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter]) -> lis
 def _footnotes(
     attribution: Attribution,
     rows: Sequence[RankedParameter],
+    scale: Scale | None,
     cautions: Mapping[str, Sequence[str]],
     width: int,
 ) -> list[str]:
@@ -156,9 +179,8 @@ def _footnotes(
         *sampling_notes(attribution),
         *convergence_notes(attribution),
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
-        "a colour's bar: ℓ2 norm over R, G, B" if any(len(row.total) == 3 for row in rows) else "",
-        "" if any(row.saliency for row in rows) else "all saliencies are 0",
-        f"{pluralize(hidden, 'less salient parameter')} not shown" if hidden > 0 else "",
+        "" if any(row.saliency for row in rows) else "all effects are 0",
+        f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",
     ]
     lines = pack([note for note in notes if note], width)
     for text, names in cautions.items():

@@ -64,12 +64,10 @@ def first(rows: Sequence[T], top: int | None) -> Sequence[T]:
 
 
 def color_of(row: RankedParameter, attribution: Attribution) -> str:
-    """Return the colour of a row's sign: neutral if channels disagree or none is two standard errors from zero."""
-    errors = row.total_error or (0.0,) * len(row.total)
-    signs = {value > 0 for value, error in zip(row.total, errors, strict=True) if abs(value) > 2 * error}
-    if len(signs) != 1 or sign_labels(attribution) is None:
+    """Return the colour of a row's sign: neutral if its effect is less than two standard errors from zero."""
+    if abs(row.effect) <= 2 * (row.effect_error or 0.0) or sign_labels(attribution) is None:
         return UNCLEAR
-    return RAISES if signs.pop() else LOWERS
+    return RAISES if row.effect > 0 else LOWERS
 
 
 def characters_per_line(inches: float, size: float) -> int:

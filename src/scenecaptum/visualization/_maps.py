@@ -6,8 +6,8 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
-from ..projection import DECADES, DEFAULT_SCALE, MapScale, heatmap, scaled
-from ..protocols import Attribution
+from ..projection import DECADES, DEFAULT_NORM, MapNorm, heatmap, normalized
+from ..protocols import Attribution, Scale
 from ._figures import (
     LOWERS,
     RAISES,
@@ -21,7 +21,7 @@ from ._figures import (
     new_figure,
 )
 from ._numbers import format_with_error, shorten
-from ._text import noise_notes, sign_labels
+from ._text import axis_label, noise_notes, sign_labels
 from ._tonemap import display_image
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-_SCALES = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
+_NORMS = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
 _MAX_HEIGHT = 4.0
 _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
@@ -44,7 +44,7 @@ def plot_heatmap(
     *,
     ax: Axes | None = None,
     signed: bool = False,
-    scale: MapScale = DEFAULT_SCALE,
+    norm: MapNorm = DEFAULT_NORM,
     **options: Any,
 ) -> Figure:
     """Plot the render and the saliency map side by side.
@@ -57,27 +57,28 @@ def plot_heatmap(
         Axes to draw the map into, with a colour bar but without the render; by default a new figure shows both.
     signed
         Show signed values on a diverging colour scale, in the colours of the bars, instead of magnitudes.
-    scale
-        Scale of the map, ``"sqrt"``, ``"linear"`` or ``"log"``, as for ``projection.heatmap``.
+    norm
+        ``"sqrt"``, ``"linear"`` or ``"log"``, as for ``projection.heatmap``.
     options
-        Other options of ``projection.heatmap``: ``parameter``, ``decades``, ``maximum``, ``texels``, ``surfaces``.
+        Other options of ``projection.heatmap``: ``parameter``, ``scale``, ``decades``, ``maximum``, ``texels``,
+        ``surfaces``.
 
     Raises
     ------
     SceneCaptumError
         If the attribution has no image, or no map of the surfaces in it.
     """
-    heat = heatmap(attribution, signed=signed, scale=scale, **options)
-    title = _map_title(attribution, signed, scale, options, _width(ax, heat, 2))
+    heat = heatmap(attribution, signed=signed, norm=norm, **options)
+    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2))
     bar = None
     if ax is None:
         render = _displayed_render(attribution)
-        left, ax, bar = _panels(attribution, heat, 2, title)
+        left, ax, bar = _panels(attribution, heat, 2, title, options.get("scale"))
         left.imshow(render)
         left.set_title("render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
-    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), ax=ax, cax=bar)
+    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
 
 
@@ -87,7 +88,7 @@ def plot_overlay(
     ax: Axes | None = None,
     alpha: float = 0.8,
     signed: bool = False,
-    scale: MapScale = DEFAULT_SCALE,
+    norm: MapNorm = DEFAULT_NORM,
     **options: Any,
 ) -> Figure:
     """Plot the saliency map as an overlay on the grey render.
@@ -100,7 +101,7 @@ def plot_overlay(
         Axes to draw into; by default those of a new figure.
     alpha
         Opacity of the map at its maximum, between 0 and 1; it decreases with the saliency.
-    signed, scale, options
+    signed, norm, options
         As for ``plot_heatmap``.
 
     Raises
@@ -110,16 +111,16 @@ def plot_overlay(
     """
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must be between 0 and 1, not {alpha!r}.")
-    heat = heatmap(attribution, signed=signed, scale=scale, **options)
+    heat = heatmap(attribution, signed=signed, norm=norm, **options)
     grey = _displayed_render(attribution).mean(-1)
-    title = _map_title(attribution, signed, scale, options, _width(ax, heat, 1))
+    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1))
     bar = None
     if ax is None:
-        ax, bar = _panels(attribution, heat, 1, title)
+        ax, bar = _panels(attribution, heat, 1, title, options.get("scale"))
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
-    draw_colorbar(mapped, signed, scale, options.get("decades", DECADES), ax=ax, cax=bar)
+    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
 
 
@@ -132,14 +133,14 @@ def draw_map(ax: Axes, heat: torch.Tensor, *, signed: bool, alpha: float | None 
 
 
 def draw_colorbar(
-    mapped: AxesImage, signed: bool, scale: MapScale, decades: float = DECADES, **location: Any
+    mapped: AxesImage, signed: bool, norm: MapNorm, decades: float = DECADES, **location: Any
 ) -> Colorbar:
     """Draw the colour bar of a map, labelled with saliencies; ``location`` is matplotlib's ``ax`` or ``cax``."""
     import torch
     from matplotlib.cm import ScalarMappable
 
-    values = _tick_values(signed, scale, decades)
-    places = scaled(torch.tensor(values, dtype=torch.float64), scale, decades).tolist()
+    values = _tick_values(signed, norm, decades)
+    places = normalized(torch.tensor(values, dtype=torch.float64), norm, decades).tolist()
     # A separate mappable, since the map itself may be transparent.
     opaque = ScalarMappable(norm=mapped.norm, cmap=mapped.cmap)
     bar: Colorbar = figure_of(mapped.axes).colorbar(opaque, **location)
@@ -149,15 +150,15 @@ def draw_colorbar(
     return bar
 
 
-def _tick_values(signed: bool, scale: MapScale, decades: float) -> list[float]:
+def _tick_values(signed: bool, norm: MapNorm, decades: float) -> list[float]:
     """Return the saliencies to label; fewer if signed, since each sign has half of the bar."""
-    if scale == "log":
+    if norm == "log":
         positive = [10.0**-power for power in range(int(decades), -1, -1)]
         return [-value for value in positive[:0:-1]] + [0.0] + positive[1:] if signed else positive
     if signed:
-        positive = [0.1, 0.4, 1.0] if scale == "sqrt" else [0.5, 1.0]
+        positive = [0.1, 0.4, 1.0] if norm == "sqrt" else [0.5, 1.0]
         return [-value for value in reversed(positive)] + [0.0] + positive
-    return [0.0, *([0.01, 0.05, 0.1] if scale == "sqrt" else []), 0.2, 0.4, 0.6, 0.8, 1.0]
+    return [0.0, *([0.01, 0.05, 0.1] if norm == "sqrt" else []), 0.2, 0.4, 0.6, 0.8, 1.0]
 
 
 def diverging() -> Colormap:
@@ -177,16 +178,17 @@ def _displayed_render(attribution: Attribution) -> np.ndarray[Any, Any]:
 
 
 def _map_title(
-    attribution: Attribution, signed: bool, scale: MapScale, options: dict[str, Any], width: float
+    attribution: Attribution, signed: bool, norm: MapNorm, options: dict[str, Any], width: float
 ) -> str:
-    if not any(attribution.saliency().values()):
-        return "all saliencies are 0"
+    scale: Scale | None = options.get("scale")
+    if not any(attribution.saliency(scale).values()):
+        return "all effects are 0"
     parameter, maximum = options.get("parameter") or [], options.get("maximum")
     names = [parameter] if isinstance(parameter, str) else parameter
     shown = ", ".join(attribution.labels.get(name, name) for name in names)
-    shown = shorten([shown], 60)[0] or ("attribution" if signed else "saliency")
+    shown = shorten([shown], 60)[0] or axis_label(attribution, scale)
     strongest = "the strongest" if maximum is None else f"{maximum:.3g}"
-    lines = [f"{shown}, relative to {strongest} ({_SCALES[scale]})"]
+    lines = [f"{shown}, relative to {strongest} ({_NORMS[norm]})"]
     labels = sign_labels(attribution) if signed else None
     if labels is not None:
         lines += [f"blue: {labels[0]}", f"orange: {labels[1]}"]
@@ -202,13 +204,15 @@ def _width(ax: Axes | None, heat: torch.Tensor, count: int) -> float:
     return min(available, _MAX_HEIGHT * width / height)
 
 
-def _panels(attribution: Attribution, heat: torch.Tensor, count: int, heading: str) -> list[Axes]:
+def _panels(
+    attribution: Attribution, heat: torch.Tensor, count: int, heading: str, scale: Scale | None
+) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
     w = _width(None, heat, count)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
     title = figure_title(attribution, characters_per_line(width - 0.2, TITLE))
-    notes = filter(None, [_invisible_note(attribution), *noise_notes(attribution)])
+    notes = filter(None, [_invisible_note(attribution, scale), *noise_notes(attribution)])
     line_length = characters_per_line(width - 0.2, SMALL)
     caption = [line for note in notes for line in textwrap.wrap(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
@@ -228,16 +232,16 @@ def _panels(attribution: Attribution, heat: torch.Tensor, count: int, heading: s
     return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
 
 
-def _invisible_note(attribution: Attribution) -> str:
+def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
     """Return a note on the most salient parameter or group that no pixel shows, if it is in the top three."""
     surfaces = attribution.surfaces
     if surfaces is None:
         return ""
     visible = {name for index in set(surfaces.object_index.tolist()) for name in surfaces.parameters[index]}
     groups = attribution.info.get("groups") or {}
-    for row in attribution.ranking(3):
+    for row in attribution.ranking(3, scale=scale):
         if visible.isdisjoint(groups.get(row.name, [row.name])) and row.saliency > 0:
-            saliency = format_with_error(row.saliency, row.saliency_error)
+            effect = format_with_error(row.saliency, row.saliency_error)
             label = shorten([row.label], 60)[0]
-            return f"not in the picture: {label}, #{row.rank} with a saliency of {saliency}"
+            return f"not in the picture: {label}, #{row.rank} with an effect of {effect}"
     return ""

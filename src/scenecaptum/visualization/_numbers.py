@@ -74,9 +74,17 @@ def format_with_error(value: float, error: float | None, *, digits: int | None =
     return " ± ".join(filter(None, with_error(value, error or None, digits=digits)))
 
 
-def align_with_errors(numbers: Sequence[tuple[float, float | None]]) -> list[str]:
-    """Return ``'0.0978 ± 0.0008'`` for each value and error, with the decimal points of both aligned."""
+def align_with_errors(numbers: Sequence[tuple[float, float | None]], *, signed: bool = False) -> list[str]:
+    """Return ``'0.0978 ± 0.0008'`` for each value and error, with the decimal points of both aligned.
+
+    If ``signed``, positive values have a sign, too.
+    """
     written = [with_error(value, error) for value, error in numbers]
+    if signed:
+        written = [
+            (Format.of(value, error).write_signed(value), written_error)
+            for (value, error), (_, written_error) in zip(numbers, written, strict=True)
+        ]
     columns = zip(*written, strict=True) if written else ((), ())
     pairs = zip(*map(align_decimals, columns), strict=True)
     return [f"{value} ± {error}" if error.strip() else value for value, error in pairs]

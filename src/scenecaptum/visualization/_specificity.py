@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
-from ..projection import DEFAULT_SCALE, MapScale, heatmap, shared_maximum
-from ..protocols import Attribution
+from ..projection import DEFAULT_NORM, MapNorm, heatmap, shared_maximum
+from ..protocols import Attribution, Scale
 from ._bars import bar_legend, draw_bars
 from ._figures import (
     DEFAULT_TOP,
@@ -39,7 +39,8 @@ def plot_specificity(
     figure: Figure | SubFigure | None = None,
     shared: bool = False,
     signed: bool = False,
-    scale: MapScale = DEFAULT_SCALE,
+    scale: Scale | None = None,
+    norm: MapNorm = DEFAULT_NORM,
 ) -> Figure:
     """Plot the ranking and, below it, the saliency map of each of several attributions.
 
@@ -56,7 +57,9 @@ def plot_specificity(
     shared
         Use one scale for all maps, relative to the most salient object in any of them. The metrics must have the
         same unit. By default each map has its own scale.
-    signed, scale
+    scale
+        As for ``plot_bars``.
+    signed, norm
         As for ``plot_heatmap``.
 
     Raises
@@ -66,9 +69,9 @@ def plot_specificity(
     """
     if not attributions:
         raise SceneCaptumError("plot_specificity needs at least one attribution.")
-    maximum = shared_maximum(attributions) or None if shared else None
-    heats = [heatmap(a, signed=signed, scale=scale, maximum=maximum) for a in attributions]
-    rows = [first(attribution.ranking(), top) for attribution in attributions]
+    maximum = shared_maximum(attributions, scale=scale) or None if shared else None
+    heats = [heatmap(a, signed=signed, scale=scale, norm=norm, maximum=maximum) for a in attributions]
+    rows = [first(attribution.ranking(scale=scale), top) for attribution in attributions]
     bars = 1.5 + 0.19 * max(map(len, rows))
     maps = 0.1 + min(max(_COLUMN_WIDTH * heat.shape[0] / heat.shape[1] for heat in heats), _MAX_MAP_HEIGHT)
     columns = len(attributions)
@@ -80,19 +83,21 @@ def plot_specificity(
     for ax, attribution, ranked in zip(
         upper.subplots(1, columns, squeeze=False)[0], attributions, rows, strict=True
     ):
-        label = textwrap.fill(axis_label(attribution), characters_per_line(0.68 * _COLUMN_WIDTH, SMALL))
+        label = textwrap.fill(
+            axis_label(attribution, scale), characters_per_line(0.68 * _COLUMN_WIDTH, SMALL)
+        )
         style_axes(ax)
-        draw_bars(ax, attribution, ranked, name_width=_NAME_WIDTH, size=SMALL)
+        draw_bars(ax, attribution, ranked, scale=scale, name_width=_NAME_WIDTH, size=SMALL)
         ax.locator_params(axis="x", nbins=4)
         ax.set_xlabel(label, fontsize=SMALL, parse_math=False)
-        legend |= {entry.get_label(): entry for entry in bar_legend(attribution, ranked)}
+        legend |= {entry.get_label(): entry for entry in bar_legend(attribution, ranked, scale)}
     _draw_titles(upper, attributions)
     if legend:
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
     axes = lower.subplots(1, columns, squeeze=False)[0]
     mapped = [draw_map(ax, heat, signed=signed) for ax, heat in zip(axes, heats, strict=True)]
-    bar = draw_colorbar(mapped[-1], signed, scale, ax=list(axes), aspect=18, pad=0.02)
+    bar = draw_colorbar(mapped[-1], signed, norm, ax=list(axes), aspect=18, pad=0.02)
     bar.set_label(f"relative to the strongest\n{'of all' if shared else 'in each'}", fontsize=SMALL)
     return figure_of(part)
 

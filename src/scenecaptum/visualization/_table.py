@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import NamedTuple
 
-from ..protocols import Attribution, RankedParameter
+from ..protocols import Attribution, RankedParameter, Scale
 from ._layout import grid, wrap
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
 from ._text import (
+    axis_label,
     caution_groups,
     convergence_notes,
     method_name,
@@ -37,7 +38,7 @@ class _Row(NamedTuple):
     rank: str
     name: str
     mark: str
-    saliency: str
+    effect: str
     gradient: str
 
 
@@ -49,7 +50,9 @@ class _Table:
     notes: list[str]
 
 
-def table_text(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
+def table_text(
+    attribution: Attribution, top: int | None = DEFAULT_ROWS, *, scale: Scale | None = None
+) -> str:
     """Format the ranking for a terminal, within its width.
 
     Parameters
@@ -58,8 +61,10 @@ def table_text(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
         The result to show.
     top
         Number of parameters; None for all.
+    scale
+        As for ``SceneAttribution.ranking``.
     """
-    table = _table(attribution, top)
+    table = _table(attribution, top, scale)
     width = shutil.get_terminal_size(fallback=(_DEFAULT_WIDTH, 24)).columns
     heading, notes = (
         [part for text in texts for part in wrap(text, width, 3).splitlines()]
@@ -69,15 +74,17 @@ def table_text(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
     return "\n".join(cut(line, width, 0) for line in lines)
 
 
-def table_html(attribution: Attribution, top: int | None = DEFAULT_ROWS) -> str:
+def table_html(
+    attribution: Attribution, top: int | None = DEFAULT_ROWS, *, scale: Scale | None = None
+) -> str:
     """Format the ranking as HTML for a notebook, with the colours of the page.
 
     Parameters
     ----------
-    attribution, top
+    attribution, top, scale
         As for ``table_text``.
     """
-    table = _table(attribution, top)
+    table = _table(attribution, top, scale)
     metric, *rest = (html.escape(part) for part in table.heading)
     rows = "\n".join(f"<tr>{_cells(row, 'td')}</tr>" for row in table.rows)
     notes = "".join(f"<div>{html.escape(note)}</div>" for note in table.notes)
@@ -107,12 +114,13 @@ STYLE = """<style>
 
 def _cells(row: _Row, tag: str) -> str:
     name = f"{row.name} {row.mark}".rstrip()
-    kinds = (("rank", row.rank), ("name", name), ("number", row.saliency), ("number", row.gradient))
+    kinds = (("rank", row.rank), ("name", name), ("number", row.effect), ("number", row.gradient))
     return "".join(f'<{tag} class="{kind}">{html.escape(text)}</{tag}>' for kind, text in kinds)
 
 
-def _table(attribution: Attribution, top: int | None) -> _Table:
-    ranking = attribution.ranking()
+def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _Table:
+    ranking = attribution.ranking(scale=scale)
+    is_norm = attribution.ranks_by_norm(scale)
     shown = ranking if top is None else ranking[:top]
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
@@ -126,12 +134,14 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
         [str(row.rank) for row in shown],
         shorten([row.label for row in shown], _MAX_NAME_WIDTH),
         [f"{'Σ' if row.name in textures else ''}{marks.get(row.name, '')}" for row in shown],
-        align_with_errors([(row.saliency, row.saliency_error) for row in shown]),
+        align_with_errors([(row.saliency, row.saliency_error) for row in shown])
+        if is_norm
+        else _effects(attribution, shown),
         _gradients(shown),
     )
     channels = ": R, G, B" if any(len(row.total) == 3 for row in shown) else ""
     heading = [metric_line(attribution), method_name(attribution)]
-    notes = []
+    notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
@@ -146,10 +156,17 @@ def _table(attribution: Attribution, top: int | None) -> _Table:
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
         heading=[*heading, *sampling_notes(attribution), *convergence_notes(attribution)],
-        columns=_Row("#", "parameter", "", "saliency", f"{attribution.kind.value}{channels}"),
+        columns=_Row(
+            "#", "parameter", "", "norm" if is_norm else "effect", f"{attribution.kind.value}{channels}"
+        ),
         rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
         notes=notes,
     )
+
+
+def _effects(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
+    numbers = [(row.effect, row.effect_error) for row in rows]
+    return align_with_errors(numbers, signed=attribution.kind.has_sign)
 
 
 def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
@@ -162,8 +179,10 @@ def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
 
 
 def _channels(row: RankedParameter) -> list[str]:
-    """Format the channels to the decimal place of the saliency, with at most three digits."""
-    style = Format.of(row.saliency, row.saliency_error).at_most(3, row.saliency)
+    """Format the channels to the same decimal place, with at most three digits."""
+    largest = max(map(abs, row.total))
+    style = Format.of(largest, max(row.total_error, default=None) if row.total_error else None)
+    style = style.at_most(3, largest)
     return [style.write_signed(value) for value in row.total]
 
 
@@ -174,8 +193,8 @@ def _range(numbers: Sequence[str]) -> str:
 
 def _grid(rows: Sequence[_Row], width: int) -> list[str]:
     """Format the rows within a width: shorten long names first, then omit the gradients."""
-    rank, name, mark, saliency, gradient = (max(map(columns, column)) for column in zip(*rows, strict=True))
-    fixed = rank + 2 + (mark + 1 if mark else 0) + 2 + saliency
+    rank, name, mark, effect, gradient = (max(map(columns, column)) for column in zip(*rows, strict=True))
+    fixed = rank + 2 + (mark + 1 if mark else 0) + 2 + effect
     if gradient and width - fixed - 2 - gradient < min(name, _MIN_NAME_WIDTH):
         rows, gradient = [row._replace(gradient="") for row in rows], 0
     name = min(name, max(width - fixed - (gradient + 2 if gradient else 0), 1))
@@ -184,7 +203,7 @@ def _grid(rows: Sequence[_Row], width: int) -> list[str]:
         (
             row.rank.rjust(rank),
             f"{pad(short, name)} {row.mark}" if mark else short,
-            row.saliency,
+            row.effect,
             row.gradient,
         )
         for row, short in zip(rows, names, strict=True)

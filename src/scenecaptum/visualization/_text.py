@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from ..protocols import Attribution
+from ..protocols import Attribution, Scale
 from ._layout import group_by_text
 from ._numbers import format_with_error, shorten, with_error
 
@@ -31,10 +31,11 @@ def method_name(attribution: Attribution) -> str:
     return str(attribution.info.get("method", "unknown method"))
 
 
-def axis_label(attribution: Attribution) -> str:
-    """Return the axis label for saliencies."""
-    template = attribution.kind.axis_label
-    return f"saliency: {template.format(metric_name(attribution, METRIC_WIDTH))}"
+def axis_label(attribution: Attribution, scale: Scale | None = None) -> str:
+    """Return the axis label for effects in a scale."""
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    label = kind.axis_label.format(metric_name(attribution, METRIC_WIDTH))
+    return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 
 
 def sign_labels(attribution: Attribution) -> tuple[str, str] | None:
