@@ -175,6 +175,20 @@ class ResultKind(str, Enum):
         return ResultKind.EFFECT if scale == "range" else ResultKind.RELATIVE_EFFECT
 
 
+class Measure(Protocol):
+    """What a metric measures; see ``metrics.Measure``."""
+
+    @property
+    def half_class(self) -> float | None:
+        """Half the width of its narrowest class."""
+
+    def verdict(self, value: float) -> str:
+        """Return the meaning of a value."""
+
+    def describe(self) -> dict[str, object]:
+        """Return name, unit and classes as plain values."""
+
+
 class RankedParameter(Protocol):
     """One row of a ranking."""
 

@@ -46,7 +46,13 @@ def subtract(a: A, b: A) -> A:
 def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
-    info |= {"metric": f"{a.info.get('metric')} − {b.info.get('metric')}", "minus": dict(b.info)}
+    info |= {
+        "metric": f"{a.info.get('metric')} − {b.info.get('metric')}",
+        "minus": dict(b.info),
+        "verdict": "",
+    }
+    if a.info.get("measure") != b.info.get("measure"):
+        info["measure"] = None
     delta = _minus(a.convergence_delta, b.convergence_delta)
     explained_a, explained_b = a.info.get("explained"), b.info.get("explained")
     if delta is None or explained_a is None or explained_b is None:

@@ -275,6 +275,8 @@ class Run:
             info={
                 "method": self.method,
                 "metric": metric.name,
+                "measure": None if metric.measure is None else metric.measure.describe(),
+                "verdict": metric.verdict(adjoints.value, evaluation.image),
                 "seed": self.settings.seed,
                 "spp": gradients.budget.total,
                 "budget": _budget_info(gradients),
@@ -285,7 +287,7 @@ class Run:
                     evaluation.spp,
                     denoised=adjoints.denoised,
                     interval=interval,
-                    half_class=getattr(metric.metric, "half_class", None),
+                    metric=metric,
                 ),
                 "interrupted": interrupted,
                 **self.watch.info,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ._jackknife import SIGNIFICANT_DRIFT
+from ._metric import TargetedMetric
 from ._metric_image import ImageTransform
 
 ROUNDING = 1e-6
@@ -17,20 +18,22 @@ def describe_picture(
     spp: int | None,
     denoised: float | None = None,
     interval: tuple[float, float] | None = None,
-    half_class: float | None = None,
+    metric: TargetedMetric | None = None,
 ) -> dict[str, Any]:
     """Return a plain description of the metric image.
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
-    of the value, and ``half_class`` half the class width of metrics that have classes.
+    of the value, and ``metric`` may have classes of its values and cautions of its own.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
+    measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
+    half_class = None if measure is None else measure.half_class
     return {
         "spp": spp,
         "denoised": transform.denoises,
         "relative_error": None if raw is None else raw**0.5,
         "relative_error_denoised": None if smooth is None else smooth**0.5,
-        "caution": _caution(value, drift, spp, denoised) or _too_wide(interval, half_class),
+        "caution": own or _caution(value, drift, spp, denoised) or _too_wide(interval, half_class),
     }
 
 

@@ -12,7 +12,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, describe_location
-from ..protocols import Renderer, takes_keyword
+from ..protocols import Measure, Renderer, takes_keyword
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -48,6 +48,27 @@ class TargetedMetric:
         """Name for tables and figures."""
         name = getattr(self.metric, "__name__", type(self.metric).__name__)
         return name if self.target is None else f"{name}[{self.target}]"
+
+    @property
+    def measure(self) -> Measure | None:
+        """What the attributed value measures, if the metric says so."""
+        if self.target is not None and (of_element := getattr(self.metric, "measure_of", None)) is not None:
+            found: Measure = of_element(self.target)
+            return found
+        return getattr(self.metric, "measure", None)
+
+    @property
+    def caution(self) -> str | None:
+        """Why the metric is not valid for these images, if it says so."""
+        return getattr(self.metric, "caution", None)
+
+    def verdict(self, value: float, image: torch.Tensor) -> str:
+        """Return what the value means, for a metric of these images that has classes or says it itself."""
+        own = getattr(self.metric, "verdict", None)
+        if own is not None:
+            text: str = own(self.transform(image.detach()), self.target)
+            return text
+        return "" if self.measure is None else self.measure.verdict(value)
 
     def with_transform(self, transform: ImageTransform) -> TargetedMetric:
         """Return the same metric with another transform."""

@@ -33,6 +33,8 @@ from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
 from ._luminance import luminance as luminance
 from ._luminance_map import plot_luminance as plot_luminance
+from ._measure import Band as Band
+from ._measure import Measure as Measure
 from ._named import NamedMetric as NamedMetric
 from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance

@@ -9,6 +9,7 @@ import torch
 
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ._frozen import run_frozen
+from ._measure import Measure
 from ._picture import check_exposure, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
@@ -98,17 +99,47 @@ class ClassLogit(torch.nn.Module):
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the logit of an ``(H, W, 3)`` image, a 0-d tensor; without a target all, ``(classes,)``."""
+        logits = self._logits(image)
+        if self.target is None:
+            return logits
+        if self.target >= len(logits):
+            raise SceneCaptumError(
+                f"target={self.target} is not a class of {type(self.model).__name__}: it has {len(logits)} "
+                f"classes, 0 to {len(logits) - 1}."
+            )
+        return logits[self.target]
+
+    def _logits(self, image: torch.Tensor) -> torch.Tensor:
         logits = run_frozen(self.model, self.transform(srgb_picture(image, self.exposure)))
         if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != 1:
             raise SceneCaptumError(_not_logits(self.model, logits))
-        if self.target is None:
-            return logits[0]
-        if self.target >= logits.shape[1]:
-            raise SceneCaptumError(
-                f"target={self.target} is not a class of {type(self.model).__name__}: it has {logits.shape[1]} "
-                f"classes, 0 to {logits.shape[1] - 1}."
-            )
-        return logits[0, self.target]
+        return logits[0]
+
+    def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
+        """Return what an element of the output measures."""
+        index = target[0] if isinstance(target, tuple) else target
+        return Measure(f"logit of {self._class_name(index)}")
+
+    @property
+    def measure(self) -> Measure:
+        """Name of the logit."""
+        return self.measure_of(self.target)
+
+    def verdict(self, image: torch.Tensor, target: int | tuple[int, ...] | None = None) -> str:
+        """Return the probability of the class (softmax) and, if another is more likely, which."""
+        index = self.target if self.target is not None else target[0] if isinstance(target, tuple) else target
+        with torch.no_grad():
+            probabilities = self._logits(image).double().softmax(0)
+        if index is None:
+            return ""
+        text = f"probability {probabilities[index].item():.2g} of {self._class_name(index)}"
+        best = int(probabilities.argmax())
+        if best == index:
+            return text
+        return f"{text}; {probabilities[best].item():.2g} of {self._class_name(best)}"
+
+    def _class_name(self, index: int | None) -> str:
+        return f"class {index}" if index is None or index >= len(self.classes) else self.classes[index]
 
     def _index(self, target: int | str | None) -> int | None:
         if target is None:

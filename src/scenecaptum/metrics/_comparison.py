@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ..errors import SceneCaptumError
+from ._measure import Measure
 from ._picture import check_exposure, check_reference, check_same_shape, srgb_picture
 
 
@@ -32,6 +33,7 @@ class MeanSquaredError(torch.nn.Module):
     more samples where that matters.
     """
 
+    measure = Measure("mean squared error", better="lower")
     reference: torch.Tensor
 
     def __init__(self, reference: torch.Tensor) -> None:
@@ -81,6 +83,7 @@ class StructuralSimilarity(torch.nn.Module):
     kornia.
     """
 
+    measure = Measure("structural similarity", "SSIM", better="higher")
     reference: torch.Tensor
 
     def __init__(self, reference: torch.Tensor, *, exposure: float = 1.0, window: int = 11) -> None:

@@ -6,6 +6,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ._checks import cast_like, photometric_luminance
+from ._measure import Measure
 from ._percentile import banded_percentile, check_percentage
 
 
@@ -31,6 +32,8 @@ class ContrastRatio(torch.nn.Module):
     SceneCaptumError
         If a setting is invalid or, from ``forward``, a value of the image is negative or not finite.
     """
+
+    measure = Measure("contrast ratio")
 
     def __init__(
         self, low: float = 5.0, high: float = 95.0, *, width: float = 1.0, floor: float = 1e-6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ._glare import GlareRating
+from ._measure import DGI
 from ._sources import Sources
 
 _MIN_SUM = 1e-300  # keeps the logarithm finite where the sum over sources underflows
@@ -23,7 +24,7 @@ class DaylightGlareIndex(GlareRating):
     Hopkinson, Applied Ergonomics 3 (1972), 206–215, in evalglare's form (see `GlareRating` for the parameters).
     """
 
-    half_class = 2.0  # 16, 20, 24, 28
+    measure = DGI
 
     def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
         if sources is None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Literal
 
 import torch
 
 from ..camera import Camera
 from ._glare import Background, GlareRating, Grouping, check_choice
+from ._measure import DGP
 from ._sources import Sources
 
 Constants = Literal["evalglare", "published"]
 
 _COEFFICIENTS = {"evalglare": (5.87e-5, 0.092, 0.159), "published": (5.87e-5, 0.0918, 0.16)}
+PARTIAL_VIEW = (
+    "DGP is defined for a view of 180°, and this camera sees less: its values are too low. Use "
+    'SceneRenderer(..., sensor="fisheye").'
+)
 _MIN_ILLUMINANCE = 1e-6  # lux; keeps the quotient finite for a source at 90° from the line of sight
 
 
@@ -40,7 +46,7 @@ class DaylightGlareProbability(GlareRating):
     Wienold and Christoffersen, Energy and Buildings 38 (2006), 743–757.
     """
 
-    half_class = 0.025  # EN 17037: 0.35, 0.40, 0.45
+    measure = DGP
 
     def __init__(  # noqa: PLR0913 -- options shared by all ratings, plus two of its own
         self,
@@ -66,8 +72,15 @@ class DaylightGlareProbability(GlareRating):
             efficacy=efficacy,
             task=task,
         )
+        if not camera.sees_hemisphere:
+            warnings.warn(PARTIAL_VIEW, stacklevel=2)
         self.low_light = low_light
         self.constants = check_choice("constants", constants, tuple(_COEFFICIENTS))
+
+    @property
+    def caution(self) -> str | None:
+        """Why the values are not valid, or None."""
+        return None if self.camera.sees_hemisphere else PARTIAL_VIEW
 
     def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
         c1, c2, c3 = _COEFFICIENTS[self.constants]

@@ -14,6 +14,7 @@ from ..camera import Camera
 from ..errors import SceneCaptumError
 from ._checks import cast_like, photometric_luminance
 from ._luminance import luminance as relative_luminance
+from ._measure import Measure
 from ._sources import GlareSource, PixelGeometry, Sources, find_sources, to_glare_sources
 
 Grouping = Literal["evalglare", "pixel"]
@@ -67,8 +68,8 @@ class GlareRating(torch.nn.Module):
 
     Attributes
     ----------
-    half_class
-        Half the width of the rating's classes; with a larger error the class is uncertain.
+    measure
+        Its name, direction and classes.
 
     Raises
     ------
@@ -77,7 +78,7 @@ class GlareRating(torch.nn.Module):
     """
 
     task: torch.Tensor | None
-    half_class: float
+    measure: Measure
 
     def __init__(
         self,

@@ -6,6 +6,7 @@ import torch
 
 from ..camera import Camera
 from ._checks import cast_like, photometric_luminance
+from ._measure import Measure
 
 
 class VerticalIlluminance(torch.nn.Module):
@@ -34,6 +35,7 @@ class VerticalIlluminance(torch.nn.Module):
     illuminance (CIE S 017), on a plane perpendicular to the line of sight.
     """
 
+    measure = Measure("vertical illuminance", "Ev", unit="lx")
     projected: torch.Tensor
 
     def __init__(self, camera: Camera, efficacy: float = 179.0) -> None:

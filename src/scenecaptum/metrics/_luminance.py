@@ -6,6 +6,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..images import LUMINANCE_WEIGHTS, check_image_shape
+from ._measure import Measure, luminance_unit
 
 
 def luminance(image: torch.Tensor) -> torch.Tensor:
@@ -35,17 +36,18 @@ def luminance(image: torch.Tensor) -> torch.Tensor:
 
 
 class MeanLuminance(torch.nn.Module):
-    """Mean luminance of an image, ``mean(efficacy · (0.2127 R + 0.7152 G + 0.0722 B))``.
+    """Mean luminance of an image in cd/m², ``mean(efficacy · (0.2127 R + 0.7152 G + 0.0722 B))``.
 
     Example
     -------
     >>> MeanLuminance()(torch.ones(4, 8, 3))
-    tensor(1.)
+    tensor(179.)
 
     Parameters
     ----------
     efficacy
-        Luminous efficacy in lm/W: 1 gives the relative luminance of the render, 179 gives cd/m² as in Radiance.
+        Luminous efficacy in lm/W that converts radiance to luminance: 179 as in Radiance; 1 for the mean in the
+        unit of the render.
     mask
         ``(H, W)``, the pixels to average over (bool, or non-negative weights); all of them by default.
 
@@ -61,12 +63,18 @@ class MeanLuminance(torch.nn.Module):
 
     mask: torch.Tensor | None
 
-    def __init__(self, efficacy: float = 1.0, mask: torch.Tensor | None = None) -> None:
+    def __init__(self, efficacy: float = 179.0, mask: torch.Tensor | None = None) -> None:
         super().__init__()
         if mask is not None and not mask.sum() > 0:
             raise SceneCaptumError("mask selects no pixel: its sum must be positive.")
         self.efficacy = efficacy
         self.register_buffer("mask", mask)
+
+    @property
+    def measure(self) -> Measure:
+        """Name and unit."""
+        where = "" if self.mask is None else " of the masked pixels"
+        return Measure(f"mean luminance{where}", unit=luminance_unit(self.efficacy))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the mean over an ``(H, W, 3)`` image, a 0-d tensor, in the image's unit times ``efficacy``."""

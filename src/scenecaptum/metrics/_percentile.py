@@ -8,6 +8,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ._checks import cast_like, photometric_luminance
+from ._measure import Measure, luminance_unit
 
 
 class LuminancePercentile(torch.nn.Module):
@@ -20,7 +21,7 @@ class LuminancePercentile(torch.nn.Module):
     Example
     -------
     >>> LuminancePercentile(50)(torch.ones(4, 8, 3))
-    tensor(1.)
+    tensor(179.)
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ class LuminancePercentile(torch.nn.Module):
     width
         Half-width of the band, in percentile points; the band is clipped to 0 and 100.
     efficacy
-        Luminous efficacy in lm/W: 1 gives the relative luminance of the render, 179 gives cd/m² as in Radiance.
+        Luminous efficacy in lm/W that converts radiance to luminance, as for `MeanLuminance`.
 
     Raises
     ------
@@ -37,11 +38,16 @@ class LuminancePercentile(torch.nn.Module):
         If a percentage is out of range or, from ``forward``, a value of the image is negative or not finite.
     """
 
-    def __init__(self, percentile: float = 95.0, *, width: float = 1.0, efficacy: float = 1.0) -> None:
+    def __init__(self, percentile: float = 95.0, *, width: float = 1.0, efficacy: float = 179.0) -> None:
         super().__init__()
         self.percentile = check_percentage("percentile", percentile)
         self.width = check_percentage("width", width)
         self.efficacy = efficacy
+
+    @property
+    def measure(self) -> Measure:
+        """Name and unit."""
+        return Measure(f"{self.percentile:g}th percentile of luminance", unit=luminance_unit(self.efficacy))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the percentile of an ``(H, W, 3)`` image, a 0-d tensor, in its unit times ``efficacy``."""

@@ -9,6 +9,7 @@ import torch
 
 from ..errors import SceneCaptumError, near_misses
 from ._frozen import run_frozen
+from ._measure import Measure
 from ._picture import check_exposure, check_reference, check_same_shape, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
@@ -57,6 +58,7 @@ class PerceptualDistance(torch.nn.Module):
     learnt channel weights, so that any network can be used.
     """
 
+    measure = Measure("perceptual distance", better="lower")
     reference: torch.Tensor
 
     def __init__(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ._glare import GlareRating
+from ._measure import UGR
 from ._sources import Sources
 
 _MIN_SUM = 1e-300  # keeps the logarithm finite where the sum over sources underflows
@@ -33,7 +34,7 @@ class UnifiedGlareRating(GlareRating):
     parameters).
     """
 
-    half_class = 1.5  # CIE 117: 10, 13, 16, 19, 22, 25, 28
+    measure = UGR
 
     def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
         if sources is None:

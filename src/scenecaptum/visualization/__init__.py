@@ -63,12 +63,14 @@ from ._text import caution_groups as caution_groups
 from ._text import convergence_notes as convergence_notes
 from ._text import method_name as method_name
 from ._text import metric_name as metric_name
+from ._text import metric_unit as metric_unit
 from ._text import pack as pack
 from ._text import pluralize as pluralize
 from ._text import sampling_notes as sampling_notes
 from ._text import scene_cautions as scene_cautions
 from ._text import sign_labels as sign_labels
 from ._text import untrusted_groups as untrusted_groups
+from ._text import verdict as verdict
 from ._tonemap import automatic_exposure as automatic_exposure
 from ._tonemap import display_image as display_image
 from ._tonemap import save_render as save_render

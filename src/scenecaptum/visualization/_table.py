@@ -23,6 +23,7 @@ from ._text import (
     sampling_notes,
     scene_cautions,
     untrusted_groups,
+    verdict,
 )
 
 DEFAULT_ROWS = 40
@@ -140,7 +141,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         _gradients(shown),
     )
     channels = ": R, G, B" if any(len(row.total) == 3 for row in shown) else ""
-    heading = [metric_line(attribution), method_name(attribution)]
+    heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
@@ -155,7 +156,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         )
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
-        heading=[*heading, *sampling_notes(attribution), *convergence_notes(attribution)],
+        heading=[*filter(None, heading), *sampling_notes(attribution), *convergence_notes(attribution)],
         columns=_Row(
             "#", "parameter", "", "norm" if is_norm else "effect", f"{attribution.kind.value}{channels}"
         ),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from ..protocols import Attribution, Scale
 from ._layout import group_by_text
@@ -15,15 +16,30 @@ METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
-    """Return ``'MeanLuminance = 2.336942 ± 0.000533'``, with the name shortened to ``width``."""
+    """Return ``'mean luminance = 2.337 ± 0.005 cd/m²'``, with the name shortened to ``width``."""
     value = format_with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
-    return f"{metric_name(attribution, width)} = {value}"
+    unit = metric_unit(attribution)
+    return f"{metric_name(attribution, width)} = {value}{f' {unit}' if unit else ''}"
 
 
 def metric_name(attribution: Attribution, width: int | None = None) -> str:
-    """Return the metric's name, shortened to ``width``."""
-    name = str(attribution.info.get("metric", "metric"))
+    """Return the metric's name, that of its class if it has no other, shortened to ``width``."""
+    name = str(_measure(attribution).get("name") or attribution.info.get("metric", "metric"))
     return name if width is None else shorten([name], width)[0]
+
+
+def metric_unit(attribution: Attribution) -> str:
+    """Return the metric's unit; empty if it has none, or none is known."""
+    return str(_measure(attribution).get("unit") or "")
+
+
+def verdict(attribution: Attribution) -> str:
+    """Return what the metric's value means; empty if the metric does not say."""
+    return str(attribution.info.get("verdict") or "")
+
+
+def _measure(attribution: Attribution) -> Mapping[str, Any]:
+    return attribution.info.get("measure") or {}
 
 
 def method_name(attribution: Attribution) -> str:
@@ -34,7 +50,9 @@ def method_name(attribution: Attribution) -> str:
 def axis_label(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return the axis label for effects in a scale."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
-    label = kind.axis_label.format(metric_name(attribution, METRIC_WIDTH))
+    unit = metric_unit(attribution)
+    metric = f"{metric_name(attribution, METRIC_WIDTH)}{f' ({unit})' if unit else ''}"
+    label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 
 
