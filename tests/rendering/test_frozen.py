@@ -68,11 +68,12 @@ def recorded(mi: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def furnished_room() -> dict[str, Any]:
-    """A room whose inputs take every route: path replay, light tracing, and differences of paths."""
+    """A room whose inputs take every route: path replay, light tracing, differences of paths, and none."""
     glass = {"type": "sphere", "center": [1.0, 1.0, 3.0], "radius": 0.3, "bsdf": {"type": "dielectric"}}
-    texture = {"type": "bitmap", "data": mitsuba_texture(), "raw": True}
+    texture, bumps = ({"type": "bitmap", "data": mitsuba_texture(), "raw": True} for _ in range(2))
     wall = {"type": "rectangle", "to_world": behind(), "bsdf": {"type": "diffuse", "reflectance": texture}}
-    furniture = room("principled") | {"glass": glass, "wall": wall}
+    unused = {"type": "bumpmap", "map": bumps, "nested": {"type": "diffuse"}}
+    furniture = room("principled") | {"glass": glass, "wall": wall, "unused": unused}
     furniture["ball"]["bsdf"]["roughness"] = 0.15
     return furniture
 
@@ -90,7 +91,7 @@ def behind() -> Any:
     return mi.ScalarTransform4f().translate([0.0, 0.0, 5.0]).scale(3.0).rotate([0, 1, 0], 180)
 
 
-INPUTS = ["*.eta", "*.roughness.value", "*.base_color.value", "*.radiance.value", "wall.*"]
+INPUTS = ["*.eta", "*.roughness.value", "*.base_color.value", "*.radiance.value", "wall.*", "unused.scale"]
 
 
 def test_kernels_are_recorded_once_for_all_values_seeds_adjoints_and_sample_counts(

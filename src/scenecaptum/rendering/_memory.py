@@ -12,11 +12,11 @@ from ._chunks import MAX_SAMPLES
 MEBIBYTE = 2**20
 
 # Upper bounds of the measurements of ``benchmarks/memory.py --predict``, in bytes.
-FIXED = 160 * MEBIBYTE  # kernels and lazily imported libraries
+FIXED = 64 * MEBIBYTE  # kernels and lazily imported libraries
 PER_INPUT = (
     3 * MEBIBYTE // 2
 )  # kernels: each input has code for its material, and some have renders of their own
-PER_SAMPLE = 40  # of a chunk
+PER_SAMPLE = 128  # of a chunk
 PER_PIXEL = 320  # of one image with its pilots and its backward pass
 PER_PICTURE = 80  # and pixel: an image, its adjoint, and their jackknife replicates
 PER_TEXEL = 44  # and channel, of the tracked parameters: values, gradients and their variances

@@ -158,7 +158,8 @@ class SceneRenderer(torch.nn.Module):
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         writable = {name: p for name, p in self._table.items() if not p.problem}
-        self._state = SceneState(loaded, {name: p.shape for name, p in writable.items()})
+        shapes = {name: p.shape for name, p in writable.items()}
+        self._state = SceneState(loaded, shapes, [name for name, p in writable.items() if not p.is_used])
         self._state.enable_lobes([name for name, p in writable.items() if p.plugin.startswith("Principled")])
         return size
 

@@ -28,13 +28,17 @@ class SceneState:
 
     ``shapes`` are those of the writable parameters in torch. A parameter may be a number here but a colour in the
     scene, where a material uses it as a number: then it reads as the mean of the channels, or as the luminance of
-    a bitmap, as in Mitsuba, and is written to all channels.
+    a bitmap, as in Mitsuba, and is written to all channels. Those in ``unused``, which no image depends on, are
+    never written: a plain number among them would be another literal in the kernels.
     """
 
-    def __init__(self, scene: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    def __init__(
+        self, scene: Any, shapes: Mapping[str, tuple[int, ...]], unused: Collection[str] = ()
+    ) -> None:
         self._params = mi.traverse(scene)
         self._params.properties = {n: p for n, p in self._params.properties.items() if n in shapes}
         self._shapes = shapes
+        self._unused = frozenset(unused)
         self._types = {name: type(self._params[name]) for name in shapes}
         self._monochrome = {
             name
@@ -98,7 +102,8 @@ class SceneState:
         return {
             name: value
             for name, value in values.items()
-            if (name in tracked) != (name in self.leaves) or self._current.get(name) is not value
+            if name not in self._unused
+            and ((name in tracked) != (name in self.leaves) or self._current.get(name) is not value)
         }
 
     def write(
