@@ -28,6 +28,7 @@ PACKAGE = SOURCE.name
 FLOORS = (
     ("cli",),
     ("report",),
+    ("explanation",),
     ("validation", "tradeoff", "optimize"),
     ("attr",),
     ("estimation",),

@@ -3,6 +3,8 @@
 # What users see; the other names are for the rooms above.
 __all__ = [
     "AttributionInterrupted",
+    "Change",
+    "Explanation",
     "FeatureAblationScene",
     "GradientShapScene",
     "InputXGradientScene",
@@ -12,6 +14,7 @@ __all__ = [
     "SceneAttribution",
     "ShapleyValueScene",
     "SmoothGradScene",
+    "Source",
     "VanillaSceneGradient",
 ]
 
@@ -21,6 +24,9 @@ from ._baselines import resolve_baselines as resolve_baselines
 from ._baselines import table_of as table_of
 from ._data import Ranked as Ranked
 from ._data import summarize as summarize
+from ._explanation import Change as Change
+from ._explanation import Explanation as Explanation
+from ._explanation import Source as Source
 from ._feature_ablation import FeatureAblationScene as FeatureAblationScene
 from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene

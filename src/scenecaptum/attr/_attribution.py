@@ -18,6 +18,7 @@ from ..protocols import Capabilities, Renderer, Scale
 from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Tensors, covariances, summarize
 from ._difference import subtract
+from ._explanation import DEFAULT_EFFECTS, Explanation
 from ._ranges import extents
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
@@ -213,6 +214,13 @@ class SceneAttribution(AttributionData):
         from ..visualization import plot_bars
 
         return plot_bars(self, top=top, scale=scale, ax=ax)
+
+    def explain(self, count: int = DEFAULT_EFFECTS) -> Explanation:
+        """Return what the result says in sentences: the verdict, and the first ``count`` effects.
+
+        ``explanation.explain`` also proposes changes and renders them.
+        """
+        return Explanation(self, count=count)
 
     def __str__(self) -> str:
         from ..visualization import table_text

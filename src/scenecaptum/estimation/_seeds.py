@@ -31,6 +31,7 @@ class Stream(IntEnum):
     TRADEOFF_RUNS = 16
     OPTIMIZATION = 17
     PARAMETER_NOISE = 18
+    EXPLANATION = 19
 
 
 def random_generator(seed: int, stream: Stream, *path: int) -> np.random.Generator:

@@ -42,6 +42,8 @@ from ._interactions import interactions as interactions
 from ._randomization import RandomizationCheck as RandomizationCheck
 from ._randomization import randomization_check as randomization_check
 from ._scalars import Scalar as Scalar
+from ._scenes import Scenes as Scenes
+from ._scenes import denoise_of as denoise_of
 from ._sensitivity import compare_sensitivity as compare_sensitivity
 from ._sensitivity_result import SensitivityComparison as SensitivityComparison
 from ._sensitivity_result import SensitivityIndex as SensitivityIndex

@@ -45,9 +45,10 @@ class Scenes:
         spp: int | None,
         replicates: int,
         denoise: Denoise = "auto",
+        values: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
         self.renderer = renderer
-        self.values = input_values(renderer, None)
+        self.values = input_values(renderer, values)
         spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
         count = whole_number("replicates", replicates, 2)
         self.seeds = derived_seeds(seed, Stream.SCENES, count)

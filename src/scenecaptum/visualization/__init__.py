@@ -52,6 +52,7 @@ from ._numbers import columns as columns
 from ._numbers import cut as cut
 from ._numbers import format_with_error as format_with_error
 from ._numbers import shorten as shorten
+from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error
 from ._ranks import plot_rank_comparison as plot_rank_comparison
 from ._specificity import plot_specificity as plot_specificity
@@ -64,6 +65,7 @@ from ._text import convergence_notes as convergence_notes
 from ._text import method_name as method_name
 from ._text import metric_name as metric_name
 from ._text import metric_unit as metric_unit
+from ._text import noise_notes as noise_notes
 from ._text import pack as pack
 from ._text import pluralize as pluralize
 from ._text import sampling_notes as sampling_notes

@@ -74,6 +74,12 @@ def format_with_error(value: float, error: float | None, *, digits: int | None =
     return " ± ".join(filter(None, with_error(value, error or None, digits=digits)))
 
 
+def signed_with_error(value: float, error: float | None) -> str:
+    """Return ``'+0.0978 ± 0.0008'``."""
+    style = Format.of(value, error)
+    return " ± ".join([style.write_signed(value), *([style.write(error)] if error else [])])
+
+
 def align_with_errors(numbers: Sequence[tuple[float, float | None]], *, signed: bool = False) -> list[str]:
     """Return ``'0.0978 ± 0.0008'`` for each value and error, with the decimal points of both aligned.
 

@@ -1,0 +1,74 @@
+"""Changes of single parameters that a user might make, predicted from the gradient."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import torch
+
+from ..attr import Change, SceneAttribution
+from ..estimation import channel_totals
+from ..protocols import Capabilities, Renderer
+from ..validation import Scenes
+
+STEP = 0.1  # of a bounded range
+DIMMING = 0.25  # of an unbounded value, such as a radiance
+MIN_STEP = 0.02  # of a range: a shorter step to a bound is no proposal
+SIGNIFICANT = 2.0  # standard errors
+
+
+def propose(
+    renderer: Renderer,
+    attribution: SceneAttribution,
+    values: Mapping[str, torch.Tensor],
+    sign: int,
+    count: int,
+) -> list[Change]:
+    """Return the ``count`` single changes with the largest predicted effect of this sign, clear of the noise."""
+    ranges = Capabilities(renderer).ranges or Capabilities(renderer).bounds or {}
+    bounds = Capabilities(renderer).bounds or {}
+    unlimited = (-math.inf, math.inf)
+    changes = []
+    for row in attribution.ranking():
+        value = values[row.name]
+        direction = sign if row.effect > 0 else -sign
+        low, high = bounds.get(row.name, unlimited)
+        after = _moved(value, direction, ranges.get(row.name, unlimited), (low, high))
+        if after is None:
+            continue
+        predicted, error = _predict(attribution, row.name, after - value)
+        if abs(predicted) > SIGNIFICANT * error:
+            changes.append(Change(row.name, row.label, value, after, predicted, error))
+    return sorted(changes, key=lambda change: -abs(change.predicted))[:count]
+
+
+def rendered(scenes: Scenes, change: Change) -> Change:
+    """Return the change with its effect measured by rendering the changed scene."""
+    differences = scenes.measure({change.name: change.after}) - scenes.unmodified
+    error = differences.std() / math.sqrt(len(differences))
+    return dataclasses.replace(change, measured=differences.mean().item(), measured_error=error.item())
+
+
+def _moved(
+    value: torch.Tensor, direction: int, over: tuple[float, float], bounds: tuple[float, float]
+) -> torch.Tensor | None:
+    """Return the value after a step in a direction; None if a bound is too near."""
+    length = over[1] - over[0]
+    if not math.isfinite(length):
+        moved = value * (1 + direction * DIMMING)
+        return moved if bool(value.any()) else None
+    moved = (value + direction * STEP * length).clamp(*bounds)
+    return moved if (moved - value).abs().mean() >= MIN_STEP * length else None
+
+
+def _predict(attribution: SceneAttribution, name: str, step: torch.Tensor) -> tuple[float, float]:
+    """Return the first-order effect of a step and its standard error."""
+    gradient = attribution[name].double()
+    predicted = (gradient * step).sum().item()
+    # Near a bound the texels of a texture move by different amounts; the error is that of their mean.
+    mean = channel_totals(step).double() / max(1, step.numel() // max(1, len(channel_totals(step))))
+    assert attribution.covariance is not None
+    variance = mean @ attribution.covariance[name].double() @ mean
+    return predicted, math.sqrt(max(0.0, variance.item()))

@@ -1,0 +1,101 @@
+"""``explain``: attribute, find the causes, and render the changes that matter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+from ..attr import Explanation, VanillaSceneGradient
+from ..errors import SceneCaptumError, whole_number
+from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
+from ..optimize import minimize
+from ..protocols import Renderer
+from ..validation import Scenes, denoise_of
+from ._changes import propose, rendered
+from ._sources import find_sources
+
+
+def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
+    renderer: Renderer,
+    metric: Metric,
+    inputs: Mapping[str, torch.Tensor] | None = None,
+    *,
+    target: Target = None,
+    below: float | None = None,
+    changes: int = 3,
+    seed: int = 0,
+    spp: int | None = None,
+    replicates: int = DEFAULT_REPLICATES,
+    denoise: Denoise = "auto",
+    show_progress: bool = False,
+) -> Explanation:
+    """Explain a metric of a scene: its value and class, its causes, and the few changes that matter.
+
+    The changes are single steps of a tenth of a parameter's range, or of a quarter of an unbounded value, in the
+    direction that improves the metric, or raises it if neither is better. Their effects are predicted from the
+    gradient and measured by rendering the changed scenes with common random numbers and seeds of their own.
+
+    Example
+    -------
+    >>> from scenecaptum import SceneRenderer, metrics
+    >>> renderer = SceneRenderer("cornell-box", inputs="all", resolution=(16, 16), spp=64)
+    >>> print(explain(renderer, metrics.MeanLuminance(), changes=1))  # doctest: +SKIP
+
+    Parameters
+    ----------
+    renderer, metric, inputs, target, seed, spp, replicates, denoise, show_progress
+        As for ``VanillaSceneGradient``.
+    below
+        A goal for ``optimize.minimize``.
+    changes
+        The number of changes to render.
+
+    Returns
+    -------
+    Explanation
+        Its ``text()`` and ``markdown()`` are the sentences.
+
+    Raises
+    ------
+    SceneCaptumError
+        As ``VanillaSceneGradient`` and ``optimize.minimize``.
+    """
+    if inputs is not None and below is not None:
+        raise SceneCaptumError("below= optimizes the renderer's own scene: leave out inputs=.")
+    attribution_seed, scenes_seed, goal_seed = derived_seeds(seed, Stream.EXPLANATION, 3)
+    attribution = VanillaSceneGradient(renderer, metric).attribute(
+        inputs,
+        target=target,
+        seed=attribution_seed,
+        spp=spp,
+        replicates=replicates,
+        denoise=denoise,
+        show_progress=show_progress,
+    )
+    values = input_values(renderer, inputs)
+    better = (attribution.info.get("measure") or {}).get("better")
+    proposed = propose(
+        renderer, attribution, values, -1 if better == "lower" else 1, whole_number("changes", changes, 0)
+    )
+    if proposed:
+        scenes = Scenes(
+            renderer,
+            metric,
+            target,
+            seed=scenes_seed,
+            spp=spp,
+            replicates=replicates,
+            denoise=denoise_of(attribution),
+            values=inputs,
+        )
+        proposed = [rendered(scenes, change) for change in proposed]
+    assert attribution.image is not None
+    return Explanation(
+        attribution,
+        sources=find_sources(metric, attribution.image, attribution.surfaces),
+        changes=tuple(proposed),
+        goal=None
+        if below is None
+        else minimize(renderer, metric, below, seed=goal_seed, spp=spp, denoise=denoise),
+    )
