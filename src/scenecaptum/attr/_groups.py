@@ -20,7 +20,7 @@ Groups: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
 
 A = TypeVar("A", bound=AttributionData)
 
-PRESETS = ("kind", "material", "object")
+GROUPS = ("kind", "material", "object")
 
 
 def resolve_groups(
@@ -57,9 +57,9 @@ def resolve_groups(
         return {name: (name,) for name in names}
     if isinstance(groups, Mapping):
         return _from_mapping(names, groups)
-    if groups not in PRESETS:
+    if groups not in GROUPS:
         raise SceneCaptumError(
-            f"groups={groups!r} must be {', '.join(map(repr, PRESETS))}, or a mapping from a group's name to the "
+            f"groups={groups!r} must be {', '.join(map(repr, GROUPS))}, or a mapping from a group's name to the "
             "names of its members."
         )
     table = table_of(renderer)

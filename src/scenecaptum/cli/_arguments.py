@@ -12,8 +12,8 @@ from typing import Any
 from ..rendering import SceneRenderer, named_sensors
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the scene and the render options."""
+def add_file(parser: argparse.ArgumentParser) -> None:
+    """Add the scene alone."""
     parser.add_argument("scene", help="a Mitsuba XML file, or a bundled scene: office, cornell-box")
     parser.add_argument(
         "-D",
@@ -24,6 +24,11 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="set the parameter $NAME of the scene file, such as -D spp=64; may be repeated",
     )
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the scene and the render options."""
+    add_file(parser)
     parser.add_argument(
         "--inputs",
         action="append",

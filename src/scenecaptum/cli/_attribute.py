@@ -6,15 +6,18 @@ import argparse
 import inspect
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from ..attr import METHODS, AttributionInterrupted, SceneAttribution
+from ..attr import GROUPS, METHODS, AttributionInterrupted, SceneAttribution
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise
+from ..protocols import Scale
 from ..report import json_text, write_report
+from ..visualization import table_text
 from . import _arguments
+from ._design import add_design, designed_values
 from ._files import print_files, writable, write_files
-from ._formats import FORMATS, default_formats
+from ._formats import FORMATS, default_formats, selected_formats
 from ._metrics import DEFAULT, add_metric, find_metrics
 
 REPORT = "report.html"
@@ -46,6 +49,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="METHOD",
         help=f"{_arguments.describe(METHODS)} (default: %(default)s)",
     )
+    parser.add_argument(
+        "--scale",
+        choices=get_args(Scale),
+        help="compare effects over each parameter's range, per unit, or relative to its value (default: range)",
+    )
+    parser.add_argument(
+        "--groups", choices=GROUPS, help="attribute to all parameters of a kind, material or object together"
+    )
+    parser.add_argument(
+        "--baselines",
+        metavar="BASELINE",
+        help="for methods that compare with another scene: dark, black, grey, or a number",
+    )
+    parser.add_argument("--signed", action="store_true", help="draw the heatmap with signs")
+    add_design(parser)
     parser.add_argument(
         "--replicates",
         type=int,
@@ -110,7 +128,9 @@ def attribute(options: argparse.Namespace) -> int:
         for name, create in metrics.items():
             folder = options.out if len(metrics) == 1 else options.out / _folder_name(name)
             try:
-                attribution = method(renderer, create(renderer)).attribute(**arguments)
+                attribution = method(renderer, create(renderer)).attribute(
+                    designed_values(options, renderer), **arguments
+                )
             except AttributionInterrupted as interruption:
                 _write_result(interruption.partial, folder, options)
                 _write_report([*finished, interruption.partial], options)
@@ -127,8 +147,10 @@ def attribute(options: argparse.Namespace) -> int:
 def _method_arguments(options: argparse.Namespace) -> dict[str, Any]:
     """Return the arguments of the method's ``attribute``; raise if an option has no effect on it."""
     accepted = inspect.signature(METHODS[options.method].create.attribute).parameters
-    goals = {name: getattr(options, name) for name in ("picture_spp", "tolerance", "time_limit")}
-    given = {name: value for name, value in goals.items() if value is not None}
+    optional = ("picture_spp", "tolerance", "time_limit", "groups", "baselines")
+    given = {name: value for name in optional if (value := getattr(options, name)) is not None}
+    if "baselines" in given:
+        given["baselines"] = _number_or_name(given["baselines"])
     for name in given.keys() - accepted:
         raise SceneCaptumError(
             f"--{name.replace('_', '-')} has no effect on --method {options.method}: omit it."
@@ -143,19 +165,25 @@ def _method_arguments(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def _number_or_name(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def _folder_name(metric: str) -> str:
     return "".join(c if c.isalnum() else "-" for c in metric).strip("-")
 
 
 def _write_result(attribution: SceneAttribution, folder: Path, options: argparse.Namespace) -> None:
     """Write the files of a result and print it."""
-    selected = options.formats or default_formats()
-    formats = [one for name, one in FORMATS.items() if name in selected]
+    formats = selected_formats(options.formats or default_formats(), options.scale, signed=options.signed)
     write_files(attribution, folder, formats)
     if options.json:
         print(json_text(attribution))
         return
-    print(attribution)
+    print(table_text(attribution, scale=options.scale))
     print_files(folder, formats)
 
 

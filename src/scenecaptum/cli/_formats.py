@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
 
 from ..attr import SceneAttribution
 from ..projection import export
+from ..protocols import Scale
 from ..report import write_csv, write_json
 from ..visualization import save_render
 from ._files import OutputFormat, figure_writer
@@ -25,13 +29,29 @@ FORMATS: dict[str, OutputFormat[SceneAttribution]] = {
     ),
     "render": OutputFormat("render.png", "render", _write_render),
     "heatmap": OutputFormat(
-        "heatmap.png", "render and saliency map", figure_writer(SceneAttribution.plot_heatmap)
+        "heatmap.png", "render and map of the effects", figure_writer(SceneAttribution.plot_heatmap)
     ),
-    "bars": OutputFormat("bars.png", "ranking with error bars", figure_writer(SceneAttribution.plot_bars)),
+    "bars": OutputFormat("bars.png", "effects with error bars", figure_writer(SceneAttribution.plot_bars)),
     "exr": OutputFormat(
-        "attribution.exr", "render, saliency and objects for compositing", export, by_default=False
+        "attribution.exr", "render, effects and objects for compositing", export, by_default=False
     ),
 }
+
+
+def selected_formats(
+    names: Collection[str], scale: Scale | None, *, signed: bool
+) -> list[OutputFormat[SceneAttribution]]:
+    """Return the formats with these names, their figures in a scale and the maps with signs."""
+    drawn: dict[str, Callable[[SceneAttribution, Path], None]] = {
+        "heatmap": figure_writer(partial(SceneAttribution.plot_heatmap, scale=scale, signed=signed)),
+        "bars": figure_writer(partial(SceneAttribution.plot_bars, scale=scale)),
+        "exr": partial(export, scale=scale, signed=signed),
+    }
+    return [
+        dataclasses.replace(one, write=drawn.get(name, one.write))
+        for name, one in FORMATS.items()
+        if name in names
+    ]
 
 
 def default_formats() -> list[str]:

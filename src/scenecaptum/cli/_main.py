@@ -8,7 +8,29 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import SceneCaptumError
-from . import _attribute, _demo, _doctor, _tradeoff, _validate
+from . import (
+    _attribute,
+    _demo,
+    _doctor,
+    _explain,
+    _optimize,
+    _parameters,
+    _render,
+    _tradeoff,
+    _validate,
+)
+
+COMMANDS = (
+    _explain,
+    _attribute,
+    _optimize,
+    _validate,
+    _tradeoff,
+    _parameters,
+    _render,
+    _demo,
+    _doctor,
+)
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
@@ -35,6 +57,6 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
     commands = whole.add_subparsers(required=True, metavar="COMMAND")
-    for command in (_attribute, _tradeoff, _validate, _demo, _doctor):
+    for command in COMMANDS:
         command.add(commands)
     return whole

@@ -16,6 +16,7 @@ from ._naming import without_addresses as without_addresses
 from ._parameter_table import Parameter as Parameter
 from ._parameter_table import SceneParameters as SceneParameters
 from ._parameters import discover as discover
+from ._parameters import discover_in as discover_in
 from ._ranges import choose_ranges as choose_ranges
 from ._reflection import OPEN_MARGIN as OPEN_MARGIN
 from ._reflection import reflect as reflect

@@ -9,10 +9,11 @@ from typing import Any
 
 import torch
 
-from ..backend import activate
+from ..backend import activate, exclusively
 from ._bounds import Bounds
 from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
+from ._loading import SceneLike, XmlParameters, load_scene
 from ._naming import area_emitter_id
 from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
 from ._roles import EMITTER_BOUNDS, EMITTER_POSES, MATERIAL_ROLES, MEDIUM_BOUNDS, NON_NEGATIVE, MaterialRole
@@ -38,6 +39,12 @@ def discover(graph: SceneGraph) -> SceneParameters:
         _describe(graph, name, labels[name], node, _value(pointer, cpptype, node), flags)
         for name, (pointer, cpptype, node, flags) in properties.items()
     )
+
+
+def discover_in(scene: SceneLike, parameters: XmlParameters | None = None) -> SceneParameters:
+    """Return every parameter of a scene that is not loaded yet; ``scene`` and ``parameters`` as for a renderer."""
+    with exclusively():
+        return discover(SceneGraph(load_scene(scene, parameters)))
 
 
 def _value(pointer: Any, cpptype: Any, node: Any) -> Any:

@@ -1,0 +1,102 @@
+"""A design: values of parameters that replace the scene's own, from ``--set`` and from a JSON or TOML file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomllib
+import torch
+
+from ..errors import SceneCaptumError, near_misses
+from ..rendering import SceneRenderer
+
+
+def add_design(parser: argparse.ArgumentParser) -> None:
+    """Add the options for values that replace the scene's own."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        type=assignment,
+        dest="settings",
+        metavar="NAME=VALUE",
+        help="give a parameter another value, a number or one for each channel, such as "
+        "--set desk.base_color.value=0.2,0.2,0.2; a texture gets it in every texel; may be repeated",
+    )
+    parser.add_argument(
+        "--design",
+        type=Path,
+        metavar="FILE",
+        help="JSON or TOML file with the values of parameters by name; --set takes precedence",
+    )
+
+
+def assignment(text: str) -> tuple[str, list[float]]:
+    """Parse ``desk.base_color.value=0.2,0.2,0.2``."""
+    name, separator, value = text.partition("=")
+    try:
+        numbers = [float(number) for number in value.split(",")]
+    except ValueError:
+        numbers = []
+    if not (name and separator and numbers):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not NAME=VALUE, such as desk.roughness.value=0.3, or VALUE,VALUE,VALUE for a colour"
+        )
+    return name, numbers
+
+
+def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, torch.Tensor] | None:
+    """Return the renderer's inputs with the values of the design, or None without one."""
+    settings: dict[str, Any] = dict(_read(options.design)) if options.design else {}
+    settings |= dict(options.settings or ())
+    if not settings:
+        return None
+    values = renderer.inputs
+    for name, value in settings.items():
+        if name not in values:
+            raise SceneCaptumError(
+                f"The design sets {name!r}, which is not an input.{near_misses(name, values)} "
+                "`scenecaptum parameters SCENE` lists them."
+            )
+        values[name] = _like(name, value, values[name])
+    return values
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    """Read a file of names and values; tables in TOML are parts of names."""
+    parse = tomllib.loads if path.suffix == ".toml" else json.loads
+    try:
+        found = parse(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneCaptumError(f"The design {path} cannot be read: {error.strerror}.") from error
+    except ValueError as error:  # of JSON and of TOML
+        kind = "TOML" if path.suffix == ".toml" else "JSON"
+        raise SceneCaptumError(f"The design {path} is not valid {kind}: {error}.") from error
+    if not isinstance(found, dict):
+        raise SceneCaptumError(
+            f'The design {path} must be names with values, such as {{"desk.roughness.value": 0.3}}.'
+        )
+    return _flat(found)
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        name = f"{prefix}{key}"
+        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
+
+
+def _like(name: str, value: Any, current: torch.Tensor) -> torch.Tensor:
+    """Return a value with the shape of the current one: a number, or one for each channel."""
+    try:
+        given = torch.tensor(value, dtype=current.dtype).squeeze()
+        return given.expand(current.shape).clone()
+    except (TypeError, ValueError, RuntimeError):
+        channels = current.shape[-1] if current.ndim else 1
+        raise SceneCaptumError(
+            f"{name!r} needs one number{f' or {channels}' if channels > 1 else ''}, not {value!r}."
+        ) from None

@@ -1,0 +1,101 @@
+"""``scenecaptum optimize``: change a few parameters until a metric is below a goal."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ..optimize import Optimization, minimize
+from . import _arguments
+from ._files import OutputFormat, figure_writer, print_files, writable, write_files
+from ._metrics import add_metric, find_metrics
+
+NOT_REACHED = 1
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "optimize",
+        help="change the parameters that matter most until a metric is below a goal",
+        description="Lower a metric below a goal by changing the parameters with the largest effects within their "
+        "bounds. Exits with 1 if the goal is not reached.",
+        epilog="example: scenecaptum optimize office --metric luminance --below 40 --resolution 64x36 --spp 64",
+    )
+    _arguments.add_scene(parser)
+    add_metric(parser)
+    parser.add_argument(
+        "--below", type=float, required=True, metavar="X", help="the goal, in the metric's unit"
+    )
+    for name, kind, text in (
+        ("top", int, "number of parameters to change"),
+        ("change", float, "maximum change of each, as a fraction of its range"),
+        ("steps", int, "maximum number of steps"),
+    ):
+        parser.add_argument(
+            f"--{name}",
+            type=kind,
+            default=_arguments.default_of(minimize, name),
+            metavar="N" if kind is int else "X",
+            help=f"{text} (default: %(default)s)",
+        )
+    _arguments.add_output(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    (create,) = find_metrics([options.metric], options).values()
+    with writable(options.out):
+        renderer = _arguments.make_renderer(options)
+        found = minimize(
+            renderer,
+            create(renderer),
+            options.below,
+            top=options.top,
+            change=options.change,
+            steps=options.steps,
+            seed=options.seed,
+            show_progress=_arguments.shows_progress(options),
+        )
+        write_files(found, options.out, FORMATS)
+    print(_json(found) if options.json else found)
+    if not options.json:
+        print_files(options.out, FORMATS)
+    return 0 if found.reached else NOT_REACHED
+
+
+def _json(found: Optimization) -> str:
+    measured = {
+        name: {"value": side.value, "standard_error": side.error}
+        for name, side in (("before", found.before), ("after", found.after))
+    }
+    return json.dumps(
+        {
+            "metric": found.metric,
+            "below": found.below,
+            "reached": found.reached,
+            **measured,
+            "design": _design(found),
+        },
+        indent=1,
+    )
+
+
+def _design(found: Optimization) -> dict[str, Any]:
+    """Return the changed values, of textures their means, as ``--design`` reads them."""
+    return {moved.name: moved.after.tolist() for moved in found.moved}
+
+
+def _write_design(found: Optimization, path: Path) -> None:
+    path.write_text(json.dumps(_design(found), indent=1) + "\n", encoding="utf-8")
+
+
+FORMATS: list[OutputFormat[Optimization]] = [
+    OutputFormat("design.json", "the changed values, for --design", _write_design),
+    OutputFormat(
+        "optimization.png", "both pictures, and the metric at every step", figure_writer(Optimization.plot)
+    ),
+]

@@ -1,0 +1,57 @@
+"""``scenecaptum parameters``: every parameter of a scene."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from fnmatch import fnmatchcase
+from typing import Any
+
+from ..scene import Parameter, SceneParameters, discover_in
+from . import _arguments
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "parameters",
+        help="list the parameters of a scene",
+        description="List every parameter of a scene with its kind, shape, bounds and owner, and whether it can be "
+        "differentiated.",
+        epilog="example: scenecaptum parameters office 'desk.*'",
+    )
+    _arguments.add_file(parser)
+    parser.add_argument("filters", nargs="*", metavar="GLOB", help="only names that match one of these")
+    parser.add_argument("--kind", metavar="KIND", help="only this kind, such as reflectance or emitters")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    found = discover_in(options.scene, dict(options.parameters or ()))
+    chosen = [
+        parameter
+        for name, parameter in found.items()
+        if (not options.filters or any(fnmatchcase(name, glob) for glob in options.filters))
+        and options.kind in (None, parameter.kind)
+    ]
+    print(
+        json.dumps([_row(parameter) for parameter in chosen], indent=1)
+        if options.json
+        else SceneParameters(chosen)
+    )
+    return 0
+
+
+def _row(parameter: Parameter) -> dict[str, Any]:
+    return {
+        "name": parameter.name,
+        "label": parameter.label,
+        "kind": parameter.kind,
+        "shape": list(parameter.shape),
+        "bounds": str(parameter.bounds),
+        "range": str(parameter.range),
+        "owners": list(parameter.owners),
+        "status": parameter.status,
+    }

@@ -1,0 +1,54 @@
+"""``scenecaptum render``: a picture of a scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..denoising import denoise
+from ..errors import SceneCaptumError
+from ..projection import export
+from ..visualization import save_render
+from . import _arguments
+from ._design import add_design, designed_values
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "render",
+        help="render a scene to a PNG or EXR file",
+        description="Render a scene. A PNG is tone-mapped for display; an EXR has the linear radiance.",
+        epilog="example: scenecaptum render office --resolution 320x180 --spp 64 --denoise --to office.png",
+    )
+    _arguments.add_scene(parser)
+    add_design(parser)
+    parser.add_argument("--denoise", action="store_true", help="denoise the picture (Open Image Denoise)")
+    parser.add_argument(
+        "--to",
+        type=Path,
+        default=Path("render.png"),
+        metavar="FILE",
+        help="a .png or .exr file (default: %(default)s)",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    if options.to.suffix not in (".png", ".exr"):
+        raise SceneCaptumError(f"{options.to} must end in .png or .exr.")
+    renderer = _arguments.make_renderer(options)
+    with torch.no_grad():
+        image = renderer(designed_values(options, renderer) or {}, seed=options.seed)
+    if options.denoise:
+        image = denoise(image, renderer.guides)
+    if options.to.suffix == ".png":
+        save_render(image, options.to)
+    else:
+        export(image, options.to)
+    print(options.to)
+    return 0
