@@ -72,16 +72,8 @@ def _json(found: Optimization) -> str:
         name: {"value": side.value, "standard_error": side.error}
         for name, side in (("before", found.before), ("after", found.after))
     }
-    return json.dumps(
-        {
-            "metric": found.metric,
-            "below": found.below,
-            "reached": found.reached,
-            **measured,
-            "design": _design(found),
-        },
-        indent=1,
-    )
+    numbers = {"metric": found.metric, "below": found.below, "reached": found.reached, **measured}
+    return json.dumps({**numbers, "design": _design(found)}, indent=1)
 
 
 def _design(found: Optimization) -> dict[str, Any]:
@@ -95,7 +87,5 @@ def _write_design(found: Optimization, path: Path) -> None:
 
 FORMATS: list[OutputFormat[Optimization]] = [
     OutputFormat("design.json", "the changed values, for --design", _write_design),
-    OutputFormat(
-        "optimization.png", "both pictures, and the metric at every step", figure_writer(Optimization.plot)
-    ),
+    OutputFormat("optimization.png", "both pictures and every step", figure_writer(Optimization.plot)),
 ]

@@ -16,8 +16,8 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "parameters",
         help="list the parameters of a scene",
-        description="List every parameter of a scene with its kind, shape, bounds and owner, and whether it can be "
-        "differentiated.",
+        description="List every parameter of a scene with its kind, shape, bounds and owner, and whether it can "
+        "be differentiated.",
         epilog="example: scenecaptum parameters office 'desk.*'",
     )
     _arguments.add_file(parser)
@@ -36,11 +36,10 @@ def run(options: argparse.Namespace) -> int:
         if (not options.filters or any(fnmatchcase(name, glob) for glob in options.filters))
         and options.kind in (None, parameter.kind)
     ]
-    print(
-        json.dumps([_row(parameter) for parameter in chosen], indent=1)
-        if options.json
-        else SceneParameters(chosen)
-    )
+    if options.json:
+        print(json.dumps([_row(parameter) for parameter in chosen], indent=1))
+    else:
+        print(SceneParameters(chosen))
     return 0
 
 
