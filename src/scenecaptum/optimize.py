@@ -47,6 +47,8 @@ from .visualization import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
+# Properties of emitters that are part of their construction.
+CONSTRUCTION = ("cutoff_angle", "beam_width")
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
 BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
@@ -68,9 +70,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 ) -> Optimization:
     """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
-    Parameters are ranked by gradient × range; all but the top ones are kept constant. A colour changes per
-    channel, a texture by one offset per channel for all texels. Every step renders with a new seed. The goal
-    counts as reached once a measurement with independent samples confirms it.
+    Parameters are ranked by their effects over their ranges; all but the top ones, and the cones of spots, are
+    kept constant. A colour changes per channel, a texture by one offset per channel for all texels. Every step
+    renders with a new seed. The goal counts as reached once a measurement with independent samples confirms it.
 
     Example
     -------
@@ -125,7 +127,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
     ranked = VanillaSceneGradient(renderer, metric).attribute(seed=ranking_seed, spp=spp, denoise=denoise)
     metric_name = str(ranked.info["metric"])
-    top_rows = [row for row in ranked.ranking(whole_number("top", top)) if row.saliency > 0]
+    fixed = _construction(renderer)
+    movable = [row for row in ranked.ranking() if row.saliency > 0 and row.name not in fixed]
+    top_rows = movable[: whole_number("top", top)]
     if not top_rows:
         raise SceneCaptumError(f"No parameter affects {metric_name}: all its gradients are 0.")
     budget = Budget.split(spp, DEFAULT_REPLICATES, measurement_seed)
@@ -170,6 +174,14 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         below=below,
         metric=metric_name,
     )
+
+
+def _construction(renderer: Renderer) -> set[str]:
+    """Return the parameters that a design does not change: the cone of a spot belongs to the lamp."""
+    describe = Capabilities(renderer).parameters_table
+    if describe is None:
+        return set()
+    return {name for name, parameter in describe().items() if parameter.role in CONSTRUCTION}
 
 
 class _BoundedAdam:
@@ -324,7 +336,12 @@ class Optimization:
     __repr__ = __str__
 
     def _outcome(self) -> str:
-        outcome = f"{'' if self.reached else 'not '}below the goal of {self.below:g}"
+        if self.reached:
+            outcome = f"below the goal of {self.below:g}"
+        elif self.after.value < self.below:
+            outcome = f"below the goal of {self.below:g}, but not by two standard errors: use more samples"
+        else:
+            outcome = f"not below the goal of {self.below:g}"
         return f"{self.metric} {_format_metric(self.before)} → {_format_metric(self.after)}, {outcome}"
 
 

@@ -44,9 +44,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"scenecaptum: error: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("scenecaptum: interrupted; finished results are saved.", file=sys.stderr)
+        print(f"scenecaptum: interrupted; {_kept(options)}.", file=sys.stderr)
         return INTERRUPTED
     return status
+
+
+def _kept(options: argparse.Namespace) -> str:
+    """Return what an interrupted command has left."""
+    checkpoint, folder = getattr(options, "checkpoint", None), getattr(options, "out", None)
+    if checkpoint is not None and checkpoint.exists():
+        return f"run the same command again to resume from {checkpoint}"
+    if folder is not None and folder.exists():
+        return f"finished results are in {folder}"
+    return "nothing was kept; --checkpoint DIR keeps finished replicates"
 
 
 def parser() -> argparse.ArgumentParser:

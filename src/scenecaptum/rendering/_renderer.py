@@ -19,6 +19,7 @@ from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..finite import NotFiniteError
 from ..projection import SurfaceMap
 from ..scene import (
+    OPEN_MARGIN,
     SceneGraph,
     SceneLike,
     SceneParameters,
@@ -339,6 +340,32 @@ class SceneRenderer(torch.nn.Module):
     def leaves(self) -> dict[str, torch.Tensor]:
         """Return ``inputs`` as leaves that require grad."""
         return {name: value.requires_grad_() for name, value in self.inputs.items()}
+
+    def clamp_(self, leaves: Mapping[str, torch.Tensor]) -> None:
+        """Move values beyond the physical bounds back to these, in place: after each step of an optimizer.
+
+        Example
+        -------
+        >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(16, 16), spp=1)
+        >>> leaves = renderer.leaves()
+        >>> with torch.no_grad():
+        ...     leaves["left_wall.reflectance.value"] += 2.0
+        >>> renderer.clamp_(leaves)
+        >>> leaves["left_wall.reflectance.value"].max()
+        tensor(1., grad_fn=<MaxBackward1>)
+
+        An open bound, such as 0 of a roughness, is kept at a small distance.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a name is not that of a parameter.
+        """
+        for name, value in leaves.items():
+            bounds = self._table[name].bounds
+            low = bounds.low + (OPEN_MARGIN if bounds.open_low else 0.0)
+            with torch.no_grad():
+                value.clamp_(low, bounds.high)
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
