@@ -7,6 +7,7 @@ import os
 import platform
 from collections.abc import Iterable
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -17,7 +18,7 @@ from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer, Scale
 from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Tensors, covariances, summarize
-from ._difference import subtract
+from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
 from ._ranges import extents
 from ._storage import read_file, write_file
@@ -120,13 +121,33 @@ class SceneAttribution(AttributionData):
         """
         if not isinstance(other, SceneAttribution):
             return NotImplemented
+        self._check_matches(other)
+        return subtract(self, other)
+
+    def __add__(self, other: SceneAttribution) -> SceneAttribution:
+        """Return the attribution of the sum of two metrics; errors as for a difference."""
+        if not isinstance(other, SceneAttribution):
+            return NotImplemented
+        self._check_matches(other)
+        return add(self, other)
+
+    def __mul__(self, factor: float) -> SceneAttribution:
+        """Return the attribution of a multiple of the metric."""
+        return multiply(self, float(factor)) if isinstance(factor, Real) else NotImplemented
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, divisor: float) -> SceneAttribution:
+        """Return the attribution of the metric divided by a number."""
+        return multiply(self, 1 / float(divisor)) if isinstance(divisor, Real) else NotImplemented
+
+    def _check_matches(self, other: SceneAttribution) -> None:
         if set(self) != set(other) or any(self[name].shape != other[name].shape for name in self):
             unmatched = sorted(set(self) ^ set(other))
             raise SceneCaptumError(
-                "Only attributions to the same parameters can be subtracted; these differ in "
+                "Only attributions to the same parameters can be added or subtracted; these differ in "
                 f"{', '.join(unmatched[:3]) or 'the shape of a parameter'}{' …' if len(unmatched) > 3 else ''}."
             )
-        return subtract(self, other)
 
     def to_dataframe(self, *, scale: Scale | None = None) -> pandas.DataFrame:
         """Return the ranking as a pandas DataFrame with the columns of `Ranked`, indexed by rank.

@@ -1,4 +1,4 @@
-"""The difference of two attributions, with its errors."""
+"""Arithmetic of attributions, with errors: differences, sums and multiples."""
 
 from __future__ import annotations
 
@@ -14,6 +14,49 @@ from ._data import AttributionData, Tensors, covariances
 from ._quadrature_error import covariance_of_quadrature
 
 A = TypeVar("A", bound=AttributionData)
+
+
+def multiply(a: A, factor: float) -> A:
+    """Return a multiple of an attribution: of the same metric times the factor."""
+    size = abs(factor)
+
+    def times(tensors: Tensors | None, by: float) -> dict[str, torch.Tensor] | None:
+        return None if tensors is None else {name: by * value for name, value in tensors.items()}
+
+    info = {key: value for key, value in a.info.items() if key not in ("verdict", "metric_bias")}
+    if a.info.get("explained") is not None:
+        info["explained"] = factor * a.info["explained"]
+    return dataclasses.replace(
+        a,
+        attributions=times(a.attributions, factor),
+        standard_error=times(a.standard_error, size),
+        bias=times(a.bias, factor),
+        quadrature_error=times(a.quadrature_error, size),
+        replicates=times(a.replicates, factor),
+        covariance=times(a.covariance, factor**2),
+        convergence_delta=None if a.convergence_delta is None else factor * a.convergence_delta,
+        convergence_delta_error=None
+        if a.convergence_delta_error is None
+        else size * a.convergence_delta_error,
+        metric_value=factor * a.metric_value,
+        metric_standard_error=None if a.metric_standard_error is None else size * a.metric_standard_error,
+        info={**info, "metric": f"{factor:g} × {a.info.get('metric')}", "measure": None},
+    )
+
+
+def add(a: A, b: A) -> A:
+    """Return ``a + b`` for attributions to the same parameters."""
+    total = subtract(a, multiply(b, -1.0))
+    info = {key: value for key, value in total.info.items() if key != "minus"}
+    return dataclasses.replace(
+        total,
+        info={
+            **info,
+            "metric": f"{a.info.get('metric')} + {b.info.get('metric')}",
+            "measure": a.info.get("measure") if a.info.get("measure") == b.info.get("measure") else None,
+            "plus": dict(b.info),
+        },
+    )
 
 
 def subtract(a: A, b: A) -> A:
