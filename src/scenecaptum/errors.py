@@ -25,10 +25,15 @@ class UnknownNameError(SceneCaptumError, KeyError):
 
 
 def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
-    """Return ``' Did you mean …?'`` for the known names closest to ``name``, or an empty string."""
+    """Return ``' Did you mean …?'`` for the known names closest to ``name``, or an empty string.
+
+    Names that have ``name`` as one of their parts come first: ``floor`` means ``floor.reflectance.value``.
+    """
     candidates = list(known)
     by_folded = {candidate.lower(): candidate for candidate in candidates}
-    close = difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)
+    whole = [folded for folded in by_folded if name.lower() in folded.split(".")]
+    close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)
+    close = list(dict.fromkeys(close))[:limit]
     return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else ""
 
 

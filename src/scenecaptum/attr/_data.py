@@ -71,7 +71,12 @@ class AttributionData(Mapping[str, torch.Tensor]):
     def __getitem__(self, name: str) -> torch.Tensor:
         try:
             return self.attributions[name]
-        except KeyError:
+        except (KeyError, TypeError):
+            if not isinstance(name, str):
+                raise SceneCaptumError(
+                    f"An attribution is indexed by a parameter's name, such as {next(iter(self), 'NAME')!r}, not "
+                    f"{name!r}; ranking()[{name!r}] is a row of the ranking."
+                ) from None
             raise UnknownNameError(
                 f"There is no attribution to {name!r}.{near_misses(name, self.attributions)}"
             ) from None

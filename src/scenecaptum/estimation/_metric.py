@@ -12,7 +12,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, describe_location
-from ..protocols import Measure, Renderer, takes_keyword
+from ..protocols import Capabilities, Measure, Renderer, takes_keyword
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -26,6 +26,8 @@ def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
             raise SceneCaptumError(
                 f"{name} must be callable, not {type(value).__name__}: pass a renderer, then a metric."
             )
+    if Capabilities(metric).inputs is not None and Capabilities(renderer).inputs is None:
+        raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
     if takes_keyword(metric, "seed") and not takes_keyword(renderer, "seed"):
         raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
 
@@ -115,9 +117,15 @@ class TargetedMetric:
         try:
             output = self.metric(image)
         except RuntimeError as error:
-            if "leaf Variable" not in str(error):
-                raise
-            raise SceneCaptumError(self._changes_the_image()) from error
+            if "leaf Variable" in str(error):
+                raise SceneCaptumError(self._changes_the_image()) from error
+            if "input" in str(error) and "channels" in str(error):
+                raise SceneCaptumError(
+                    f"The metric {self.name} cannot take an image of shape {tuple(image.shape)} (height, width, "
+                    "channels). A network expects (1, 3, H, W): use metrics.ClassLogit(network), or "
+                    f"image.movedim(-1, 0)[None]. torch says: {error}"
+                ) from error
+            raise
         if image._version != version:
             raise SceneCaptumError(self._changes_the_image())
         return output
