@@ -25,7 +25,7 @@ from .rendering import SceneRenderer as SceneRenderer
 
 __version__ = "0.2.0"
 
-_LAZY_ROOMS = {"optimize", "report", "tradeoff", "validation", "visualization"}
+_LAZY_ROOMS = {"explanation", "optimize", "report", "tradeoff", "validation", "visualization"}
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 import torch
-from tqdm import tqdm
 
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
 from ..errors import SceneCaptumError
@@ -25,6 +24,7 @@ from ..estimation import (
     Metric,
     Planner,
     Point,
+    Progress,
     Sampling,
     Stream,
     Target,
@@ -221,12 +221,8 @@ class Run:
         budget = Budget.split(settings.spp, settings.replicates, settings.seed, count, pairs=pairs)
         budget = budget.with_picture_spp(settings.picture_spp, budget.total)
         require_memory(self.renderer, budget.spp, max(budget.replicates))
-        with tqdm(
-            total=2 * sum(budget.replicates),
-            disable=not settings.show_progress,
-            desc=self.metrics[0].name,
-            unit="replicate",
-        ) as bar:
+        with Progress(self.metrics[0].name, show=settings.show_progress) as bar:
+            bar.expect(sum(budget.replicates))
             gradients = GradientEstimator(self.renderer, self.metrics, budget, self.transform_selector, bar)
             sums, interrupted = sum_gradients(
                 gradients, points, random_points=random_points, keep_points=keep_points

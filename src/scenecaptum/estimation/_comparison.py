@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from ..protocols import Renderer
 from ._gradients import GradientEstimator, GradientSum, Point, sum_gradients
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
+from ._progress import Progress
 from ._replicates import Budget
 
 Tensors = Mapping[str, torch.Tensor]
@@ -52,7 +52,7 @@ def differences(
     metrics: Sequence[TargetedMetric],
     point: Point,
     budget: Budget,
-    bar: tqdm[Any],
+    bar: Progress,
 ) -> list[GradientSum]:
     """Return the gradient of each metric with the other renderer, minus that with the first.
 

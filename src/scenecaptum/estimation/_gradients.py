@@ -7,10 +7,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, check_gradient, check_image, error_context
@@ -18,6 +16,7 @@ from ..protocols import Capabilities, Renderer
 from ._jackknife import Adjoints, adjoints_if_linear, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
+from ._progress import Progress
 from ._replicates import (
     NOISY_PICTURE_RATIO,
     PICTURE_RATIO,
@@ -212,7 +211,7 @@ class GradientEstimator:
         metrics: Sequence[TargetedMetric],
         budget: Budget,
         transform_selector: TransformSelector,
-        bar: tqdm[Any],
+        bar: Progress,
     ) -> None:
         self.renderer = renderer
         self.metrics = metrics
@@ -258,7 +257,7 @@ class GradientEstimator:
                     break
                 with error_context(f"In backward pass {number + 1} of {len(graphs)}"):
                     _add_replicate(results, number, graph, leaves, point)
-                self.bar.update()
+                self.bar.differentiated()
             for result in results:
                 result.bias = _bias(graphs[0], leaves, result.adjoints, point)
         except KeyboardInterrupt:
@@ -293,7 +292,7 @@ class GradientEstimator:
                     images.append(self.renderer(leaves, seed=seed, spp=spp).detach())
                 check_image(images[-1], f"The render with seed {seed}")
             graphs.append(graph)
-            self.bar.update()
+            self.bar.rendered()
         return images, graphs
 
     def _evaluate_metrics(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[Adjoints]:

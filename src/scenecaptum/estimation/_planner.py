@@ -7,8 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from tqdm import tqdm
-
 from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ..protocols import Capabilities, Renderer
@@ -17,6 +15,7 @@ from ._goal import Assessment, Compared, Goal, assess, totals
 from ._gradients import GradientSum, Point, require_memory
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
+from ._progress import Progress
 from ._replicates import Budget, Sampling
 from ._rounds import ReplicateTime, Rounds, RoundSum, TimeLimit
 from ._seeds import Stream, derived_seeds
@@ -106,7 +105,7 @@ class Planner:
         self.replicate_time = ReplicateTime()
         settings = dataclasses.asdict(goal), seed, replicates, self.first_spp, point.values
         self.time = TimeLimit(goal.time_limit, renderer, (settings, Capabilities(renderer).info or {}))
-        self.bar = tqdm(total=0, disable=not sampling.show_progress, desc=metrics[0].name, unit="replicate")
+        self.bar = Progress(metrics[0].name, show=sampling.show_progress)
         self.rounds = Rounds(
             renderer,
             metrics,
@@ -137,7 +136,7 @@ class Planner:
     def _add_round(self, replicates: int, spp: int) -> bool:
         require_memory(self.renderer, [spp], replicates)
         start = self.time.now()
-        self.bar.total += 2 * replicates
+        self.bar.expect(replicates)
         estimates, interrupted = self.rounds.add_round(self.point, replicates, spp)
         if interrupted and not all(estimate.replicates for estimate in estimates):
             raise KeyboardInterrupt
@@ -245,7 +244,7 @@ class Planner:
         samples = max(self.first_spp * self.replicates, int(self.sums[0].weight) // COMPARISON_DIVISOR)
         (seed,) = derived_seeds(self.seed, Stream.COMPARISON, 1)
         budget = Budget.split(samples, self.replicates, seed)
-        self.bar.total += 2 * budget.replicates[0]
+        self.bar.expect(budget.replicates[0])
         changes = differences(self.renderer, self.against, self.metrics, self.point, budget, self.bar)
         self.changes = [
             _describe_change(change, assessment, self.compared, Capabilities(self.against).info or {})

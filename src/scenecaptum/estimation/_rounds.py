@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from ..checkpoint import Stopwatch, without_checkpoint
 from ..protocols import Capabilities, Renderer
@@ -16,6 +15,7 @@ from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
+from ._progress import Progress
 from ._replicates import NOISY_PICTURE_RATIO, Budget, render_images
 
 MIN_SAMPLE_TIME_FRACTION = 0.5  # of a replicate's time that is spent on its samples
@@ -123,7 +123,7 @@ class Rounds(GradientEstimator):
         renderer: Renderer,
         metrics: Sequence[TargetedMetric],
         transform_selector: TransformSelector,
-        bar: tqdm[Any],
+        bar: Progress,
         *,
         seed: int,
         time: TimeLimit,
