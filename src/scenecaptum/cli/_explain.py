@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         )
         write_files(explanation, options.out, FORMATS)
         if options.report:
-            write_report([explanation.attribution], options.out / REPORT)
+            write_report(explanation, options.out / REPORT)
     print(explanation)
     print_files(options.out, FORMATS)
     if options.report:

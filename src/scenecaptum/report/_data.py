@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..attr import Explanation
 from ..errors import SceneCaptumError
 from ..projection import SurfaceMap, heatmap, shared_maximum, used_by_objects
 from ..protocols import Attribution, RankedParameter
@@ -22,10 +23,12 @@ from ..visualization import (
     convergence_notes,
     method_name,
     metric_name,
+    metric_unit,
     sampling_notes,
     scene_cautions,
     sign_labels,
     untrusted_groups,
+    verdict,
     with_error,
 )
 from ._pixels import color_maps, encode_map, encode_picture, encode_surfaces
@@ -36,12 +39,17 @@ _SIGNS = {RAISES: 1, LOWERS: -1, UNCLEAR: 0}
 _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmittance", "albedo")
 
 
-def report_data(attributions: Sequence[Attribution], titles: Sequence[str]) -> dict[str, Any]:
+def report_data(
+    attributions: Sequence[Attribution],
+    titles: Sequence[str],
+    explanations: Sequence[Explanation | None] | None = None,
+) -> dict[str, Any]:
     """Return the data of the page; views and images that results share are stored once."""
+    explanations = [None] * len(attributions) if explanations is None else explanations
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
     views: dict[int, tuple[int, NDArray[np.int64]]] = {}
     results = []
-    for attribution, title in zip(attributions, titles, strict=True):
+    for attribution, title, explanation in zip(attributions, titles, explanations, strict=True):
         surfaces = attribution.surfaces
         assert surfaces is not None, "write_report checks it"
         assert attribution.image is not None, "write_report checks it"
@@ -50,7 +58,9 @@ def report_data(attributions: Sequence[Attribution], titles: Sequence[str]) -> d
             views[id(surfaces)] = _index_in(shared["views"], view), shown
         index, shown = views[id(surfaces)]
         picture = _index_in(shared["pictures"], encode_picture(attribution.image))
-        results.append({"view": index, "picture": picture, **_result(attribution, title, surfaces, shown)})
+        results.append(
+            {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
+        )
     return {"results": results, **shared, "maps": color_maps()}
 
 
@@ -69,7 +79,11 @@ def _view(surfaces: SurfaceMap) -> tuple[dict[str, Any], NDArray[np.int64]]:
 
 
 def _result(
-    attribution: Attribution, title: str, surfaces: SurfaceMap, shown: NDArray[np.int64]
+    attribution: Attribution,
+    title: str,
+    surfaces: SurfaceMap,
+    shown: NDArray[np.int64],
+    explanation: Explanation | None,
 ) -> dict[str, Any]:
     ranking = attribution.ranking()
     cautions = caution_groups(attribution, (row.name for row in ranking))
@@ -84,6 +98,10 @@ def _result(
     return {
         "title": title,
         "metric": metric_name(attribution),
+        "unit": metric_unit(attribution),
+        "verdict": verdict(attribution),
+        "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
+        "explanation": [] if explanation is None else explanation.sections(),
         "quantity": attribution.kind.value,
         "axis": axis_label(attribution),
         "signs": sign_labels(attribution),

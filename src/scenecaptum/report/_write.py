@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
+from ..attr import Explanation
 from ..files import atomic_write
 from ..protocols import Attribution
 from ._data import check, default_titles, report_data
@@ -20,7 +21,7 @@ _SCRIPTS = ("data.js", "picture.js", "table.js", "detail.js", "page.js")
 
 
 def write_report(
-    attributions: Attribution | Sequence[Attribution],
+    attributions: Attribution | Explanation | Sequence[Attribution | Explanation],
     path: str | os.PathLike[str],
     titles: Sequence[str] | None = None,
 ) -> None:
@@ -36,7 +37,7 @@ def write_report(
     Parameters
     ----------
     attributions
-        A result or several, of any metrics, cameras and designs.
+        A result or several, of any metrics, cameras and designs; or explanations, whose sentences stand on top.
     path
         The file to write, atomically.
     titles
@@ -47,10 +48,12 @@ def write_report(
     SceneCaptumError
         If a result has no image or no map of the surfaces in it, or the file cannot be written.
     """
-    attributions = list(attributions) if isinstance(attributions, Sequence) else [attributions]
-    check(attributions, titles)
-    names = default_titles(attributions) if titles is None else [str(title) for title in titles]
-    page = _page(report_data(attributions, names))
+    given = list(attributions) if isinstance(attributions, Sequence) else [attributions]
+    explanations = [one if isinstance(one, Explanation) else None for one in given]
+    results = [one.attribution if isinstance(one, Explanation) else one for one in given]
+    check(results, titles)
+    names = default_titles(results) if titles is None else [str(title) for title in titles]
+    page = _page(report_data(results, names, explanations))
     with atomic_write(path) as partial:
         partial.write_bytes(page.encode("utf-8", "replace"))
 

@@ -124,7 +124,7 @@ const SIGNS = { "1": ["▲", "raises"], "-1": ["▼", "lowers"], "0": ["◆", "u
 
 /** Say what a sign means: raising a parameter raises the metric, or its being there adds to it. */
 function signWords(result, sign) {
-  return { "1": result.signs[0], "-1": result.signs[1], "0": "channels disagree, or sign lost in the noise" }[sign];
+  return { "1": result.signs[0], "-1": result.signs[1], "0": "sign lost in the noise" }[sign];
 }
 
 /** A mark that says a parameter's sign by shape and by colour; variances and the like have none. */

@@ -61,7 +61,7 @@ function cardOf(results, current, index) {
   const names = row.channels === 3 && row.total.length ? ["R", "G", "B"] : row.total.map((_, at) => (row.channels === 1 ? "" : String(at + 1)));
   const channels = row.totalWritten.slice(0, 16).map((written, at) => make("span", { class: "channel" },
     names[at] ? make("span", { class: "muted" }, `${names[at]} `) : null, withError(written)));
-  const facts = [["value", valueOf(row)], ["saliency", make("span", {}, signMark(row, result), withError(row.written), make("span", { class: "standing" }, `#${index + 1} of ${result.rows.length}`))],
+  const facts = [["value", valueOf(row)], [result.ranked.toLowerCase(), make("span", {}, signMark(row, result), withError(row.written), make("span", { class: "standing" }, `#${index + 1} of ${result.rows.length}`))],
     [result.quantity, channels.length ? make("span", { class: "channels" }, ...channels) : null],
     ...othersOf(results, current, row.name)];
   return make("article", { class: "card" },
@@ -84,8 +84,16 @@ function othersOf(results, current, name) {
 function hintOf(result) {
   const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && objectsOf(result, index).length === 0);
   const hint = "Point at the picture to read an object; click it, or a row of the table, to keep it lit.";
-  const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with a saliency of ${withError(result.rows[unseen].written)}.`);
+  const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);
   return [make("p", { class: "muted" }, hint), hidden].filter(Boolean);
+}
+
+/** The answer in sentences: a heading for each part, and its lines. */
+function drawExplanation(result) {
+  const parts = result.explanation.map(([heading, lines]) => make("div", { class: "part" },
+    make("h2", {}, heading), lines.length ? make("pre", {}, lines.join("\n")) : null));
+  byId("explanation").hidden = parts.length === 0;
+  byId("explanation").replaceChildren(...parts);
 }
 
 const FACTS = ["scene", "method", "metric", "quantity", "seed", "spp", "replicates", "resolution", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];

@@ -64,6 +64,7 @@ function drawResult() {
   byId("texels-choice").hidden = !texelsOf(result());
   byId("shared-choice").hidden = results.filter(isAlike).length < 2;
   document.querySelector('[value="signed"]').disabled = !result().signs;
+  drawExplanation(result());
   drawOverlay();
   drawTable();
   drawNotes(result());
@@ -96,6 +97,7 @@ function select(selection) {
   drawMarks();
   markSelected(selection.rows);
   drawDetail(results, state.current, view(), selection);
+  remember();
   byId("clear")?.addEventListener("click", () => { select(nothing()); byId("picture").focus({ preventScroll: true }); });
 }
 
@@ -103,7 +105,15 @@ const isSelected = (kind, name) => state.selection.kind === kind && state.select
 
 function selectRow(index) {
   select(isSelected("row", result().rows[index].name) ? nothing() : ofRow(index));
+  showDetail();
 }
+
+/** On a phone the details are below the table: bring them into view. */
+function showDetail() {
+  if (state.selection.kind !== null && !isWide()) byId("detail").scrollIntoView({ block: "nearest" });
+}
+
+const isWide = () => window.matchMedia("(min-width: 60rem)").matches;
 
 function selectObject(object) {
   if (object === null || isSelected("object", view().names[object])) {
@@ -114,7 +124,8 @@ function selectObject(object) {
   announce(object);
   // Beside the picture the table may follow; below it, it would pull the picture away.
   const line = document.querySelector('#rows [aria-selected="true"]');
-  if (line && window.matchMedia("(min-width: 60rem)").matches) line.scrollIntoView({ block: "nearest" });
+  if (line && isWide()) line.scrollIntoView({ block: "nearest" });
+  showDetail();
 }
 
 function previewRow(index) {
@@ -130,6 +141,7 @@ function hover(objects) {
 function sortBy(by) {
   state.sort = { by, reversed: state.sort.by === by && !state.sort.reversed };
   drawTable();
+  remember();
   document.querySelector(`[data-sort="${by}"]`).focus();
 }
 
@@ -186,15 +198,95 @@ function showPointer() {
 
 function announce(object) {
   const rows = result().objects[object].rows.slice(0, 3).map((index) => result().rows[index]);
-  byId("announcement").textContent = [view().names[object], ...rows.map((row) => `${row.label}, saliency ${withError(row.written)}`)].join("; ");
+  byId("announcement").textContent = [view().names[object], ...rows.map((row) => `${row.label}, ${result().ranked.toLowerCase()} ${withError(row.written)}`)].join("; ");
+}
+
+// ---------------------------------------------------------------------------------------- the page's address
+
+const SWITCHES = ["quantity", "scale"];
+const BOXES = ["texels", "shared"];
+
+/** Keep what is chosen in the address, so that a link shows the same. */
+function remember() {
+  const chosenNow = new URLSearchParams();
+  if (state.current) chosenNow.set("result", state.current);
+  for (const name of SWITCHES) chosenNow.set(name, chosen(name));
+  for (const name of BOXES) if (byId(name).checked) chosenNow.set(name, "1");
+  if (state.sort.by !== "rank" || state.sort.reversed) chosenNow.set("sort", `${state.sort.by}${state.sort.reversed ? "-" : ""}`);
+  if (state.filter) chosenNow.set("filter", state.filter);
+  if (state.selection.kind) chosenNow.set(state.selection.kind, state.selection.name);
+  history.replaceState(null, "", `#${chosenNow}`);
+}
+
+function recall() {
+  const kept = new URLSearchParams(location.hash.slice(1));
+  const index = Number(kept.get("result") ?? 0);
+  if (Number.isInteger(index) && index >= 0 && index < results.length) state.current = index;
+  document.querySelectorAll('[name="result"]')[state.current].checked = true;
+  for (const name of SWITCHES) {
+    for (const input of document.querySelectorAll(`[name="${name}"]`)) input.checked = kept.has(name) ? input.value === kept.get(name) : input.checked;
+    if (!document.querySelector(`[name="${name}"]:checked`)) document.querySelector(`[name="${name}"]`).checked = true;
+  }
+  for (const name of BOXES) byId(name).checked = kept.has(name);
+  const sort = kept.get("sort") ?? "rank";
+  const by = sort.replace("-", "");
+  if (by in SORTS) state.sort = { by, reversed: sort.endsWith("-") };
+  state.filter = byId("filter").value = kept.get("filter") ?? "";
+  for (const kind of ["row", "object"]) if (kept.has(kind)) state.selection = { kind, name: kept.get(kind) };
 }
 
 // ------------------------------------------------------------------------------------------------ downloads
 
-function download(name, type, text) {
-  const link = make("a", { href: URL.createObjectURL(new Blob([text], { type })), download: name });
+const download = (name, type, text) => downloadBlob(name, new Blob([text], { type }));
+
+function downloadBlob(name, blob) {
+  const link = make("a", { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+/** The picture as it is shown, without outlines, enlarged to at least 1280 pixels. */
+function mapPicture() {
+  const factor = Math.max(1, Math.ceil(1280 / view().width));
+  const canvas = make("canvas");
+  canvas.width = factor * view().width;
+  canvas.height = factor * view().height;
+  const context = canvas.getContext("2d");
+  const opacity = byId("opacity").value / 100;
+  context.filter = `grayscale(${opacity})`;
+  context.drawImage(byId("render"), 0, 0, canvas.width, canvas.height);
+  context.filter = "none";
+  context.imageSmoothingEnabled = false;
+  context.globalAlpha = opacity;
+  context.drawImage(byId("overlay"), 0, 0, canvas.width, canvas.height);
+  return canvas;
+}
+
+const BARS = 15;
+
+/** The first rows of the table as bars from a common zero, as SVG. */
+function barsText() {
+  const rows = result().rows.slice(0, BARS);
+  const top = Math.max(...rows.map((row) => (row.saliency ?? 0) + (row.error ?? 0))) || 1;
+  const [left, width, step] = [320, 420, 24];
+  const zero = left + (rows.some((row) => row.effect < 0) ? width / 2 : 0);
+  const along = (zero === left ? width : width / 2) / top;
+  const ink = { "1": "#0072b2", "-1": "#d55e00", "0": "#8c8c8c" };
+  const escape = (text) => String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
+  const lines = rows.map((row, index) => {
+    const y = 58 + step * index;
+    const value = zero === left ? row.saliency ?? 0 : row.effect ?? 0;
+    const end = zero + along * value;
+    const reach = along * (row.error ?? 0);
+    return `<text x="${left - 8}" y="${y + 4}" text-anchor="end">${escape(row.label)}</text>`
+      + `<rect x="${Math.min(zero, end)}" y="${y - 8}" width="${Math.abs(end - zero)}" height="16" fill="${ink[row.sign]}"/>`
+      + `<line x1="${end - reach}" x2="${end + reach}" y1="${y}" y2="${y}" stroke="#222"/>`
+      + `<text x="${left + width + 70}" y="${y + 4}" text-anchor="end">${escape(withError(row.written))}</text>`;
+  });
+  const title = `${result().title}: ${[withError(result().written), result().unit].filter(Boolean).join(" ")}`;
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${left + width + 90}" height="${76 + step * rows.length}" font-family="sans-serif" font-size="13">`
+    + `<rect width="100%" height="100%" fill="white"/><text x="12" y="22" font-size="15">${escape(title)}</text>`
+    + `<text x="12" y="42" fill="#555">${escape(result().axis)}</text>${lines.join("")}</svg>\n`;
 }
 
 function csvText() {
@@ -203,9 +295,9 @@ function csvText() {
   const padded = (list, count) => Array.from({ length: count }, (_, index) => list?.[index] ?? "");
   const values = most((row) => row.value?.length ?? 0);
   const channels = most((row) => row.total.length);
-  const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "saliency", "saliency_error", ...numbered("gradient", channels), ...numbered("error", channels)];
+  const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "effect", "effect_error", ...numbered("gradient", channels), ...numbered("error", channels)];
   const lines = results.flatMap((one) => one.rows.map((row, index) => [
-    one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.saliency ?? "", row.error ?? "",
+    one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.effect ?? "", row.error ?? "",
     ...padded(row.total, channels), ...padded(row.totalError, channels)]));
   const cell = (one) => (/[",\r\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
   return `${[head, ...lines].map((line) => line.map(cell).join(",")).join("\r\n")}\r\n`;
@@ -217,7 +309,7 @@ function jsonText() {
     metric: { name: one.metric, value: one.value, standard_error: one.error },
     quantity: one.quantity,
     ranking: one.rows.map((row, index) => ({
-      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, saliency: row.saliency, saliency_error: row.error,
+      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, effect: row.effect, effect_error: row.error,
       total: row.total, total_error: row.totalError.length ? row.totalError : null,
       caution: row.caution === null ? null : one.cautions[row.caution],
     })),
@@ -231,9 +323,10 @@ function jsonText() {
 function drawResults() {
   const choices = results.map((one, index) => {
     const input = make("input", { type: "radio", name: "result", value: index, checked: index === 0 });
-    input.addEventListener("change", () => { state.current = index; leave(); drawResult(); });
+    input.addEventListener("change", () => { state.current = index; leave(); drawResult(); remember(); });
     return make("label", { class: "result" }, input, make("span", { class: "result-face" },
-      make("span", { class: "result-title" }, one.title), make("span", { class: "result-value" }, withError(one.written))));
+      make("span", { class: "result-title" }, one.title), make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
+      one.verdict ? make("span", { class: "result-verdict" }, one.verdict) : null));
   });
   byId("results").replaceChildren(...choices);
   byId("results").classList.toggle("single", results.length === 1);
@@ -264,9 +357,12 @@ function listen() {
     if (event.key === "Escape" && event.target !== byId("filter")) { leave(); select(nothing()); }
   });
   byId("opacity").addEventListener("input", drawOpacity);
-  for (const name of ["shared", "texels"]) byId(name).addEventListener("change", drawOverlay);
-  for (const input of document.querySelectorAll('[name="quantity"], [name="scale"]')) input.addEventListener("change", drawOverlay);
-  byId("filter").addEventListener("input", () => { state.filter = byId("filter").value; drawTable(); });
+  const repaint = () => { drawOverlay(); remember(); };
+  for (const name of BOXES) byId(name).addEventListener("change", repaint);
+  for (const input of document.querySelectorAll('[name="quantity"], [name="scale"]')) input.addEventListener("change", repaint);
+  byId("filter").addEventListener("input", () => { state.filter = byId("filter").value; drawTable(); remember(); });
+  byId("png").addEventListener("click", () => mapPicture().toBlob((blob) => downloadBlob("map.png", blob)));
+  byId("svg").addEventListener("click", () => download("effects.svg", "image/svg+xml", barsText()));
   byId("csv").addEventListener("click", () => download("attributions.csv", "text/csv", csvText()));
   byId("json").addEventListener("click", () => download("attributions.json", "application/json", jsonText()));
   new ResizeObserver(drawOutlines).observe(picture);
@@ -297,6 +393,7 @@ async function start() {
     return;
   }
   drawResults();
+  recall();
   listen();
   drawOpacity();
   drawResult();

@@ -36,7 +36,7 @@ function objectsOf(result, index) {
 function drawColumns(result, sort, choose) {
   const colours = result.rows.some((row) => row.channels === 3);
   const name = result.quantity.charAt(0).toUpperCase() + result.quantity.slice(1);
-  const columns = [["rank", "#"], ["label", "Parameter"], ["saliency", "Saliency"], ["gradient", colours ? `${name} (R G B)` : name]];
+  const columns = [["rank", "#"], ["label", "Parameter"], ["saliency", result.ranked], ["gradient", colours ? `${name} (R G B)` : name]];
   byId("columns").replaceChildren(...columns.map(([by, text]) => {
     const direction = sort.by === by ? (sort.reversed !== (by === "saliency" || by === "gradient") ? "descending" : "ascending") : "none";
     const arrow = make("span", { class: "arrow", "aria-hidden": "true" }, { ascending: "↑", descending: "↓", none: "" }[direction]);
