@@ -1,0 +1,141 @@
+"""Effects over ranges: what rankings, figures and groups compare."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from toy import ToyRenderer
+
+from scenecaptum import (
+    InputXGradientScene,
+    SceneAttribution,
+    SceneCaptumError,
+    SceneRenderer,
+    VanillaSceneGradient,
+    metrics,
+)
+
+
+def attribution(**other: object) -> SceneAttribution:
+    """Three parameters of different units: a colour, an index, and a radiance."""
+    values = {
+        "wall": torch.tensor([0.1, 0.2, -0.1]),
+        "glass": torch.tensor(1.5),
+        "lamp": torch.tensor([0.01, 0.02, 0.03]),
+    }
+    lamp = torch.tensor([10.0, 20.0, 0.0])
+    return SceneAttribution(
+        attributions=values,
+        standard_error={name: torch.full_like(value, 0.01) for name, value in values.items()},
+        metric_value=1.0,
+        covariance={name: 1e-4 * torch.eye(value.numel()) for name, value in values.items()},
+        extents={"wall": torch.ones(3), "glass": torch.tensor([0.5]), "lamp": lamp},
+        parameter_values={"wall": torch.full((3,), 0.5), "glass": torch.tensor(1.5), "lamp": lamp},
+        info={"metric": "m", "method": "VanillaSceneGradient", "replicates": 8, **other},
+    )
+
+
+def test_an_effect_is_the_sum_over_the_channels_times_their_ranges():
+    found = attribution().effects()
+    assert found == pytest.approx({"wall": 0.2, "glass": 0.75, "lamp": 0.5})
+    expected = {"wall": 0.01 * math.sqrt(3), "glass": 0.005, "lamp": 0.01 * math.hypot(10, 20)}
+    assert attribution().effects_error() == pytest.approx(expected)
+
+
+def test_rankings_compare_effects_and_the_mapping_holds_gradients():
+    one = attribution()
+    assert [row.name for row in one.ranking()] == ["glass", "lamp", "wall"]
+    assert one["wall"].tolist() == pytest.approx([0.1, 0.2, -0.1])
+    assert one.ranking()[0].total == pytest.approx((1.5,))
+
+
+def test_other_scales_compare_norms_per_unit_and_relative_changes():
+    one = attribution()
+    assert one.saliency("unit")["wall"] == pytest.approx(math.sqrt(0.06))
+    assert one.effects("value") == pytest.approx({"wall": 0.1, "glass": 2.25, "lamp": 0.5})
+    assert one.ranking(scale="unit")[0].name == "glass"
+
+
+def test_without_ranges_parameters_are_compared_per_unit():
+    one = attribution()
+    bare = SceneAttribution(one.attributions, None, 1.0, info=dict(one.info))
+    assert bare.scale_or_default() == "unit"
+    assert bare.saliency() == one.saliency("unit")
+    with pytest.raises(SceneCaptumError, match="needs the range of 'wall'"):
+        bare.ranking(scale="range")
+    with pytest.raises(SceneCaptumError, match="scale must be"):
+        one.ranking(scale="percent")
+
+
+def test_contributions_are_compared_as_they_are():
+    one = attribution(quantity="contribution")
+    assert one.effects() == one.effects("unit") == pytest.approx({"wall": 0.2, "glass": 1.5, "lamp": 0.06})
+
+
+def test_the_effect_of_a_light_is_its_contribution():
+    """From off to its value, to first order: the image is linear in the radiance."""
+    renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), spp=256)
+    metric = metrics.MeanLuminance()
+    effects = VanillaSceneGradient(renderer, metric).attribute(seed=3)
+    contributions = InputXGradientScene(renderer, metric).attribute(seed=3)
+    for name, effect in effects.effects().items():
+        assert effect == pytest.approx(contributions[name].sum().item(), rel=1e-4)
+
+
+def test_ranges_come_from_the_parameters_and_from_the_user():
+    glass = {"type": "sphere", "bsdf": {"type": "dielectric"}}
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+        "sky": {"type": "constant"},
+        "glass": glass,
+        "wall": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+    }
+    renderer = SceneRenderer(scene, "all", spp=1)
+    assert renderer.ranges["glass.bsdf.eta"] == (1.45, 1.95)
+    assert renderer.ranges["wall.bsdf.reflectance.value"] == (0.0, 1.0)
+    assert math.isinf(renderer.ranges["sky.radiance.value"][1])
+    narrow = SceneRenderer(scene, "all", spp=1, ranges={"reflectance": (0.2, 0.4), "*.eta": (1.5, 1.6)})
+    assert narrow.ranges["wall.bsdf.reflectance.value"] == (0.2, 0.4)
+    assert narrow.ranges["glass.bsdf.eta"] == (1.5, 1.6)
+    for ranges, message in (
+        ({"floor": (0, 1)}, "no input matches"),
+        ({"*.eta": (1.6, 1.5)}, "low < high"),
+        ({"*.eta": 1.5}, "low < high"),
+    ):
+        with pytest.raises(SceneCaptumError, match=message):
+            SceneRenderer(scene, "all", spp=1, ranges=ranges)
+
+
+def test_groups_add_effects_not_gradients_of_different_units():
+    renderer = ToyRenderer()
+    metric = torch.mean
+    single = VanillaSceneGradient(renderer, metric).attribute(seed=1)
+    grouped = VanillaSceneGradient(renderer, metric).attribute(seed=1, groups={"all": list(single)})
+    assert grouped["all"].item() == pytest.approx(sum(single.effects().values()), rel=1e-5)
+
+
+def test_a_saved_result_keeps_its_ranges(tmp_path):
+    one = attribution()
+    one.save(tmp_path / "one.npz")
+    assert SceneAttribution.load(tmp_path / "one.npz").effects() == pytest.approx(one.effects())
+
+
+def test_arithmetic_carries_errors():
+    one = attribution()
+    double, total, half = 2 * one, one + one, one / 2
+    assert double.effects() == pytest.approx({name: 2 * effect for name, effect in one.effects().items()})
+    assert total.effects() == pytest.approx(double.effects())
+    assert half.metric_value == 0.5
+    assert half.effects_error()["glass"] == pytest.approx(one.effects_error()["glass"] / 2)
+    # Without common random numbers the errors of a sum are those of independent results.
+    assert total.effects_error()["glass"] == pytest.approx(math.sqrt(2) * one.effects_error()["glass"])
+
+
+def test_the_name_of_an_object_suggests_its_parameters():
+    with pytest.raises(KeyError, match=r"Did you mean 'floor\.reflectance\.value'"):
+        SceneAttribution({"floor.reflectance.value": torch.ones(3)}, None, 1.0)["floor"]
+    with pytest.raises(SceneCaptumError, match="indexed by a parameter's name"):
+        attribution()[0]

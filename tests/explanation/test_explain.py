@@ -1,0 +1,79 @@
+"""The sentences of an explanation, and their numbers at another seed."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from chance import allowed
+from seeds import shifted
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.explanation import explain
+from scenecaptum.validation import Scenes
+
+
+@pytest.fixture(scope="module")
+def office() -> SceneRenderer:
+    return SceneRenderer("office", "all", resolution=(64, 36), spp=128)
+
+
+@pytest.fixture(scope="module")
+def explained(office: SceneRenderer):
+    return explain(office, metrics.MeanLuminance(), changes=3, seed=shifted())
+
+
+def test_the_sky_matters_more_for_the_brightness_of_the_office_than_any_pane(explained):
+    names = [row.name for row in explained.attribution.ranking()]
+    sky = min(index for index, name in enumerate(names) if "sky" in name)
+    panes = [index for index, name in enumerate(names) if "pane" in name]
+    assert panes
+    assert sky < min(panes)
+
+
+def test_the_rendered_effects_hold_at_another_seed(office: SceneRenderer, explained):
+    metric = metrics.MeanLuminance()
+    scenes = Scenes(office, metric, None, seed=shifted(1000), spp=128, replicates=8)
+    clear = [change for change in explained.changes if change.is_clear]
+    assert clear
+    for change in clear:
+        differences = scenes.measure({change.name: change.after}) - scenes.unmodified
+        error = math.hypot((differences.std() / math.sqrt(len(differences))).item(), change.measured_error)
+        z = (differences.mean().item() - change.measured) / error
+        assert abs(z) < allowed(len(clear), 7), change.name
+
+
+def test_only_effects_that_are_clear_of_the_noise_are_stated(explained):
+    text = explained.text(width=100)
+    assert text.startswith("mean luminance = ")
+    assert "cd/m²" in text.splitlines()[0]
+    for row in explained.attribution.ranking():
+        if abs(row.effect) <= 2 * row.effect_error:
+            assert row.label not in text.split("What could not be told")[0]
+    assert all(len(line) <= 100 for line in text.splitlines())
+
+
+def test_a_result_explains_itself_without_rendering(office: SceneRenderer):
+    metric = metrics.UnifiedGlareRating(office.camera)
+    attribution = VanillaSceneGradient(office, metric).attribute(seed=shifted(), spp=32)
+    text = attribution.explain().text()
+    assert text.startswith("unified glare rating = ")
+    assert "EN 12464-1" in text.splitlines()[0]
+    assert "rendered again" not in text
+
+
+def test_glare_sources_are_named_by_their_objects(office: SceneRenderer):
+    found = explain(office, metrics.UnifiedGlareRating(office.camera), changes=0, spp=64, seed=shifted())
+    assert sum(source.share for source in found.sources) <= 1 + 1e-6
+    assert found.sources
+    assert all(source.name in found.attribution.surfaces.objects for source in found.sources)
+    assert "Glare comes from" in found.markdown()
+
+
+def test_a_texture_changes_within_its_bounds(office: SceneRenderer, explained):
+    for change in explained.changes:
+        low, high = office.bounds[change.name]
+        assert (change.after >= low).all()
+        assert (change.after <= high).all()
+        assert not torch.equal(change.before, change.after)
