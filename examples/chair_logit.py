@@ -46,7 +46,7 @@ def main(
     with torch.no_grad():
         brightness = metrics.MeanLuminance()(renderer(seed=1, spp=16)).item()
     logit = classifier(0.4 / brightness, random=random)
-    found = VanillaSceneGradient(renderer, logit).attribute(scale="range", seed=0)
+    found = VanillaSceneGradient(renderer, logit).attribute(seed=0)
     print(found)
     folder.mkdir(parents=True, exist_ok=True)
     found.plot_heatmap(signed=True).savefig(folder / "chair.png")

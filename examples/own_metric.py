@@ -39,7 +39,7 @@ class WeberContrast(torch.nn.Module):
 def main(resolution: tuple[int, int] = (160, 90), spp: int = 128) -> SceneAttribution:
     renderer = SceneRenderer("office", "all", resolution=resolution, spp=spp, max_depth=6)
     desk = torch.from_numpy(renderer.surfaces.shown(["desk.base_color.value"]))
-    found = VanillaSceneGradient(renderer, WeberContrast(desk)).attribute(scale="range", seed=0)
+    found = VanillaSceneGradient(renderer, WeberContrast(desk)).attribute(seed=0)
     print(found)
     return found
 

@@ -1,7 +1,7 @@
 """Measure how specific saliency is to its metric: brightness, glare and contrast of the office.
 
 All three are measured on the same renders, so that their rankings differ only because of the metrics. Prints
-Spearman's rank correlation of the signed attributions of two metrics; on the diagonal, that of a metric with
+Spearman's rank correlation of the signed effects on two metrics; on the diagonal, that of a metric with
 itself and another seed, which is the upper limit set by noise. Draws the rankings as bars, and the maps below.
 
     python examples/specificity.py [--out out/specificity] [--resolution 160x90] [--spp 128]
@@ -20,9 +20,9 @@ from scenecaptum.visualization import plot_specificity
 
 
 def rank_correlation(a: SceneAttribution, b: SceneAttribution) -> float:
-    """Return Spearman's correlation of the signed attributions, channels and texels added up."""
-    totals = torch.tensor([[attribution[name].sum() for name in a] for attribution in (a, b)])
-    return torch.corrcoef(totals.argsort().argsort().float())[0, 1].item()
+    """Return Spearman's correlation of the signed effects."""
+    effects = torch.tensor([[attribution.effects()[name] for name in a] for attribution in (a, b)])
+    return torch.corrcoef(effects.argsort().argsort().float())[0, 1].item()
 
 
 def main(
@@ -39,7 +39,7 @@ def main(
     }
     found, again = (
         {
-            name: VanillaSceneGradient(renderer, metric).attribute(scale="range", seed=seed)
+            name: VanillaSceneGradient(renderer, metric).attribute(seed=seed)
             for name, metric in chosen.items()
         }
         for seed in (0, 1)

@@ -23,19 +23,19 @@ def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 128) 
     )
     glare = metrics.UnifiedGlareRating(renderer.camera)
     method = VanillaSceneGradient(renderer, glare)
-    before = method.attribute(scale="range", seed=0)
+    before = method.attribute(seed=0)
     lighter = {
         name: (1.5 * value).clamp(max=0.85)
         for name, value in renderer.inputs.items()
         if name.startswith(("wall_", "floor."))
     }
-    after = method.attribute({**renderer.inputs, **lighter}, scale="range", seed=0)
+    after = method.attribute({**renderer.inputs, **lighter}, seed=0)
     change = after - before
     for name, design in (("as it is", before), ("with lighter walls and floor", after)):
         print(f"UGR {design.metric_value:.2f} ± {design.metric_standard_error:.1g} {name}")
-    print("\nLargest changes of the attributions, over the range of each parameter:")
+    print("\nLargest changes of the effects, over the range of each parameter:")
     for row in change.ranking(top=5):
-        print(f"  {row.label:28s} {sum(row.total):+.2f} ± {row.saliency_error:.1g}")
+        print(f"  {row.label:28s} {row.effect:+.2f} ± {row.effect_error:.1g}")
     folder.mkdir(parents=True, exist_ok=True)
     plot_rank_comparison(before, after).savefig(folder / "ranks.png")
     print(f"\n{folder / 'ranks.png'}  the rankings of both designs")

@@ -1,7 +1,7 @@
 """Attribute the brightness and the glare of the office to its lamps.
 
-With ``scale="value"`` a lamp's attribution is its contribution: mean luminance is linear in the light, so the
-contributions of all lamps add up to the whole. The glare rating is not linear: a lamp out of sight lowers it.
+The effect of a radiance over its range, from off to its value, is the contribution of the lamp: mean luminance is
+linear in the light, so the contributions of all lamps add up to the whole. The glare rating is not linear: a lamp out of sight lowers it.
 
     python examples/which_lamp.py [--resolution 160x90] [--spp 128]
 """
@@ -20,14 +20,14 @@ def main(resolution: tuple[int, int] = (160, 90), spp: int = 128) -> dict[str, S
         "UGR": metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5),
     }
     found = {
-        name: VanillaSceneGradient(renderer, metric).attribute(scale="value", groups="material", seed=0)
+        name: VanillaSceneGradient(renderer, metric).attribute(groups="material", seed=0)
         for name, metric in chosen.items()
     }
     for name, lamps in found.items():
         print(f"\n{name} {lamps.metric_value:.3f} ± {lamps.metric_standard_error:.1g}")
         for lamp in lamps.ranking():
-            print(f"  {lamp.label:20s} {lamp.total[0]:+8.3f} ± {lamp.saliency_error:.1g}")
-        print(f"  {'all of them':20s} {sum(sum(lamp.total) for lamp in lamps.ranking()):+8.3f}")
+            print(f"  {lamp.label:20s} {lamp.effect:+8.3f} ± {lamp.effect_error:.1g}")
+        print(f"  {'all of them':20s} {sum(lamp.effect for lamp in lamps.ranking()):+8.3f}")
     return found
 
 
