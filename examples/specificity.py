@@ -38,10 +38,7 @@ def main(
         "desk's contrast": WeberContrast(desk),
     }
     found, again = (
-        {
-            name: VanillaSceneGradient(renderer, metric).attribute(seed=seed)
-            for name, metric in chosen.items()
-        }
+        {name: VanillaSceneGradient(renderer, metric).attribute(seed=seed) for name, metric in chosen.items()}
         for seed in (0, 1)
     )
     correlations = {

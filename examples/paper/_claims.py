@@ -211,7 +211,7 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
 
 
 def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
-    """Find the most salient parameters that are not visible."""
+    """Find the parameters with the largest effects that are not visible."""
     section = Section(
         "Parameters outside the image",
         "Saliency is defined in parameter space: parameters that influence the metric need not be visible.",
@@ -219,7 +219,7 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
     rows = []
     for name, metric in itertools.product([*rooms, TURNED], ("mean luminance", "UGR")):
         room = load(name, "all", size.small, size.spp)
-        found = VanillaSceneGradient(room.renderer, room.metrics[metric]).attribute(seed=0, scale="value")
+        found = VanillaSceneGradient(room.renderer, room.metrics[metric]).attribute(seed=0)
         ranking = found.ranking()
         hidden = [row for row in ranking if not room.renderer.surfaces.shown([row.name]).any()]
         if not (hidden and hidden[0].saliency):
@@ -233,20 +233,20 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
                 folder,
                 f"unseen-{name.replace(' ', '-')}-{metric.replace(' ', '-')}",
                 found.plot_heatmap(),
-                f"{name}: saliency for {metric}; below the image, parameters that it does not show",
+                f"{name}: effects on {metric}; below the image, parameters that it does not show",
             )
     section.measured = table(
         [
             "room",
             "metric",
-            "most salient parameter that no pixel shows",
+            "largest effect that no pixel shows",
             "rank",
-            "relative to the most salient",
+            "relative to the largest",
         ],
         rows,
     )
     section.difference = (
-        f"Saliency is per relative change here. In the view {TURNED} the sky is behind the camera, and among the "
+        f"Effects are compared over the ranges of the parameters. In the view {TURNED} the sky is behind the camera, and among the "
         "most salient parameters nevertheless. A map leaves out parameters that no pixel shows, and states their "
         "share of the saliency; the ranking and the report include them."
     )

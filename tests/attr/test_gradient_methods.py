@@ -159,12 +159,13 @@ def test_gradient_shap_is_the_mean_of_integrated_gradients_over_the_baselines():
 
 def test_scales_are_factors():
     renderer = Glowing()
-    unit, of_range, of_value = (
-        VanillaSceneGradient(renderer, sigmoid).attribute(scale=scale) for scale in ("unit", "range", "value")
-    )
-    torch.testing.assert_close(of_range["x"], unit["x"])
-    torch.testing.assert_close(of_range["y"], 1.5 * unit["y"])  # no upper bound: its value replaces the range
-    torch.testing.assert_close(of_value["x"], renderer.inputs["x"] * unit["x"])
+    found = VanillaSceneGradient(renderer, sigmoid).attribute()
+    total = {name: channel_totals(value) for name, value in found.items()}
+    of_range, of_value = found.effects("range"), found.effects("value")
+    assert of_range["x"] == pytest.approx(total["x"].sum().item())
+    # No upper bound: its value replaces the range.
+    assert of_range["y"] == pytest.approx((1.5 * total["y"]).sum().item())
+    assert of_value["x"] == pytest.approx((renderer.inputs["x"] * total["x"]).sum().item())
 
 
 def test_several_targets_come_from_the_same_renders():
@@ -390,7 +391,10 @@ def test_groups_add_up_their_members_and_their_errors(box):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda r: VanillaSceneGradient(r, sigmoid).attribute(scale="log"), 'scale must be "unit"'),
+        (
+            lambda r: VanillaSceneGradient(r, sigmoid).attribute().ranking(scale="log"),
+            'scale must be "range"',
+        ),
         (
             lambda r: IntegratedGradientsScene(r, sigmoid).attribute(method="gauss"),
             "Use one of gausslegendre",

@@ -507,7 +507,7 @@ def test_heatmap_shows_a_group_where_any_member_is(cornell_small):
     walls = torch.from_numpy(one.surfaces.shown([n for n in cornell_small.inputs if "_wall" in n]))
     whole = walls == 1
     assert whole.any()
-    torch.testing.assert_close(one.heatmap(scale="linear")[whole], torch.full((int(whole.sum()),), expected))
+    torch.testing.assert_close(one.heatmap(norm="linear")[whole], torch.full((int(whole.sum()),), expected))
 
 
 # ------------------------------------------------------------------------------------------ baselines and groups

@@ -18,6 +18,7 @@ from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, a
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import (
     Budget,
+    Compared,
     Goal,
     Planner,
     Point,
@@ -411,7 +412,7 @@ def search(monkeypatch, ball, seed, tiny=5.0, ball_size=0.6, renderer=None, **go
         [TargetedMetric(torch.mean)],
         None,
         Point({name: torch.zeros(channels) for name, channels in ROOM.items()}),
-        None,
+        Compared(),
         Goal(**asked),
         Sampling(seed, 128, replicates=8),
     )

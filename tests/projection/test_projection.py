@@ -15,7 +15,7 @@ from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
 from scenecaptum.projection._cryptomatte import identifier, murmur3
 
-relative = partial(heatmap, scale="linear")  # in proportion to the saliencies
+relative = partial(heatmap, norm="linear")  # in proportion to the saliencies
 
 
 def attribution(parameters: tuple[tuple[str, ...], ...], **saliency: float) -> SceneAttribution:
@@ -74,7 +74,7 @@ def test_without_a_scene_there_is_no_map():
 
 def test_map_of_a_real_scene_equals_the_saliency_of_the_object_at_each_pixel(cornell):
     result = VanillaSceneGradient(cornell, metrics.MeanLuminance()).attribute(replicates=1)
-    painted, surfaces = result.heatmap(scale="linear"), cornell.surfaces
+    painted, surfaces = result.heatmap(norm="linear"), cornell.surfaces
     assert painted.shape == (32, 32)
     assert 0 <= painted.min() < painted.max() <= 1
     saliency = result.saliency()
@@ -110,15 +110,15 @@ def test_a_logarithmic_map_shows_the_decades_below_its_maximum():
     result = attribution((("a",), ("b",), ("hidden",)), a=1.0, b=-0.98, hidden=100.0)
     expected = torch.tensor([[1 / 3, 0.0]])
     torch.testing.assert_close(
-        relative(result, scale="log", signed=True, decades=3), expected, atol=1e-5, rtol=0
+        relative(result, norm="log", signed=True, decades=3), expected, atol=1e-5, rtol=0
     )
-    torch.testing.assert_close(relative(result, scale="log", decades=4)[0, 0], torch.tensor(0.5))
+    torch.testing.assert_close(relative(result, norm="log", decades=4)[0, 0], torch.tensor(0.5))
     minus = dataclasses.replace(result, attributions={n: -v for n, v in result.items()})
     torch.testing.assert_close(
-        relative(minus, scale="log", signed=True), -relative(result, scale="log", signed=True)
+        relative(minus, norm="log", signed=True), -relative(result, norm="log", signed=True)
     )
     nothing = attribution((("a",), ("b",)), a=0.0, b=0.0)
-    assert not relative(nothing, scale="log", signed=True).any()
+    assert not relative(nothing, norm="log", signed=True).any()
 
 
 def test_maps_with_a_shared_maximum_can_be_compared():

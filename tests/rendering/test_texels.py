@@ -284,8 +284,8 @@ def test_a_uniform_gradient_of_a_mesh_is_painted_uniformly(mi: Any, attribute: s
     even = torch.from_numpy(share_of(attribute)[:, None] * np.float32([1.0, 0.5, 0.2])).float()
     for surfaces in (renderer.surfaces_with_texels(), renderer.see_through()):
         result = SceneAttribution({name: even}, standard_error=None, metric_value=1.0, surfaces=surfaces)
-        texel_by_texel = heatmap(result, texels=True, scale="linear")
-        torch.testing.assert_close(texel_by_texel, heatmap(result, scale="linear"), rtol=0, atol=1e-5)
+        texel_by_texel = heatmap(result, texels=True, norm="linear")
+        torch.testing.assert_close(texel_by_texel, heatmap(result, norm="linear"), rtol=0, atol=1e-5)
         assert (texel_by_texel > 0.5).sum() > 30
     mirrored = renderer.see_through().shown([name]) - renderer.surfaces.shown([name])
     assert (mirrored > 0.9).sum() > 5, "the mirror shows the tent"
@@ -351,7 +351,7 @@ def painted_floor(room: SceneRenderer, gradient: torch.Tensor) -> torch.Tensor:
     result = SceneAttribution(
         {FLOOR: gradient}, standard_error=None, metric_value=1.0, surfaces=room.surfaces_with_texels()
     )
-    return heatmap(result, texels=True, scale="linear")
+    return heatmap(result, texels=True, norm="linear")
 
 
 def test_a_block_of_texels_is_painted_where_it_changes_the_image(room: SceneRenderer) -> None:
@@ -370,7 +370,7 @@ def test_a_uniform_gradient_of_texels_is_painted_like_a_plain_colour(room: Scene
     result = SceneAttribution(
         {FLOOR: even}, standard_error=None, metric_value=1.0, surfaces=room.surfaces_with_texels()
     )
-    painted, plain = (heatmap(result, texels=texels, scale="linear") for texels in (True, False))
+    painted, plain = (heatmap(result, texels=texels, norm="linear") for texels in (True, False))
     torch.testing.assert_close(painted, plain, rtol=0, atol=1e-5)
 
 

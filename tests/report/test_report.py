@@ -138,7 +138,7 @@ def test_objects_are_coloured_as_in_the_heatmap(tmp_path):
     write_report(attribution, tmp_path / "report.html")
     (result,) = data_of(tmp_path / "report.html")["results"]
     painted = torch.tensor([one["magnitude"] for one in result["objects"]]) / result["largest"]
-    shown = heatmap(attribution, scale="linear")
+    shown = heatmap(attribution, norm="linear")
     for index, (line, column) in enumerate([(8, 0), (0, 0), (0, 10), (0, 15)]):
         assert float(painted[index]) == pytest.approx(float(shown[line, column]), rel=1e-5)
     # Raising all parameters of the chair raises the metric, although one of them lowers it.
@@ -174,7 +174,7 @@ def test_texels_are_coloured_as_in_the_heatmap(tmp_path):
     for name, zero, top in (("magnitude", 0, 255), ("signed", 128, 127)):
         roots = np.frombuffer(zlib.decompress(base64.b64decode(texels[name])), np.uint8).astype(float) - zero
         painted = np.sign(roots) * (roots / top) ** 4
-        expected = attribution.heatmap(texels=True, signed=name == "signed", scale="linear").numpy().ravel()
+        expected = attribution.heatmap(texels=True, signed=name == "signed", norm="linear").numpy().ravel()
         # Rounding error: half a step of the square root.
         np.testing.assert_allclose(
             np.abs(painted) ** 0.25 * np.sign(painted),

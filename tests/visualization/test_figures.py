@@ -171,7 +171,7 @@ def test_invalid_overlays_are_refused() -> None:
 )
 def test_scales_map_values_and_label_the_legend(scale: Any, place_of: Any) -> None:
     figure = plot_heatmap(make(), scale=scale)
-    relative = make().heatmap(scale="linear").numpy()
+    relative = make().heatmap(norm="linear").numpy()
     np.testing.assert_allclose(figure.axes[1].images[0].get_array(), place_of(relative), rtol=1e-5)
     assert figure.axes[1].images[0].get_clim() == (0, 1)
     labels = [float(label.get_text()) for label in figure.axes[2].get_yticklabels()]

@@ -272,7 +272,7 @@ class Run:
                 "method": self.method,
                 "metric": metric.name,
                 "measure": None if metric.measure is None else metric.measure.describe(),
-                "verdict": metric.verdict(adjoints.value, evaluation.image),
+                "verdict": evaluation.metric.verdict(adjoints.value, evaluation.image),
                 "seed": self.settings.seed,
                 "spp": gradients.budget.total,
                 "budget": _budget_info(gradients),
