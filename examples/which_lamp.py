@@ -1,7 +1,8 @@
 """Attribute the brightness and the glare of the office to its lamps.
 
 The effect of a radiance over its range, from off to its value, is the contribution of the lamp: mean luminance is
-linear in the light, so the contributions of all lamps add up to the whole. The glare rating is not linear: a lamp out of sight lowers it.
+linear in the light, so the contributions of all lamps add up to the whole. The glare rating is not linear: a lamp
+out of sight lowers it.
 
     python examples/which_lamp.py [--resolution 160x90] [--spp 128]
 """

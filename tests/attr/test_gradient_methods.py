@@ -25,7 +25,7 @@ from scenecaptum import (
 )
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.attr._quadrature_error import covariance_of_quadrature
-from scenecaptum.estimation import Budget
+from scenecaptum.estimation import Budget, channel_totals
 
 # Captum warns when it sets requires_grad on detached inputs.
 pytestmark = pytest.mark.filterwarnings("ignore:Input Tensor .* did not already require gradients")
