@@ -10,6 +10,7 @@ from .. import __version__
 from ..errors import SceneCaptumError
 from . import (
     _attribute,
+    _compare,
     _demo,
     _doctor,
     _explain,
@@ -23,6 +24,7 @@ from . import (
 COMMANDS = (
     _explain,
     _attribute,
+    _compare,
     _optimize,
     _validate,
     _tradeoff,

@@ -44,6 +44,24 @@ function drawOpacity() {
   byId("opacity-value").textContent = `${byId("opacity").value} %`;
 }
 
+/** The result to compare the picture with: the next one with another picture of the same size. */
+function otherResult() {
+  const ahead = results.map((_, step) => results[(state.current + 1 + step) % results.length]);
+  return ahead.find((one) => one.picture !== result().picture && views[one.view].width === view().width && views[one.view].height === view().height);
+}
+
+/** Show the other picture on the left of the split. */
+function drawSplit() {
+  const other = otherResult();
+  const share = other ? Number(byId("split").value) : 0;
+  byId("split-choice").hidden = !other;
+  byId("other").hidden = share === 0;
+  if (other) byId("other").src = data.pictures[other.picture];
+  byId("other").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
+  byId("overlay").style.clipPath = `inset(0 0 0 ${share}%)`;
+  byId("split-value").textContent = share === 0 ? "" : other.title;
+}
+
 function drawMarks() {
   paintShade(byId("shade"), view(), state.selection.objects);
   drawOutlines();
@@ -65,6 +83,7 @@ function drawResult() {
   byId("shared-choice").hidden = results.filter(isAlike).length < 2;
   document.querySelector('[value="signed"]').disabled = !result().signs;
   drawExplanation(result());
+  drawSplit();
   drawOverlay();
   drawTable();
   drawNotes(result());
@@ -357,6 +376,7 @@ function listen() {
     if (event.key === "Escape" && event.target !== byId("filter")) { leave(); select(nothing()); }
   });
   byId("opacity").addEventListener("input", drawOpacity);
+  byId("split").addEventListener("input", drawSplit);
   const repaint = () => { drawOverlay(); remember(); };
   for (const name of BOXES) byId(name).addEventListener("change", repaint);
   for (const input of document.querySelectorAll('[name="quantity"], [name="scale"]')) input.addEventListener("change", repaint);
