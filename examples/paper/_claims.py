@@ -247,8 +247,8 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
     )
     section.difference = (
         f"Effects are compared over the ranges of the parameters. In the view {TURNED} the sky is behind the "
-        "camera, and among the largest effects nevertheless. A map leaves out parameters that no pixel shows, and states "
-        "their effect; the ranking and the report include them."
+        "camera, and among the largest effects nevertheless. A map leaves out parameters that no pixel shows, and "
+        "states their effect; the ranking and the report include them."
     )
     return section
 
