@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import tomllib
 import torch
 
 from ..errors import SceneCaptumError, near_misses
@@ -67,7 +66,7 @@ def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dic
 
 def _read(path: Path) -> Mapping[str, Any]:
     """Read a file of names and values; tables in TOML are parts of names."""
-    parse = tomllib.loads if path.suffix == ".toml" else json.loads
+    parse = _toml_parser() if path.suffix == ".toml" else json.loads
     try:
         found = parse(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -80,6 +79,16 @@ def _read(path: Path) -> Mapping[str, Any]:
             f'The design {path} must be names with values, such as {{"desk.roughness.value": 0.3}}.'
         )
     return _flat(found)
+
+
+def _toml_parser() -> Callable[[str], Any]:
+    try:
+        import tomllib
+    except ImportError as error:
+        raise SceneCaptumError(
+            "Designs in TOML need Python 3.11 or newer: write the design as JSON."
+        ) from error
+    return tomllib.loads
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
