@@ -133,13 +133,17 @@ class SceneAttribution(AttributionData):
 
     def __mul__(self, factor: float) -> SceneAttribution:
         """Return the attribution of a multiple of the metric."""
-        return multiply(self, float(factor)) if isinstance(factor, Real) else NotImplemented
+        if not isinstance(factor, Real):
+            return NotImplemented
+        return multiply(self, float(factor))
 
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: float) -> SceneAttribution:
         """Return the attribution of the metric divided by a number."""
-        return multiply(self, 1 / float(divisor)) if isinstance(divisor, Real) else NotImplemented
+        if not isinstance(divisor, Real):
+            return NotImplemented
+        return multiply(self, 1 / float(divisor))
 
     def _check_matches(self, other: SceneAttribution) -> None:
         if set(self) != set(other) or any(self[name].shape != other[name].shape for name in self):

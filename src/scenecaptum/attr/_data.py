@@ -169,7 +169,7 @@ class AttributionData(Mapping[str, torch.Tensor]):
             return self.effects_error(scale)
         return {name: _norm_error(channel_totals(self[name]), self.covariance[name]) for name in self}
 
-    def ranks_by_norm(self, scale: Scale | None) -> bool:
+    def ranks_by_norm(self, scale: Scale | None = None) -> bool:
         """Whether parameters are ranked by the norm over their channels, which have no common unit."""
         return self.kind.is_gradient_per_unit and self.scale_or_default(scale) == "unit"
 

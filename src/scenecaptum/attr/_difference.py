@@ -20,8 +20,8 @@ def multiply(a: A, factor: float) -> A:
     """Return a multiple of an attribution: of the same metric times the factor."""
     size = abs(factor)
 
-    def times(tensors: Tensors | None, by: float) -> dict[str, torch.Tensor] | None:
-        return None if tensors is None else {name: by * value for name, value in tensors.items()}
+    def times(tensors: Tensors, by: float) -> dict[str, torch.Tensor]:
+        return {name: by * value for name, value in tensors.items()}
 
     info = {key: value for key, value in a.info.items() if key not in ("verdict", "metric_bias")}
     if a.info.get("explained") is not None:
@@ -29,11 +29,11 @@ def multiply(a: A, factor: float) -> A:
     return dataclasses.replace(
         a,
         attributions=times(a.attributions, factor),
-        standard_error=times(a.standard_error, size),
-        bias=times(a.bias, factor),
-        quadrature_error=times(a.quadrature_error, size),
+        standard_error=None if a.standard_error is None else times(a.standard_error, size),
+        bias=None if a.bias is None else times(a.bias, factor),
+        quadrature_error=None if a.quadrature_error is None else times(a.quadrature_error, size),
         replicates=times(a.replicates, factor),
-        covariance=times(a.covariance, factor**2),
+        covariance=None if a.covariance is None else times(a.covariance, factor**2),
         convergence_delta=None if a.convergence_delta is None else factor * a.convergence_delta,
         convergence_delta_error=None
         if a.convergence_delta_error is None
