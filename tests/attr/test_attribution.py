@@ -191,14 +191,17 @@ def test_info_records_how_it_was_computed(cornell_attribution):
     assert {"scenecaptum", "torch", "mitsuba", "drjit", "python"} <= info["versions"].keys()
 
 
-def test_ranking_is_by_descending_norm(cornell_attribution):
+def test_ranking_is_by_descending_effect(cornell_attribution):
     rows = cornell_attribution.ranking()
     saliencies = [row.saliency for row in rows]
     assert saliencies == sorted(saliencies, reverse=True)
     assert [row.rank for row in rows] == list(range(1, len(rows) + 1))
     assert len(cornell_attribution.ranking(top=3)) == 3
     first = rows[0]
-    assert first.saliency == pytest.approx(cornell_attribution[first.name].norm().item())
+    assert first.saliency == pytest.approx(abs(cornell_attribution.effects()[first.name]))
+    norms = [row.saliency for row in cornell_attribution.ranking(scale="unit")]
+    assert norms == sorted(norms, reverse=True)
+    assert norms[0] == pytest.approx(max(value.norm().item() for value in cornell_attribution.values()))
 
 
 def test_texture_ranks_like_its_colour():

@@ -422,6 +422,8 @@ def test_a_range_takes_bounds():
     class Boundless(Glowing):
         bounds = None
 
-    for method, settings in ((VanillaSceneGradient, {"scale": "range"}), (SmoothGradScene, {})):
-        with pytest.raises(SceneCaptumError, match="require physical bounds"):
-            method(Boundless(), sigmoid).attribute(**settings)
+    with pytest.raises(SceneCaptumError, match="require physical bounds"):
+        SmoothGradScene(Boundless(), sigmoid).attribute()
+    found = VanillaSceneGradient(Boundless(), sigmoid).attribute()
+    with pytest.raises(SceneCaptumError, match="needs the range"):
+        found.ranking(scale="range")

@@ -118,10 +118,10 @@ def test_hidden_texels_are_means_whose_errors_cover_the_distance_to_the_values(o
 
 @pytest.mark.parametrize("texels", [False, True])
 @pytest.mark.parametrize("signed", [False, True])
-@pytest.mark.parametrize("scale", ["sqrt", "linear", "log"])
+@pytest.mark.parametrize("norm", ["sqrt", "linear", "log"])
 @pytest.mark.parametrize("parameter", [None, "wall"])
-def test_maps_are_the_same(original, loaded, texels, signed, scale, parameter):
-    options = {"texels": texels, "signed": signed, "scale": scale, "parameter": parameter}
+def test_maps_are_the_same(original, loaded, texels, signed, norm, parameter):
+    options = {"texels": texels, "signed": signed, "norm": norm, "parameter": parameter}
     torch.testing.assert_close(loaded.heatmap(**options), original.heatmap(**options), rtol=0, atol=1e-6)
 
 

@@ -51,7 +51,7 @@ def test_omitted_bars_and_missing_whiskers_are_noted() -> None:
     (axes,) = figure.axes
     assert len(axes.patches) == 3
     assert whiskers(axes) == []
-    assert "5 less salient parameters not shown" in all_text(figure)
+    assert "5 parameters with smaller effects not shown" in all_text(figure)
     assert "no error bars: 1 replicate" in all_text(figure)
     assert "not shown" not in all_text(plot_bars(make(), top=None))
 

@@ -59,9 +59,9 @@ def outside(figure: Any) -> list[str]:
     ("quantity", "said", "not_said"),
     [
         ("gradient per unit", "raising it lowers the metric", "takes from"),
-        ("gradient × range", "raising it lowers the metric", "takes from"),
+        ("effect over the range", "raising it lowers the metric", "takes from"),
         ("mean gradient per unit", "raising it lowers the metric", "takes from"),
-        ("gradient × value", "takes from the metric", "raising"),
+        ("effect per relative change", "takes from the metric", "raising"),
         ("input × gradient", "takes from the metric", "raising"),
         ("contribution", "takes from the metric", "raising"),
         ("effect of ablation", "takes from the metric", "raising"),
@@ -78,7 +78,7 @@ def test_the_legend_says_what_a_sign_means(quantity: str, said: str, not_said: s
 def test_contributions_without_a_named_quantity_add_or_take() -> None:
     text = all_text(plot_bars(dataclasses.replace(make(), convergence_delta=0.01)))
     assert "adds to the metric" in text
-    assert "saliency: contribution to Glare" in text
+    assert "contribution to Glare" in text
 
 
 @pytest.mark.parametrize("quantity", ["mean squared gradient per unit", "variance of the gradient per unit"])
@@ -104,7 +104,7 @@ def test_bars_of_zeros_are_labelled_and_have_no_sign() -> None:
     )
     figure = plot_bars(zero)
     text = all_text(figure)
-    assert "all saliencies are 0" in text
+    assert "all effects are 0" in text
     assert "raises" not in text
     assert "lost in the noise" not in text
     assert figure.axes[0].get_xlim() == (0, 1)
@@ -161,22 +161,22 @@ def test_invalid_overlays_are_refused() -> None:
         plot_overlay(make(), alpha=1.5)
     with pytest.raises(SceneCaptumError, match="no picture"):
         plot_overlay(dataclasses.replace(make(), image=None))
-    with pytest.raises(SceneCaptumError, match="scale must be one of 'sqrt', 'linear', 'log', not 'cubic'"):
-        plot_overlay(make(), scale="cubic")  # type: ignore[arg-type]
+    with pytest.raises(SceneCaptumError, match="norm must be one of 'sqrt', 'linear', 'log', not 'cubic'"):
+        plot_overlay(make(), norm="cubic")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("scale", "place_of"),
+    ("norm", "place_of"),
     [("sqrt", np.sqrt), ("linear", np.asarray), ("log", lambda x: 1 + np.log10(np.maximum(x, 1e-3)) / 3)],
 )
-def test_scales_map_values_and_label_the_legend(scale: Any, place_of: Any) -> None:
-    figure = plot_heatmap(make(), scale=scale)
+def test_scales_map_values_and_label_the_legend(norm: Any, place_of: Any) -> None:
+    figure = plot_heatmap(make(), norm=norm)
     relative = make().heatmap(norm="linear").numpy()
     np.testing.assert_allclose(figure.axes[1].images[0].get_array(), place_of(relative), rtol=1e-5)
     assert figure.axes[1].images[0].get_clim() == (0, 1)
     labels = [float(label.get_text()) for label in figure.axes[2].get_yticklabels()]
     np.testing.assert_allclose(figure.axes[2].get_yticks(), place_of(np.array(labels)), atol=1e-9)
-    assert (min(labels), max(labels)) == (0.001 if scale == "log" else 0, 1)
+    assert (min(labels), max(labels)) == (0.001 if norm == "log" else 0, 1)
 
 
 def test_maps_draw_into_given_axes() -> None:
@@ -193,8 +193,8 @@ def test_maps_draw_into_given_axes() -> None:
 
 def test_maps_of_zeros_are_labelled() -> None:
     zero = dataclasses.replace(make(), attributions={name: 0 * value for name, value in make().items()})
-    assert "all saliencies are 0" in all_text(plot_heatmap(zero))
-    assert "all saliencies are 0" not in all_text(plot_heatmap(make()))
+    assert "all effects are 0" in all_text(plot_heatmap(zero))
+    assert "all effects are 0" not in all_text(plot_heatmap(make()))
 
 
 def sized(height: int, width: int, base: SceneAttribution) -> SceneAttribution:

@@ -233,7 +233,7 @@ class SceneAttribution(AttributionData):
         return plot_overlay(self, ax=ax, **options)
 
     def plot_bars(
-        self, top: int | None = DEFAULT_TOP, *, scale: Scale | None = None, ax: Axes | None = None
+        self, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None, scale: Scale | None = None
     ) -> Figure:
         """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given."""
         from ..visualization import plot_bars

@@ -10,6 +10,7 @@ import torch
 from ..checkpoint import Folder
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Point, Stream, interpolated_point, random_generator
+from ..protocols import ResultKind
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
 from ._groups import Groups
@@ -102,7 +103,9 @@ class GradientShapScene(GradientMethod):
         images, *references = run.render_scenes([run.values, *starts], sums)
         results = [
             with_convergence(
-                run.result(metric, total, evaluation, gradients, interrupted),
+                run.result(
+                    metric, total, evaluation, gradients, interrupted, quantity=ResultKind.CONTRIBUTION.value
+                ),
                 metric_difference(evaluation.metric, images, references),
             )
             for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True)

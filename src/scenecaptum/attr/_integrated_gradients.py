@@ -8,6 +8,7 @@ import torch
 
 from ..checkpoint import Folder
 from ..estimation import DEFAULT_REPLICATES, Denoise, Method, interpolated_point, quadrature
+from ..protocols import ResultKind
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
 from ._groups import Groups
@@ -112,7 +113,8 @@ class IntegratedGradientsScene(GradientMethod):
         images, reference = run.render_scenes([run.values, start], sums)
         results = []
         for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True):
-            result = run.result(metric, total, evaluation, gradients, interrupted, quadrature=method)
+            info = {"quadrature": method, "quantity": ResultKind.CONTRIBUTION.value}
+            result = run.result(metric, total, evaluation, gradients, interrupted, **info)
             result = with_quadrature_error(result, rule, total, run.members)
             explained = metric_difference(evaluation.metric, images, [reference])
             results.append(with_convergence(result, explained, error_of_sum(rule, total)))

@@ -54,8 +54,8 @@ def plot_bars(
     attribution: Attribution,
     top: int | None = DEFAULT_TOP,
     *,
-    scale: Scale | None = None,
     ax: Axes | None = None,
+    scale: Scale | None = None,
 ) -> Figure:
     """Plot the ranking as horizontal bars of effects with standard errors, the largest on top.
 
@@ -106,7 +106,7 @@ def draw_bars(
     """Draw the bars, error bars and signs, and write the names."""
     signed = _is_signed(attribution, scale)
     positions = range(len(rows))
-    colors = [color_of(row, attribution) for row in rows]
+    colors = [color_of(row, attribution, scale) for row in rows]
     inaccurate = _inaccurate(attribution, rows)
     lengths = [row.effect if signed else row.saliency for row in rows]
     errors = [row.saliency_error for row in rows]
@@ -149,14 +149,14 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale:
     """Return legend entries for the colours of these rows' bars; bars of length 0 have none."""
     from matplotlib.patches import Patch
 
-    labels = sign_labels(attribution)
-    present = {color_of(row, attribution) for row in rows if row.saliency}
+    labels, signed = sign_labels(attribution), _is_signed(attribution, scale)
+    present = {color_of(row, attribution, scale) for row in rows if row.saliency}
     meanings = {UNCLEAR: "never negative: it has no sign"}
     if labels is not None:
         meanings = {
             RAISES: labels[0],
             LOWERS: labels[1],
-            UNCLEAR: "sign lost in the noise",
+            UNCLEAR: "sign lost in the noise" if signed else "channels disagree, or sign lost in the noise",
         }
     entries = [Patch(color=color, label=text) for color, text in meanings.items() if color in present]
     if any(_inaccurate(attribution, rows)):

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import whole_number
-from ..protocols import Attribution, RankedParameter
+from ..protocols import Attribution, RankedParameter, Scale
 from ._text import METRIC_WIDTH, method_name, metric_line, sign_labels
 
 if TYPE_CHECKING:
@@ -63,11 +63,18 @@ def first(rows: Sequence[T], top: int | None) -> Sequence[T]:
     return rows if top is None else rows[: whole_number("top", top)]
 
 
-def color_of(row: RankedParameter, attribution: Attribution) -> str:
-    """Return the colour of a row's sign: neutral if its effect is less than two standard errors from zero."""
-    if abs(row.effect) <= 2 * (row.effect_error or 0.0) or sign_labels(attribution) is None:
+def color_of(row: RankedParameter, attribution: Attribution, scale: Scale | None = None) -> str:
+    """Return the colour of a row's sign: neutral if its effect is less than two standard errors from zero.
+
+    Per unit, it is also neutral if channels disagree.
+    """
+    values, errors = [row.effect], [row.effect_error or 0.0]
+    if attribution.ranks_by_norm(scale):
+        values, errors = list(row.total), list(row.total_error or (0.0,) * len(row.total))
+    signs = {value > 0 for value, error in zip(values, errors, strict=True) if abs(value) > 2 * error}
+    if len(signs) != 1 or sign_labels(attribution) is None:
         return UNCLEAR
-    return RAISES if row.effect > 0 else LOWERS
+    return RAISES if signs.pop() else LOWERS
 
 
 def characters_per_line(inches: float, size: float) -> int:
