@@ -12,7 +12,6 @@ import torch
 from chance import allowed, binomial_margin
 from seeds import seeds, shifted
 from toy import ToyRenderer, log_mean
-from tqdm import tqdm
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, activate, cli, metrics
 from scenecaptum.attr import AttributionInterrupted
@@ -23,6 +22,7 @@ from scenecaptum.estimation import (
     Planner,
     Point,
     PointGradient,
+    Progress,
     Quantity,
     ReplicateStatistics,
     Rounds,
@@ -269,7 +269,7 @@ def test_rounds_together_propagate_the_adjoint_of_all_pictures():
 
     renderer, metric = NoisyPictures(), TargetedMetric(contrast)
     raw = TransformSelector(False, renderer)
-    with tqdm(disable=True) as bar:
+    with Progress("", show=False) as bar:
         rounds, total = (
             Rounds(renderer, [metric], raw, bar, seed=shifted(), time=TimeLimit(), picture_ratio=1.0),
             RoundSum(renderer.inputs),
@@ -691,7 +691,7 @@ def test_effect_of_depth_is_that_of_separate_renders(cornell):
     against = found.info["planner"]["against"]
     name = "floor.reflectance.value"
     long, short = (
-        VanillaSceneGradient(one, metric).attribute(seed=shifted(7), spp=512)[name].norm().item()
+        VanillaSceneGradient(one, metric).attribute(seed=shifted(7), spp=512).effects()[name]
         for one in (deeper, cornell)
     )
     # Longer paths add light, by several standard errors; separate renders agree on how much.

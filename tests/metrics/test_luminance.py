@@ -26,7 +26,7 @@ def test_luminance_of_white_is_one():
 
 def test_mean_luminance_is_linear_and_scales_with_the_efficacy():
     a, b = torch.rand(5, 7, 3), torch.rand(5, 7, 3)
-    metric = MeanLuminance()
+    metric = MeanLuminance(efficacy=1.0)
     torch.testing.assert_close(metric(2 * a + b), 2 * metric(a) + metric(b))
     torch.testing.assert_close(MeanLuminance(efficacy=179.0)(a), 179 * metric(a))
 
@@ -35,8 +35,8 @@ def test_mask_selects_pixels_and_may_weight_them():
     image = torch.rand(5, 7, 3)
     mask = torch.zeros(5, 7, dtype=torch.bool)
     mask[2, 3] = True
-    torch.testing.assert_close(MeanLuminance(mask=mask)(image), luminance(image)[2, 3])
-    torch.testing.assert_close(MeanLuminance(mask=torch.full((5, 7), 0.3))(image), MeanLuminance()(image))
+    torch.testing.assert_close(MeanLuminance(1.0, mask)(image), luminance(image)[2, 3])
+    torch.testing.assert_close(MeanLuminance(1.0, torch.full((5, 7), 0.3))(image), MeanLuminance(1.0)(image))
 
 
 def test_derivative_is_uniform_over_the_pixels():
