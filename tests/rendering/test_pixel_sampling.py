@@ -91,6 +91,22 @@ def test_sampled_pixels_do_not_depend_on_earlier_renders() -> None:
     torch.testing.assert_close(gradients(1.0, 0.2), gradients(0.2), rtol=1e-5, atol=1e-8)
 
 
+def test_an_adjoint_that_the_caller_changes_is_sampled_as_it_is_now() -> None:
+    """The renderer remembers the sampling of the latest adjoint, which may be the caller's own memory."""
+
+    def gradient(renderer: SceneRenderer, adjoint: torch.Tensor) -> torch.Tensor:
+        leaves = renderer.leaves()
+        image = renderer(leaves, seed=shifted(1), seed_grad=shifted(2))
+        return torch.autograd.grad(image, list(leaves.values()), adjoint)[0]
+
+    used, fresh = (SceneRenderer("cornell-box", "floor.*", resolution=(16, 16), spp=4) for _ in range(2))
+    adjoint = torch.zeros(16, 16, 3)
+    adjoint[:4] = 1.0
+    gradient(used, adjoint)
+    adjoint.copy_(adjoint.flip(0))
+    torch.testing.assert_close(gradient(used, adjoint), gradient(fresh, adjoint), rtol=1e-4, atol=1e-7)
+
+
 def test_chunks_contain_all_samples() -> None:
     for resolution, spp in (((64, 64), 16), ((1280, 720), 64), ((3840, 2160), 7), ((1280, 720), 5)):
         split = list(chunks(3, spp, resolution))

@@ -267,7 +267,8 @@ class Engine:
         assert film is not None
         # A linear metric has the same adjoint for all replicates.
         if self._latest_adjoint is None or not torch.equal(self._latest_adjoint[0], adjoint):
-            self._latest_adjoint = adjoint, film.rms_adjoint(adjoint)
+            # A copy: the caller may change its own.
+            self._latest_adjoint = adjoint.clone(), film.rms_adjoint(adjoint)
         magnitude = self._latest_adjoint[1]
 
         def arguments(chunk: Chunk) -> tuple[Any, ...]:

@@ -118,9 +118,8 @@ class FrozenFunction:
 
     def __init__(self, function: Callable[..., Any], reset: Callable[..., None]) -> None:
         self._function = function
-        self._reset = (
-            reset  # takes the arguments of a recording that has failed, and undoes what it accumulated
-        )
+        # Takes the arguments of a recording that has failed, and undoes what it accumulated.
+        self._reset = reset
         self._call = dr.freeze(function, state_fn=_registries, warn_after=1000, limit=MAX_RECORDINGS)
 
     def __call__(self, *arguments: Any) -> Any:

@@ -149,7 +149,7 @@ def _zeros(entries: int) -> tuple[Any, Any]:
 
 
 def _lengths(max_depth: int) -> int:
-    """Return the number of lengths that subpaths are told apart by; without a depth limit one is enough."""
+    """Return the number of entries of a subpath, one for each length; without a depth limit there is one."""
     return max_depth if max_depth < 2**31 else 1
 
 
