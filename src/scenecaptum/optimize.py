@@ -78,7 +78,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     -------
     >>> from scenecaptum import SceneRenderer, metrics, optimize
     >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(16, 16), spp=256)
-    >>> found = optimize.minimize(renderer, metrics.MeanLuminance(), below=0.15, top=2)
+    >>> found = optimize.minimize(renderer, metrics.MeanLuminance(), below=27, top=2)  # cd/m²
     >>> found.reached, len(found.moved)
     (True, 2)
 
@@ -321,7 +321,7 @@ class Optimization:
             history, "goal", (0, self.below), (3, -9), xycoords=("axes fraction", "data"), fontsize=SMALL
         )
         style_axes(history, self.metric, x="step", size=TEXT)
-        part.suptitle(self._outcome(), fontsize=TITLE, x=0.01, ha="left", parse_math=False)
+        part.suptitle(self.outcome, fontsize=TITLE, x=0.01, ha="left", parse_math=False)
         return figure_of(part)
 
     def __str__(self) -> str:
@@ -331,11 +331,13 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), f"{moved.fraction:.0%}")
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        return "\n".join([*grid(("moved", "before", "after", "of its range"), cells), "", self._outcome()])
+        return "\n".join([*grid(("moved", "before", "after", "of its range"), cells), "", self.outcome])
 
     __repr__ = __str__
 
-    def _outcome(self) -> str:
+    @property
+    def outcome(self) -> str:
+        """What was reached, in a sentence."""
         if self.reached:
             outcome = f"below the goal of {self.below:g}"
         elif self.after.value < self.below:

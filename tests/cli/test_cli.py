@@ -83,7 +83,7 @@ def test_numbers_agree_between_the_files(finished):
     loaded = SceneAttribution.load(out / "attribution.npz")
     assert [row["name"] for row in rows] == [row["name"] for row in numbers["ranking"]]
     assert [row.name for row in loaded.ranking()] == [row["name"] for row in rows]
-    assert float(rows[0]["saliency"]) == numbers["ranking"][0]["saliency"] > 0
+    assert float(rows[0]["effect"]) == numbers["ranking"][0]["effect"] != 0
     assert float(rows[0]["gradient_1"]) == numbers["ranking"][0]["total"][0]
     assert numbers["metric"]["value"] == loaded.metric_value
     assert numbers["info"]["replicates"] == 8
@@ -120,7 +120,7 @@ def test_glare_is_rated_for_the_selected_camera(tmp_path, capsys, sensor):
     out = tmp_path / "out"
     glare = ["--metric", "ugr", "--threshold-factor", "5", "--sensor", sensor]
     assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *glare]) == 0
-    assert "UnifiedGlareRating" in capsys.readouterr().out
+    assert "unified glare rating" in capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
 
 

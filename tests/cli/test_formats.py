@@ -73,7 +73,7 @@ def test_numbers_are_written_from_python(tmp_path: Path, errors: bool) -> None:
         rows = list(csv.DictReader(file))
     ranking = attribution.ranking()
     assert [row["name"] for row in rows] == [row["name"] for row in numbers["ranking"]]
-    assert [float(row["saliency"]) for row in rows] == [row.saliency for row in ranking]
+    assert [float(row["effect"]) for row in rows] == [row.effect for row in ranking]
     assert (rows[0]["error_1"] == "") is not errors
     assert numbers["metric"]["name"] == attribution.info["metric"]
 

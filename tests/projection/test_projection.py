@@ -80,7 +80,7 @@ def test_map_of_a_real_scene_equals_the_saliency_of_the_object_at_each_pixel(cor
     saliency = result.saliency()
     (floor,) = (n for n in saliency if n.startswith("floor."))
     whole = (surfaces.object_index == surfaces.objects.index("floor_shape")) & (surfaces.fraction == 1)
-    expected = saliency[floor] / max(saliency.values())
+    expected = saliency[floor] / shared_maximum([result])
     np.testing.assert_allclose(painted.flatten()[surfaces.pixel[whole]], expected, rtol=1e-5)
     assert whole.sum() > 20
 
@@ -137,8 +137,9 @@ def test_maps_with_a_shared_maximum_can_be_compared():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scale": "cubic"}, "scale must be one of 'sqrt', 'linear', 'log', not 'cubic'"),
-        ({"scale": "log", "decades": 0}, "decades must be positive"),
+        ({"norm": "cubic"}, "norm must be one of 'sqrt', 'linear', 'log', not 'cubic'"),
+        ({"scale": "cubic"}, 'scale must be "range", "unit" or "value", not'),
+        ({"norm": "log", "decades": 0}, "decades must be positive"),
         ({"maximum": -1.0}, "maximum must be finite and not negative"),
         ({"maximum": float("nan")}, "maximum must be finite and not negative"),
     ],

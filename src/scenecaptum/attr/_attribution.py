@@ -235,7 +235,10 @@ class SceneAttribution(AttributionData):
     def plot_bars(
         self, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None, scale: Scale | None = None
     ) -> Figure:
-        """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given."""
+        """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given.
+
+        ``scale`` as for ``ranking``.
+        """
         from ..visualization import plot_bars
 
         return plot_bars(self, top=top, scale=scale, ax=ax)

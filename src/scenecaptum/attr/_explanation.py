@@ -12,14 +12,15 @@ from ..protocols import Attribution
 from ..visualization import (
     axis_label,
     format_with_error,
-    grid,
     metric_line,
+    metric_symbol,
     metric_unit,
     noise_notes,
     pluralize,
     signed_with_error,
     terminal_width,
     verdict,
+    with_error,
     wrap,
 )
 
@@ -30,24 +31,26 @@ _PLAIN_WIDTH = 100  # of the lines, without a terminal
 
 @dataclass(frozen=True)
 class Source:
-    """A glare source.
+    """An object of the picture that the metric depends on, such as a glare source.
 
     Attributes
     ----------
     name
-        The object that it lies on.
+        The object.
     place
-        Where in the picture: ``"top left"``.
-    share
-        Of the sum over all sources, from 0 to 1.
+        The centre of its part in the picture: ``"top left"``.
+    share, share_error
+        Its share of the whole picture's part in the metric, from 0 to 1, and the standard error: of glare sources
+        the share of the sum of ``L² ω / P²``, of other metrics that of ``|∂M/∂I · I|``.
     luminance
-        In cd/m².
+        The largest luminance of its glare sources in cd/m²; None for other metrics.
     """
 
     name: str
     place: str
     share: float
-    luminance: float
+    share_error: float
+    luminance: float | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ class Explanation:
     attribution
         The result that is explained.
     sources
-        The glare sources, for a glare rating.
+        The objects of the picture that the metric depends on, the largest share first.
     changes
         Single changes, the largest effect first.
     goal
@@ -110,12 +113,16 @@ class Explanation:
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
+        is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
-            (self._verdict(), [f"caution: {note}" for note in noise_notes(self.attribution)]),
-            ("Glare comes from", self._source_lines()),
-            (f"What matters most: {axis_label(self.attribution)}", self._effect_lines()),
+            (self._verdict(), noise_notes(self.attribution)),
+            (
+                "Where the glare comes from" if is_glare else "What it sees in the picture",
+                self._source_lines(),
+            ),
+            (f"What it depends on: {axis_label(self.attribution)}", self._effect_lines()),
             ("What would change it", self._change_lines()),
-            ("To reach the goal", [] if self.goal is None else str(self.goal).splitlines()),
+            ("What reaches the goal", self._goal_lines()),
             ("What could not be told", self._unclear_lines()),
         ]
         return [section for index, section in enumerate(sections) if index == 0 or section[1]]
@@ -125,7 +132,8 @@ class Explanation:
         limit = width or terminal_width() or _PLAIN_WIDTH
         parts = []
         for heading, lines in self.sections():
-            parts.append("\n".join([wrap(heading, limit), *(f"  {line}" for line in lines)]))
+            listed = [f"  {wrap(line, limit - 2)}" for line in lines]
+            parts.append("\n".join([wrap(heading, limit), *listed]))
         return "\n\n".join(parts)
 
     def markdown(self) -> str:
@@ -133,7 +141,7 @@ class Explanation:
         (first, notes), *rest = self.sections()
         parts = [f"**{first}**", *notes]
         for heading, lines in rest:
-            parts.append("\n".join([f"### {heading}", "", "```text", *lines, "```"]))
+            parts.append("\n".join([f"### {heading}", "", *(f"- {line}" for line in lines)]))
         return "\n\n".join(parts) + "\n"
 
     def __str__(self) -> str:
@@ -144,59 +152,109 @@ class Explanation:
 
     def _verdict(self) -> str:
         means = verdict(self.attribution)
-        source = (self.attribution.info.get("measure") or {}).get("source")
         line = metric_line(self.attribution)
-        return f"{line}: {means}{f' ({source})' if source else ''}" if means else line
+        if not means:
+            return line
+        measure = self.attribution.info.get("measure") or {}
+        value, error = self.attribution.metric_value, self.attribution.metric_standard_error or 0.0
+        near = [limit for limit in measure.get("limits", []) if abs(value - limit) <= SIGNIFICANT * error]
+        doubt = f"; too close to {near[0]:g} to be sure" if near else ""
+        source = f" ({measure['source']})" if measure.get("source") else ""
+        return f"{line}: {means}{doubt}{source}"
 
     def _source_lines(self) -> list[str]:
-        rows = [
-            (source.name, f"{100 * source.share:.0f} %", source.place, f"{source.luminance:.3g} cd/m²")
+        return [
+            f"{source.name}, {source.place}: {_percent(source.share, source.share_error)}"
+            + ("" if source.luminance is None else f" of it, up to {_rounded(source.luminance)} cd/m²")
             for source in self.sources
+            if source.share > SIGNIFICANT * source.share_error
         ]
-        return grid(("object", "share", "in the picture", "luminance"), rows) if rows else []
 
     def _effect_lines(self) -> list[str]:
-        unit = metric_unit(self.attribution)
-        rows = [
-            (row.label, f"{signed_with_error(row.effect, row.effect_error)}{f' {unit}' if unit else ''}")
+        return [
+            f"{row.label}: {self._in_unit(signed_with_error(row.effect, row.effect_error))}"
             for row in self.attribution.ranking()
-            if abs(row.effect) > SIGNIFICANT * (row.effect_error or 0.0)
-        ]
-        return grid(("parameter", "effect"), rows[: self.count]) if rows else []
+            if _is_clear(row.effect, row.effect_error)
+        ][: self.count]
 
     def _change_lines(self) -> list[str]:
-        rows = [
-            (
-                change.label,
-                f"{_format(change.before)} → {_format(change.after)}",
-                signed_with_error(change.predicted, change.predicted_error),
-                "" if change.measured is None else signed_with_error(change.measured, change.measured_error),
-            )
-            for change in self.changes
-            if change.is_clear
+        return [self._change_line(change) for change in self.changes if change.is_clear]
+
+    def _change_line(self, change: Change) -> str:
+        predicted = signed_with_error(change.predicted, change.predicted_error)
+        step = f"{change.label} {_format(change.before)} → {_format(change.after)}"
+        if change.measured is None:
+            return f"{step}: {metric_symbol(self.attribution)} {self._in_unit(predicted)}, predicted"
+        value = self.attribution.metric_value
+        before, after = (
+            with_error(number, change.measured_error)[0] for number in (value, value + change.measured)
+        )
+        return (
+            f"{step}: {metric_symbol(self.attribution)} {before} → {self._in_unit(after)}, "
+            f"{signed_with_error(change.measured, change.measured_error)} rendered again, {predicted} predicted"
+        )
+
+    def _goal_lines(self) -> list[str]:
+        if self.goal is None:
+            return []
+        moved = [
+            f"{one.label} {_format(one.before)} → {_format(one.after)}, {one.fraction:.0%} of its range"
+            for one in self.goal.moved
         ]
-        return grid(("parameter", "from → to", "predicted", "rendered again"), rows) if rows else []
+        return [*moved, self.goal.outcome]
+
+    def _in_unit(self, number: str) -> str:
+        return f"{number} {metric_unit(self.attribution)}".rstrip()
 
     def _unclear_lines(self) -> list[str]:
         """Return how many effects are in the noise, and the samples that would resolve them."""
         rows = self.attribution.ranking()
         if self.attribution.covariance is None:
             return ["which effects are due to noise: there are no error bars"]
-        unclear = [row for row in rows if 0 < abs(row.effect) <= SIGNIFICANT * (row.effect_error or 0.0)]
-        clear = [row for row in rows if abs(row.effect) > SIGNIFICANT * (row.effect_error or 0.0)]
-        if not unclear or not clear:
-            return []
+        lines = [
+            f"{change.label} {_format(change.before)} → {_format(change.after)}: rendered again, the effect of "
+            f"{signed_with_error(change.measured or 0.0, change.measured_error)} is within its noise"
+            for change in self.changes
+            if not change.is_clear
+        ]
+        clear = [row for row in rows if _is_clear(row.effect, row.effect_error)]
+        unclear = [row for row in rows if row.effect != 0 and not _is_clear(row.effect, row.effect_error)]
+        if not clear:
+            return [
+                *lines,
+                *(
+                    [f"no effect of the {len(unclear)} is clear of the noise: use more samples"]
+                    if unclear
+                    else []
+                ),
+            ]
         smallest = min(abs(row.effect) for row in clear[: self.count])
         # An effect as large as the smallest that is stated may hide in the error of another.
         hiding = [row for row in unclear if SIGNIFICANT * (row.effect_error or 0.0) > smallest]
         if not hiding:
-            return []
+            return lines
         largest = max(row.effect_error or 0.0 for row in hiding)
         factor = math.ceil((SIGNIFICANT * largest / smallest) ** 2)
         return [
-            f"{pluralize(len(hiding), 'parameter')} may have an effect of {format_with_error(smallest, None)} or "
-            f"more within their errors; {factor} times the samples would tell"
+            *lines,
+            f"{pluralize(len(hiding), 'parameter')} may have an effect of "
+            f"{self._in_unit(format_with_error(smallest, None))} or more within the error; {factor} times the "
+            "samples would tell",
         ]
+
+
+def _is_clear(effect: float, error: float | None) -> bool:
+    return abs(effect) > SIGNIFICANT * (error or 0.0)
+
+
+def _percent(share: float, error: float) -> str:
+    return f"{format_with_error(100 * share, 100 * error)} %"
+
+
+def _rounded(number: float) -> str:
+    """Return a number with three significant digits, never with an exponent."""
+    digits = 2 - math.floor(math.log10(number)) if number > 0 else 0
+    return f"{round(number, digits):.{max(digits, 0)}f}"
 
 
 def _format(value: torch.Tensor) -> str:

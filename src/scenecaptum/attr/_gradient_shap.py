@@ -101,7 +101,6 @@ class GradientShapScene(GradientMethod):
         points = _points(noise, starts, count, seed)
         sums, gradients, interrupted = run.sums(points, count, pairs=1, random_points=True)
         images, *references = run.render_scenes([run.values, *starts], sums)
-        kind = ResultKind.CONTRIBUTION.value
         results = [
             with_convergence(
                 run.result(

@@ -78,23 +78,20 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     proposed = propose(
         renderer, attribution, values, -1 if better == "lower" else 1, whole_number("changes", changes, 0)
     )
-    if proposed:
-        scenes = Scenes(
-            renderer,
-            metric,
-            target,
-            seed=scenes_seed,
-            spp=spp,
-            replicates=replicates,
-            denoise=denoise_of(attribution),
-            values=inputs,
-        )
-        proposed = [rendered(scenes, change) for change in proposed]
-    assert attribution.image is not None
+    scenes = Scenes(
+        renderer,
+        metric,
+        target,
+        seed=scenes_seed,
+        spp=spp,
+        replicates=replicates,
+        denoise=denoise_of(attribution),
+        values=inputs,
+    )
     return Explanation(
         attribution,
-        sources=find_sources(metric, attribution.image, attribution.surfaces),
-        changes=tuple(proposed),
+        sources=find_sources(scenes.metric, scenes.images, attribution.surfaces),
+        changes=tuple(rendered(scenes, change) for change in proposed),
         goal=None
         if below is None
         else minimize(renderer, metric, below, seed=goal_seed, spp=spp, denoise=denoise),

@@ -126,7 +126,10 @@ class ClassLogit(torch.nn.Module):
         return self.measure_of(self.target)
 
     def verdict(self, image: torch.Tensor, target: int | tuple[int, ...] | None = None) -> str:
-        """Return the probability of the class (softmax) and, if another is more likely, which."""
+        """Return the probability of the class (softmax) and, if another is more likely, which.
+
+        ``image`` is an ``(H, W, 3)`` linear-radiance image, ``target`` the class if the metric has none itself.
+        """
         index = self.target if self.target is not None else target[0] if isinstance(target, tuple) else target
         with torch.no_grad():
             probabilities = self._logits(image).double().softmax(0)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import torch
-from tqdm import tqdm
 
 from ..attr import Result, Targets, target_list
 from ..checkpoint import Folder, Stopwatch, with_checkpoint
@@ -19,6 +18,7 @@ from ..estimation import (
     GradientEstimator,
     Metric,
     Point,
+    Progress,
     Stream,
     TargetedMetric,
     TransformSelector,
@@ -166,9 +166,8 @@ def sample_derivatives(problem: Problem, points: int) -> list[Derivatives]:
     total = None if spp is None else spp * count
     budget = Budget.split(total, _REPLICATES_PER_POINT * count, problem.seed, count)
     sampled: list[list[tuple[torch.Tensor, Adjoints]]] = []
-    with tqdm(
-        total=2 * sum(budget.replicates), disable=not problem.show_progress, desc="DGSM", unit="replicate"
-    ) as bar:
+    with Progress("DGSM", show=problem.show_progress) as bar:
+        bar.expect(sum(budget.replicates))
         selector = TransformSelector("auto", renderer)
         gradients = GradientEstimator(renderer, problem.metrics, budget, selector, bar)
         for index, row in enumerate(positions):

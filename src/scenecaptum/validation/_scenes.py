@@ -19,6 +19,7 @@ from ..estimation import (
     channel_totals,
     derived_seeds,
     input_values,
+    pseudo_values,
     require_memory,
     with_image_transform,
 )
@@ -32,7 +33,7 @@ class Scenes:
     """Evaluates a metric on modified scenes with common random numbers, so that noise cancels in differences.
 
     The parameters are those of ``VanillaSceneGradient``, with at least 2 ``replicates``. The image transform
-    (``denoise``) is chosen once, on the unmodified scene.
+    (``denoise``) is chosen once, on the unmodified scene, whose ``(replicates, H, W, 3)`` pictures are ``images``.
     """
 
     def __init__(
@@ -54,24 +55,26 @@ class Scenes:
         self.seeds = derived_seeds(seed, Stream.SCENES, count)
         self.spp = spp and math.ceil(spp / count)
         require_memory(renderer, [self.spp], count)
-        targeted, images = TargetedMetric(metric, target), self._images({})
-        (self.metric,) = with_image_transform([targeted], list(images), TransformSelector(denoise, renderer))
-        self.unmodified = self._pseudo_values(images)  # what ``measure`` returns for no changes
+        targeted, self.images = TargetedMetric(metric, target), self._render({})
+        (self.metric,) = with_image_transform(
+            [targeted], list(self.images), TransformSelector(denoise, renderer)
+        )
+        self.unmodified = self._pseudo_values(self.images)  # what ``measure`` returns for no changes
 
-    def _images(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    def _render(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         values = {**self.values, **changes}
         with torch.no_grad():
             return torch.stack([self.renderer(values, seed=seed, spp=self.spp) for seed in self.seeds])
 
     def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
-        return self._pseudo_values(self._images(changes))
+        return self._pseudo_values(self._render(changes))
 
     def _pseudo_values(self, images: torch.Tensor) -> torch.Tensor:
-        total, count = images.sum(0), len(images)
-        full = self.metric.value(total / count)
-        leave_one_out = [self.metric.value((total - image) / (count - 1)) for image in images]
-        return count * full - (count - 1) * torch.tensor(leave_one_out, dtype=torch.float64)
+        def value(kept: torch.Tensor) -> torch.Tensor:
+            return torch.tensor(self.metric.value(images[kept].mean(0)), dtype=torch.float64)
+
+        return pseudo_values(value, len(images))
 
 
 def denoise_of(attribution: SceneAttribution) -> Denoise:

@@ -20,6 +20,7 @@ from ..estimation import (
     GradientEstimator,
     Metric,
     Point,
+    Progress,
     Stream,
     TransformSelector,
     delete_one_jackknife,
@@ -157,9 +158,8 @@ class _BlackBox(Problem):
 def _local(black_box: _BlackBox, top: int) -> list[SensitivityIndex]:
     watch = Stopwatch(black_box.renderer)
     budget = Budget.split(black_box.spp, DEFAULT_REPLICATES, black_box.seed)
-    with tqdm(
-        total=2 * budget.replicates[0], disable=not black_box.show_progress, desc="gradient", unit="replicate"
-    ) as bar:
+    with Progress("gradient", show=black_box.show_progress) as bar:
+        bar.expect(budget.replicates[0])
         transform_selector = TransformSelector("auto", black_box.renderer)
         gradients = GradientEstimator(black_box.renderer, black_box.metrics, budget, transform_selector, bar)
         point = Point(black_box.values, factors=position_factors(black_box.scalars))

@@ -65,6 +65,7 @@ from ._text import convergence_notes as convergence_notes
 from ._text import method_name as method_name
 from ._text import metric_line as metric_line
 from ._text import metric_name as metric_name
+from ._text import metric_symbol as metric_symbol
 from ._text import metric_unit as metric_unit
 from ._text import noise_notes as noise_notes
 from ._text import pack as pack

@@ -28,6 +28,11 @@ def metric_name(attribution: Attribution, width: int | None = None) -> str:
     return name if width is None else shorten([name], width)[0]
 
 
+def metric_symbol(attribution: Attribution) -> str:
+    """Return the metric's usual abbreviation, such as ``"UGR"``, or its name."""
+    return str(_measure(attribution).get("symbol") or metric_name(attribution))
+
+
 def metric_unit(attribution: Attribution) -> str:
     """Return the metric's unit; empty if it has none, or none is known."""
     return str(_measure(attribution).get("unit") or "")
