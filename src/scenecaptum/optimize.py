@@ -38,7 +38,10 @@ from .visualization import (
     figure_of,
     format_with_error,
     grid,
+    metric_symbol,
+    metric_unit,
     new_figure,
+    rounded,
     shorten,
     style_axes,
     write_at,
@@ -126,12 +129,12 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     count = whole_number("steps", steps)
     ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
     ranked = VanillaSceneGradient(renderer, metric).attribute(seed=ranking_seed, spp=spp, denoise=denoise)
-    metric_name = str(ranked.info["metric"])
+    name = metric_symbol(ranked)
     fixed = _construction(renderer)
     movable = [row for row in ranked.ranking() if row.saliency > 0 and row.name not in fixed]
     top_rows = movable[: whole_number("top", top)]
     if not top_rows:
-        raise SceneCaptumError(f"No parameter affects {metric_name}: all its gradients are 0.")
+        raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
     budget = Budget.split(spp, DEFAULT_REPLICATES, measurement_seed)
 
     def render(changed: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
@@ -153,7 +156,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 
     history: list[float] = []
     before = after = measure(values)
-    for step_seed in tqdm(step_seeds, disable=not show_progress, desc=metric_name, unit="step"):
+    for step_seed in tqdm(step_seeds, disable=not show_progress, desc=name, unit="step"):
         image = renderer({**values, **optimizer.values()}, seed=step_seed, spp=spp)
         value, adjoint = transformed.value_and_adjoint(image)
         history.append(value)
@@ -172,7 +175,8 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         after=after,
         history=tuple(history),
         below=below,
-        metric=metric_name,
+        metric=name,
+        unit=metric_unit(ranked),
     )
 
 
@@ -287,8 +291,8 @@ class Optimization:
         The metric at each step, with the noise of that step's render.
     below
         The goal.
-    metric
-        Name of the metric.
+    metric, unit
+        Name and unit of the metric.
     """
 
     values: Mapping[str, torch.Tensor]
@@ -298,6 +302,7 @@ class Optimization:
     history: tuple[float, ...]
     below: float
     metric: str
+    unit: str = ""
 
     @property
     def reached(self) -> bool:
@@ -311,7 +316,7 @@ class Optimization:
         exposure = automatic_exposure(self.before.image)
         for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
             ax.imshow(display_image(measured.image, exposure).numpy(force=True))
-            title = f"{name}: {_format_metric(measured)}"
+            title = f"{name}: {self._format(measured)}"
             ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
             ax.set_axis_off()
             ax.set_anchor("N")
@@ -328,7 +333,7 @@ class Optimization:
         """Return a text table: the value of every changed parameter before and after, and the metric."""
         names = shorten([moved.label for moved in self.moved], _NAME_WIDTH)
         cells = [
-            (name, _format_values(moved.before), _format_values(moved.after), f"{moved.fraction:.0%}")
+            (name, _format_values(moved.before), _format_values(moved.after), f"{100 * moved.fraction:.0f} %")
             for name, moved in zip(names, self.moved, strict=True)
         ]
         return "\n".join([*grid(("moved", "before", "after", "of its range"), cells), "", self.outcome])
@@ -338,18 +343,18 @@ class Optimization:
     @property
     def outcome(self) -> str:
         """What was reached, in a sentence."""
+        goal = f"the goal of {self.below:g} {self.unit}".rstrip()
         if self.reached:
-            outcome = f"below the goal of {self.below:g}"
+            outcome = f"below {goal}"
         elif self.after.value < self.below:
-            outcome = f"below the goal of {self.below:g}, but not by two standard errors: use more samples"
+            outcome = f"below {goal}, but not by two standard errors: use more samples"
         else:
-            outcome = f"not below the goal of {self.below:g}"
-        return f"{self.metric} {_format_metric(self.before)} → {_format_metric(self.after)}, {outcome}"
+            outcome = f"not below {goal}"
+        return f"{self.metric} {self._format(self.before)} → {self._format(self.after)}, {outcome}"
 
-
-def _format_metric(measured: Measured) -> str:
-    return format_with_error(measured.value, measured.error, digits=2)
+    def _format(self, measured: Measured) -> str:
+        return f"{format_with_error(measured.value, measured.error)} {self.unit}".rstrip()
 
 
 def _format_values(value: torch.Tensor) -> str:
-    return " ".join(f"{entry:.3g}" for entry in value.flatten().tolist())
+    return " ".join(rounded(entry) for entry in value.flatten().tolist())

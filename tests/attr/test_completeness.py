@@ -140,7 +140,7 @@ def test_the_verdict_is_printed_with_its_reasons():
     info = {**found.info, "convergence": "cannot be told", "quadrature_error": 0.3}
     made = dataclasses.replace(found, convergence_delta=-0.52, convergence_delta_error=0.31, info=info)
     text = " ".join(str(made).split())
-    assert "cannot be told: delta -0.52 ± 0.31 of" in text
+    assert "cannot be told: delta −0.52 ± 0.31 of" in text
     assert "mostly quadrature error: use more steps" in text
     noisy = dataclasses.replace(made, info={**made.info, "quadrature_error": 0.1})
     assert "quadrature" not in str(noisy)

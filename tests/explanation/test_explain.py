@@ -68,7 +68,7 @@ def test_glare_sources_are_named_by_their_objects(office: SceneRenderer):
     assert sum(source.share for source in found.sources) <= 1 + 1e-6
     assert found.sources
     assert all(source.name in found.attribution.surfaces.objects for source in found.sources)
-    assert "Glare comes from" in found.markdown()
+    assert "Where the glare comes from" in found.markdown()
 
 
 def test_a_texture_changes_within_its_bounds(office: SceneRenderer, explained):

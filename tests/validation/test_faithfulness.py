@@ -318,7 +318,7 @@ def test_tables_and_figures():
     )
     lines = str(curves).splitlines()
     assert "Glare = 3.0000 ± 0.0004" in lines[0]
-    assert lines[5].split() == ["1", "lamp", "-2.0000", "±", "0.0004", "-2.0000", "±", "0.0004"]
+    assert lines[5].split() == ["1", "lamp", "−2.0000", "±", "0.0004", "−2.0000", "±", "0.0004"]
     assert "random orders by deletion" in lines[-1]
     assert [ax.get_title(loc="left") for ax in curves.plot().axes] == ["Deletion", "Insertion"]
     missed = Infidelity(

@@ -41,8 +41,8 @@ def row_of(name: str, text: str) -> str:
         (0.09784, 0.00079, ("0.0978", "0.0008")),
         (0.09784, 0.00012, ("0.09784", "0.00012")),
         (0.5, 0.00097, ("0.5000", "0.0010")),
-        (-3.14159, 0.2, ("-3.14", "0.20")),
-        (1.25e-7, 2e-8, ("1.25e-7", "0.20e-7")),
+        (-3.14159, 0.2, ("−3.14", "0.20")),
+        (1.25e-7, 2e-8, ("1.25e−7", "0.20e−7")),
         (1234567.0, 4000.0, ("1.235e6", "0.004e6")),
         (12345.6, 720.0, ("12300", "700")),
         (0.0, 0.0, ("0", "0")),
@@ -81,15 +81,15 @@ def test_shortened_names_stay_different() -> None:
 
 def test_table_shows_what_was_measured_and_how() -> None:
     heading = table_text(make()).splitlines()[0]
-    assert heading == "Glare = 2.336942 ± 0.000533 · VanillaSceneGradient · 64 spp in 8 replicates"
+    assert heading == "Glare = 2.3369 ± 0.0005 · VanillaSceneGradient · 64 spp in 8 replicates"
 
 
 def test_table_ranks_with_sign_error_and_channels() -> None:
     text = table_text(make())
     names = re.findall(r"^ *\d+  (\S+)", text, flags=re.MULTILINE)
     assert names == ["lamp", "two_minds", "floor", "desk:", "wall", "noisy", "tiny", NASTY]
-    assert re.search(r"0\.0978 +± 0\.0008 +-0\.0978$", row_of("desk: roughness", text))
-    assert re.search(r"± 0\.0030 .*\+0\.100 +-0\.200 +\+0\.010$", row_of("two_minds", text))
+    assert re.search(r"0\.0978 +± 0\.0008 +−0\.0978$", row_of("desk: roughness", text))
+    assert re.search(r"± 0\.0030 .*\+0\.100 +−0\.200 +\+0\.010$", row_of("two_minds", text))
     assert re.search(r"1\.25e-7 ± 0\.20e-7 +\+1\.25e-7$", row_of("tiny", text))
     points = {row_of(name, text).index(".") for name in ("lamp", "two_minds", "wall", "tiny")}
     assert len(points) == 1
@@ -97,7 +97,7 @@ def test_table_ranks_with_sign_error_and_channels() -> None:
 
 def test_texture_shows_totals_with_a_note() -> None:
     text = table_text(make())
-    assert re.search(r"Σ .*-0\.080 +-0\.120 +-0\.160$", row_of("floor", text))
+    assert re.search(r"Σ .*−0\.080 +−0\.120 +−0\.160$", row_of("floor", text))
     assert "Σ totals over the texels" in text
     plain = dataclasses.replace(make(), attributions={"rough": torch.tensor(1.0)})
     assert "texel" not in table_text(plain)
@@ -187,7 +187,7 @@ def test_no_line_is_wider_than_the_terminal(columns: int, monkeypatch: pytest.Mo
     assert max(map(len, text.splitlines())) <= columns
     assert "…" in text
     if columns >= 80:
-        assert "-0.200" in text
+        assert "−0.200" in text
 
 
 def test_long_rankings_end_with_the_number_of_hidden_rows() -> None:
@@ -200,7 +200,7 @@ def test_long_rankings_end_with_the_number_of_hidden_rows() -> None:
 def test_many_channels_are_summarised() -> None:
     spectrum = {"spectrum": torch.tensor([0.1, -0.3, 0.2, 0.0]).repeat(4)}
     text = table_text(SceneAttribution(spectrum, None, 1.0))
-    assert "16 numbers, -0.300 to +0.200" in text
+    assert "16 numbers, −0.300 to +0.200" in text
 
 
 def test_contributions_are_not_called_gradients() -> None:
@@ -214,7 +214,7 @@ def test_html_is_escaped_and_complete() -> None:
     text = table_html(make(metric="<b>", cautions={"rough": "a < b"}))
     assert "<script" not in text
     assert "&lt;script&gt;" in text
-    assert "<b>&lt;b&gt; = 2.336942 ± 0.000533</b>" in text
+    assert "<b>&lt;b&gt; = 2.3369 ± 0.0005</b>" in text
     assert "a &lt; b" in text
     assert text.count("<tr>") == 1 + len(CASES)
     assert "0.0978 " in text

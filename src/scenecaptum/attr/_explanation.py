@@ -17,6 +17,7 @@ from ..visualization import (
     metric_unit,
     noise_notes,
     pluralize,
+    rounded,
     signed_with_error,
     terminal_width,
     verdict,
@@ -25,6 +26,7 @@ from ..visualization import (
 )
 
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
+NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
 
@@ -86,6 +88,15 @@ class Change:
             return False
         return self.measured is None or abs(self.measured) > SIGNIFICANT * (self.measured_error or 0.0)
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether the rendered effect is close to the predicted one, or no different within the errors."""
+        if self.measured is None:
+            return True
+        apart = abs(self.measured - self.predicted)
+        error = math.hypot(self.predicted_error, self.measured_error or 0.0)
+        return apart <= max(SIGNIFICANT * error, NONLINEAR * abs(self.measured))
+
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
@@ -122,7 +133,10 @@ class Explanation:
             ),
             (f"What it depends on: {axis_label(self.attribution)}", self._effect_lines()),
             ("What would change it", self._change_lines()),
-            ("What reaches the goal", self._goal_lines()),
+            (
+                f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
+                self._goal_lines(),
+            ),
             ("What could not be told", self._unclear_lines()),
         ]
         return [section for index, section in enumerate(sections) if index == 0 or section[1]]
@@ -165,14 +179,14 @@ class Explanation:
     def _source_lines(self) -> list[str]:
         return [
             f"{source.name}, {source.place}: {_percent(source.share, source.share_error)}"
-            + ("" if source.luminance is None else f" of it, up to {_rounded(source.luminance)} cd/m²")
+            + ("" if source.luminance is None else f" of it, up to {rounded(source.luminance)} cd/m²")
             for source in self.sources
             if source.share > SIGNIFICANT * source.share_error
         ]
 
     def _effect_lines(self) -> list[str]:
         return [
-            f"{row.label}: {self._in_unit(signed_with_error(row.effect, row.effect_error))}"
+            f"{_in_words(row.label)}: {self._in_unit(signed_with_error(row.effect, row.effect_error))}"
             for row in self.attribution.ranking()
             if _is_clear(row.effect, row.effect_error)
         ][: self.count]
@@ -182,25 +196,21 @@ class Explanation:
 
     def _change_line(self, change: Change) -> str:
         predicted = signed_with_error(change.predicted, change.predicted_error)
-        step = f"{change.label} {_format(change.before)} → {_format(change.after)}"
+        what = f"{_step(change)}: {metric_symbol(self.attribution)}"
         if change.measured is None:
-            return f"{step}: {metric_symbol(self.attribution)} {self._in_unit(predicted)}, predicted"
+            return f"{what} {self._in_unit(predicted)}, predicted"
         value = self.attribution.metric_value
         before, after = (
             with_error(number, change.measured_error)[0] for number in (value, value + change.measured)
         )
-        return (
-            f"{step}: {metric_symbol(self.attribution)} {before} → {self._in_unit(after)}, "
-            f"{signed_with_error(change.measured, change.measured_error)} rendered again, {predicted} predicted"
-        )
+        measured = signed_with_error(change.measured, change.measured_error)
+        bent = "" if change.is_linear else ", not linear"
+        return f"{what} {before} → {self._in_unit(after)} ({measured} rendered, {predicted} predicted{bent})"
 
     def _goal_lines(self) -> list[str]:
         if self.goal is None:
             return []
-        moved = [
-            f"{one.label} {_format(one.before)} → {_format(one.after)}, {one.fraction:.0%} of its range"
-            for one in self.goal.moved
-        ]
+        moved = [f"{_step(one)}, by {100 * one.fraction:.0f} % of its range" for one in self.goal.moved]
         return [*moved, self.goal.outcome]
 
     def _in_unit(self, number: str) -> str:
@@ -212,7 +222,7 @@ class Explanation:
         if self.attribution.covariance is None:
             return ["which effects are due to noise: there are no error bars"]
         lines = [
-            f"{change.label} {_format(change.before)} → {_format(change.after)}: rendered again, the effect of "
+            f"{_step(change)}: rendered again, the effect of "
             f"{signed_with_error(change.measured or 0.0, change.measured_error)} is within its noise"
             for change in self.changes
             if not change.is_clear
@@ -243,6 +253,16 @@ class Explanation:
         ]
 
 
+def _step(change: Any) -> str:
+    """Return ``"desk base color 0.2 → 0.3"``."""
+    return f"{_in_words(change.label)} {_format(change.before)} → {_format(change.after)}"
+
+
+def _in_words(label: str) -> str:
+    """Return ``"desk base color"`` for the label ``"desk: base color"``."""
+    return " ".join(label.rsplit(": ", 1))
+
+
 def _is_clear(effect: float, error: float | None) -> bool:
     return abs(effect) > SIGNIFICANT * (error or 0.0)
 
@@ -251,14 +271,8 @@ def _percent(share: float, error: float) -> str:
     return f"{format_with_error(100 * share, 100 * error)} %"
 
 
-def _rounded(number: float) -> str:
-    """Return a number with three significant digits, never with an exponent."""
-    digits = 2 - math.floor(math.log10(number)) if number > 0 else 0
-    return f"{round(number, digits):.{max(digits, 0)}f}"
-
-
 def _format(value: torch.Tensor) -> str:
     """Return a scalar, a colour by channel or as one number if it is grey, or the mean of a texture."""
     channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
-    numbers = [f"{number:.3g}" for number in channels.tolist()]
+    numbers = [rounded(number) for number in channels.tolist()]
     return numbers[0] if len(set(numbers)) == 1 else f"({', '.join(numbers)})"

@@ -12,7 +12,7 @@ import torch
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..errors import SceneCaptumError
 from ..report import write_report
-from ..visualization import format_with_error, grid, metric_line, metric_unit, signed_with_error
+from ..visualization import format_with_error, grid, metric_line, metric_unit, rounded, signed_with_error
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import print_files, writable
@@ -136,4 +136,4 @@ def _hypot(a: float | None, b: float | None) -> float | None:
 
 
 def _values(value: torch.Tensor) -> str:
-    return " ".join(f"{number:.3g}" for number in value.flatten().tolist())
+    return " ".join(rounded(number) for number in value.flatten().tolist())

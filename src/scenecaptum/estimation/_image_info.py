@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..visualization import rounded
 from ._jackknife import SIGNIFICANT_DRIFT
 from ._metric import TargetedMetric
 from ._metric_image import ImageTransform
@@ -48,9 +49,9 @@ def _caution(
     noisy = "the picture is too noisy for this metric"
     if abs(change) > limit:
         half, full = ("half of the samples", "all") if spp is None else (f"{spp / 2:g} spp", f"{spp} spp")
-        return f"{noisy}: {value + change:.4g} at {half}, {value:.4g} at {full}"
+        return f"{noisy}: {rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}"
     if denoised is not None and abs(denoised - value) > limit:
-        return f"{noisy}: {value:.4g} as rendered, {denoised:.4g} denoised"
+        return f"{noisy}: {rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised"
     return None
 
 
@@ -59,6 +60,6 @@ def _too_wide(interval: tuple[float, float] | None, half_class: float | None) ->
     if interval is None or half_class is None or not (width := (interval[1] - interval[0]) / 2) > half_class:
         return None
     return (
-        f"the picture is too noisy for this metric: its 95 % interval is ± {width:.2g}, and half the width of a "
-        f"class is {half_class:g}"
+        f"the picture is too noisy for this metric: its 95 % interval is ± {rounded(width, 2)}, and half the "
+        f"width of a class is {half_class:g}"
     )

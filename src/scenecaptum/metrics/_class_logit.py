@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from ..errors import SceneCaptumError, near_misses, whole_number
+from ..visualization import rounded
 from ._frozen import run_frozen
 from ._measure import Measure
 from ._picture import check_exposure, srgb_picture
@@ -135,11 +136,11 @@ class ClassLogit(torch.nn.Module):
             probabilities = self._logits(image).double().softmax(0)
         if index is None:
             return ""
-        text = f"probability {probabilities[index].item():.2g} of {self._class_name(index)}"
+        text = f"probability {rounded(probabilities[index].item(), 2)} of {self._class_name(index)}"
         best = int(probabilities.argmax())
         if best == index:
             return text
-        return f"{text}; {probabilities[best].item():.2g} of {self._class_name(best)}"
+        return f"{text}; {rounded(probabilities[best].item(), 2)} of {self._class_name(best)}"
 
     def _class_name(self, index: int | None) -> str:
         return f"class {index}" if index is None or index >= len(self.classes) else self.classes[index]

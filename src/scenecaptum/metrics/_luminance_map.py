@@ -11,7 +11,18 @@ import torch
 from ..camera import Camera
 from ..errors import SceneCaptumError
 from ..images import check_image_shape
-from ..visualization import SMALL, TEXT, TITLE, WIDTH, figure_of, new_figure, pluralize, write_at
+from ..visualization import (
+    SMALL,
+    TEXT,
+    TITLE,
+    WIDTH,
+    figure_of,
+    log_steps,
+    new_figure,
+    pluralize,
+    rounded,
+    write_at,
+)
 from ._glare import GlareRating
 from ._luminance import luminance
 from ._sources import GlareSource
@@ -80,10 +91,10 @@ def plot_luminance(
         ax = _new_axes(shown, len(listed) + (len(sources) > len(listed)))
     _draw(ax, shown.masked_fill(~valid, math.nan).numpy(), low, high)
     mean = float((shown[valid] * _weights(camera, valid)).sum())
-    heading = f"mean {'over pixels' if camera is None else 'luminance'} {mean:.4g} cd/m²"
+    heading = f"mean {'over pixels' if camera is None else 'luminance'} {rounded(mean, 4)} cd/m²"
     if rating is not None:
         count = pluralize(len(sources), "glare source") if sources else "no glare source"
-        heading = f"{type(rating).__name__} = {float(rating(image)):.4g}   ({count}; {heading})"
+        heading = f"{type(rating).__name__} = {rounded(float(rating(image)), 4)}   ({count}; {heading})"
         _outline(ax, sources, shown.shape, separate=rating.grouping != "pixel")
         _write_numbers(ax, listed)
         style: dict[str, Any] = {"va": "top", "fontsize": SMALL, "linespacing": 1.4}
@@ -161,8 +172,7 @@ def _draw(ax: Axes, shown: np.ndarray[Any, Any], low: float, high: float) -> Non
     ax.set_axis_off()
     extend = {(True, False): "min", (False, True): "max", (True, True): "both"}.get((below, above), "neither")
     bar = figure_of(ax).colorbar(mapped, ax=ax, extend=extend, aspect=25, pad=0.02)
-    decades = math.log10(high / low)
-    bar.locator = LogLocator(subs=(1, 2, 5) if decades <= 3.5 else (1,))
+    bar.locator = LogLocator(subs=log_steps(low, high))
     bar.ax.yaxis.set_minor_locator(NullLocator())
     bar.formatter = FuncFormatter(lambda value, _: _format_thousands(value))
     bar.ax.tick_params(labelsize=SMALL)
@@ -201,7 +211,7 @@ def _write_numbers(ax: Axes, sources: Sequence[GlareSource]) -> None:
 
 def _source_lines(listed: Sequence[GlareSource], count: int) -> list[str]:
     lines = [
-        f"{number}   {_format_thousands(round(source.luminance))} cd/m², {source.solid_angle:.3g} sr, "
+        f"{number}   {_format_thousands(round(source.luminance))} cd/m², {rounded(source.solid_angle)} sr, "
         f"position index {source.position_index:.2f}, {pluralize(len(source.pixels), 'pixel')}"
         for number, source in enumerate(listed, start=1)
     ]

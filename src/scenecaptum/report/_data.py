@@ -24,6 +24,7 @@ from ..visualization import (
     method_name,
     metric_name,
     metric_unit,
+    rounded,
     sampling_notes,
     scene_cautions,
     sign_labels,
@@ -198,7 +199,7 @@ def _value(attribution: Attribution, name: str, members: Sequence[str] | None) -
     is_color = len(numbers) == 3 and bool(parts & set(_COLOR_PARAMETERS))
     return {
         "value": [_number(number) for number in numbers],
-        "valueWritten": [f"{number:.3g}" if textured else f"{number:.4g}" for number in numbers],
+        "valueWritten": [rounded(number, 3 if textured else 4) for number in numbers],
         **({"swatch": _swatch(numbers)} if is_color else {}),
     }
 

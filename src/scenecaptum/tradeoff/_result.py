@@ -18,7 +18,9 @@ from ..visualization import (
     axes_or_new,
     figure_of,
     grid,
+    log_axis,
     pack,
+    rounded,
     style_axes,
     write_at,
     write_header,
@@ -169,7 +171,7 @@ class Tradeoff:
         best = self.cheapest(tolerance)
         if best is not None:
             return (
-                f"For an error of {_percent_of(tolerance)}: {best.setting} ({best.seconds:.2g} s), "
+                f"For an error of {_percent_of(tolerance)}: {best.setting} ({rounded(best.seconds, 2)} s), "
                 f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct."
             )
         closest = min(self.rows, key=lambda row: row.relative_error.value)
@@ -238,7 +240,7 @@ class Tradeoff:
         cells = [
             (
                 f"  {row.varied.replace('_', ' ')} {row.value_text}" if row.varied else row.value_text,
-                f"{row.seconds:.3g}",
+                rounded(row.seconds),
                 _percent(*row.relative_error),
                 _percent(row.bias.value, row.bias.error)
                 if row.bias.significant
@@ -278,8 +280,6 @@ def _value_and_error(name: str, estimate: Estimate | Bias) -> dict[str, float]:
 
 def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], reference: Reference) -> None:
     """Draw the error over the time: a star for the first row, a marker for every other, and the Pareto front."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     ax.set_xscale("log")
     ax.set_yscale("log")
     style: dict[str, Any] = {"color": "0.7", "linewidth": 1.2, "drawstyle": "steps-post", "zorder": 1}
@@ -297,10 +297,8 @@ def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], referen
     if reference.relative_error > 0:
         ax.axhline(reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
     ax.margins(x=0.12, y=0.1)
-    for axis, format_tick in ((ax.xaxis, lambda x, _: f"{x:g}"), (ax.yaxis, lambda y, _: f"{100 * y:g} %")):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(format_tick))
-        axis.set_minor_formatter(NullFormatter())
+    log_axis(ax, "x", *ax.get_xlim())
+    log_axis(ax, "y", *ax.get_ylim(), lambda error: f"{rounded(100 * error)} %")
     style_axes(ax, x="seconds", y="relative error of the gradient")
 
 
@@ -317,13 +315,13 @@ def _percent(value: float, error: float) -> str:
     """``'4.1 ± 0.3 %'``, with one digit of the error."""
     value, error = 100 * value, 100 * error
     if error == 0 or not math.isfinite(error):
-        return f"{value:.3g} %"
+        return f"{rounded(value)} %"
     places = min(max(-math.floor(math.log10(error)), 0), 4)
     return f"{value:.{places}f} ± {error:.{places}f} %"
 
 
 def _percent_of(value: float) -> str:
-    return f"{100 * value:.2g} %" if value < 0.995 else f"{100 * value:.0f} %"
+    return f"{rounded(100 * value, 2)} %"
 
 
 def _correlation(value: float) -> str:

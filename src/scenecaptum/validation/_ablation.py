@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,9 +26,12 @@ from ..visualization import (
     figure_of,
     format_with_error,
     grid,
+    log_axis,
     name_rows,
+    rounded,
     shorten,
     style_axes,
+    wrapped_lines,
     write_header,
 )
 from ._scenes import (
@@ -329,7 +331,7 @@ class AblationTest:
         _draw(ax, self.rows)
         name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
         write_header(ax, "Ablation test", columns=2)
-        add_footnotes(ax, textwrap.wrap(self.verdict, _NOTE_WIDTH), below=34)
+        add_footnotes(ax, wrapped_lines(self.verdict, _NOTE_WIDTH), below=34)
         return figure_of(ax)
 
     def __str__(self) -> str:
@@ -339,7 +341,7 @@ class AblationTest:
                 name,
                 format_with_error(row.predicted, row.predicted_error),
                 format_with_error(row.measured, row.measured_error),
-                f"{row.step:.2g}",
+                rounded(row.step, 2),
             )
             for name, row in zip(names, self.rows, strict=True)
         ]
@@ -358,14 +360,14 @@ def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
 
 
 def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:
-    ax.set_xscale("log")
     # Bars on a logarithmic axis start at its lower limit, so the limit is set first.
     lower = 0.5 * min(
         value
         for row in rows
         for value in (row.predicted, row.noise or row.predicted, abs(row.fixed or row.predicted))
     )
-    ax.set_xlim(lower, 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows))
+    upper = 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows)
+    log_axis(ax, "x", lower, upper)
     positions = range(len(rows))
     lengths = [max(row.noise - lower, 0) for row in rows]
     ax.barh(positions, lengths, left=lower, height=0.7, color="0.88", label="noise")

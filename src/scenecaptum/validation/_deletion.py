@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +28,7 @@ from ..visualization import (
     shorten,
     style_axes,
     with_error,
+    wrap,
 )
 from ._faithfulness import contributions, measure_without
 from ._scenes import Scenes
@@ -223,7 +223,7 @@ class DeletionInsertion:
             ax.errorbar(moved, means, errors, color=RAISES, **style)
         handles, labels = left.get_legend_handles_labels()
         part.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=SMALL, frameon=False)
-        verdict = textwrap.fill(self.verdict, _NOTE_WIDTH)
+        verdict = wrap(self.verdict, _NOTE_WIDTH, indent=0)
         part.supxlabel(verdict, x=0.02, ha="left", fontsize=SMALL, alpha=0.75, parse_math=False)
         return figure_of(part)
 

@@ -27,7 +27,7 @@ from ..estimation import (
     input_values,
 )
 from ..protocols import Capabilities, Renderer
-from ..visualization import align_with_errors, format_with_error, grid, pluralize, shorten
+from ..visualization import align_with_errors, format_with_error, grid, pluralize, rounded, shorten
 from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
 
 P = TypeVar("P", bound="Problem")
@@ -316,8 +316,8 @@ class DGSM:
         rows = self.rows[:top]
         columns = {
             "parameter": shorten([row.label for row in rows], _NAME_WIDTH),
-            "from": [f"{row.low:.3g}" for row in rows],
-            "to": [f"{row.high:.3g}" for row in rows],
+            "from": [rounded(row.low) for row in rows],
+            "to": [rounded(row.high) for row in rows],
             "ν, per unit squared": align_with_errors([(row.nu, row.nu_error) for row in rows]),
             "Sobol total at most": align_with_errors([(row.bound, row.bound_error) for row in rows]),
         }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,8 +18,10 @@ from ..visualization import (
     figure_of,
     format_with_error,
     grid,
+    rounded,
     shorten,
     style_axes,
+    wrapped_lines,
 )
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class Infidelity:
             (f"infidelity of {self.method}", format_with_error(self.value, self.standard_error)),
             [
                 ("relative to the mean square change", relative),
-                ("root mean square of the predicted changes", f"{size:.4g}"),
+                ("root mean square of the predicted changes", rounded(size, 4)),
             ],
         )
         header = f"{self.metric} under {count} perturbations, each in {replicates} replicates"
@@ -163,7 +164,7 @@ class SensitivityN:
         ax.set_xticks(self.sizes)
         y = "Pearson correlation of\nsums and changes"
         style_axes(ax, "Sensitivity-n", x="parameters deleted together", y=y)
-        add_footnotes(ax, textwrap.wrap(f"{self.method} for {self.metric}", 60), below=34)
+        add_footnotes(ax, wrapped_lines(f"{self.method} for {self.metric}", 60), below=34)
         return figure_of(ax)
 
     def __str__(self) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -26,6 +25,8 @@ from ..visualization import (
     grid,
     name_rows,
     shorten,
+    wrap,
+    wrapped_lines,
 )
 from ._hessian import max_steps, product_of
 from ._scenes import Scenes, denoise_of, is_plain_gradient, unit_gradient
@@ -255,10 +256,10 @@ class Interactions:
         bar = figure_of(ax).colorbar(shown, ax=ax, aspect=18, pad=0.03)
         bar.ax.tick_params(labelsize=SMALL)
         bar.outline.set_visible(False)
-        title = textwrap.fill(f"Interactions: {self._heading}", 16 + 9 * count)
+        title = wrap(f"Interactions: {self._heading}", 16 + 9 * count, indent=0)
         ax.set_title(title, loc="left", fontsize=TITLE, parse_math=False)
         note = f"{self.verdict}. Grey: not significantly different from 0."
-        add_footnotes(ax, textwrap.wrap(note, int(width * _NOTE_WIDTH / 7.2)), below=22)
+        add_footnotes(ax, wrapped_lines(note, int(width * _NOTE_WIDTH / 7.2)), below=22)
         return figure_of(ax)
 
     def __str__(self) -> str:

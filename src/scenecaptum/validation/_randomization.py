@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,6 +26,7 @@ from ..visualization import (
     grid,
     shorten,
     style_axes,
+    wrapped_lines,
 )
 
 if TYPE_CHECKING:
@@ -265,7 +265,7 @@ class RandomizationCheck:
         x = "randomized layers, from the output; 0: other seeds only"
         style_axes(ax, "Randomization check", x=x, y="rank correlation (Spearman)")
         ax.legend(fontsize=SMALL, frameon=False)
-        add_footnotes(ax, textwrap.wrap(self.verdict, _NOTE_WIDTH), below=34)
+        add_footnotes(ax, wrapped_lines(self.verdict, _NOTE_WIDTH), below=34)
         return figure_of(ax)
 
     def __str__(self) -> str:
@@ -277,7 +277,7 @@ class RandomizationCheck:
             f"{self.metric}, {self.method}: rank correlation with the attribution of the unmodified network"
         )
         lines = grid(("random layers", "back to", "magnitudes", "signed"), rows)
-        return "\n".join([head, "", *lines, "", *textwrap.wrap(self.verdict, 100)])
+        return "\n".join([head, "", *lines, "", *wrapped_lines(self.verdict, 100)])
 
     __repr__ = __str__
 

@@ -20,9 +20,11 @@ from ..visualization import (
     figure_of,
     first,
     grid,
+    minus,
     name_rows,
     new_figure,
     pluralize,
+    rounded,
     shorten,
     style_axes,
 )
@@ -167,11 +169,11 @@ class SensitivityComparison:
     def _cost(self, method: SensitivityIndex) -> list[str]:
         tau = self.agreement.get((method.method, self.sobol.method))
         return [
-            "" if tau is None else f"{tau:.2f}".replace("-", "−"),
+            "" if tau is None else minus(f"{tau:.2f}"),
             "yes" if method.resolved else "tied",
-            f"{method.renders_until_stable:.4g}" if method.stable else f"> {method.renders:.4g}",
-            f"{method.renders:.5g}",
-            f"{method.seconds:.3g}",
+            rounded(method.renders_until_stable, 4) if method.stable else f"> {rounded(method.renders, 4)}",
+            rounded(method.renders, 5),
+            rounded(method.seconds),
         ]
 
     def __str__(self) -> str:
@@ -189,7 +191,7 @@ def _draw_index(ax: Axes, method: SensitivityIndex, names: list[str]) -> None:
     ax.set_xlim(0, 1.08 * max(value + error for value, error in zip(values, errors, strict=True)) or 1)
     ax.locator_params(axis="x", nbins=3)
     stable = f"top {len(method.top)} stable after" if method.stable else "not stable after"
-    renders = f"{method.renders_until_stable:.3g}" if method.stable else f"{method.renders:.4g}"
+    renders = rounded(method.renders_until_stable) if method.stable else rounded(method.renders, 4)
     style_axes(ax, method.method, size=TEXT)
     ax.set_xlabel(f"{_AXIS_WORDS[method.method]}\n\n{stable}\n{renders} renders", fontsize=SMALL)
     ax.tick_params(axis="y", length=0)

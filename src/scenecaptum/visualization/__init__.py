@@ -32,6 +32,8 @@ from ._figures import axes_or_new as axes_or_new
 from ._figures import color_of as color_of
 from ._figures import figure_of as figure_of
 from ._figures import first as first
+from ._figures import log_axis as log_axis
+from ._figures import log_steps as log_steps
 from ._figures import name_rows as name_rows
 from ._figures import new_figure as new_figure
 from ._figures import style_axes as style_axes
@@ -42,6 +44,7 @@ from ._layout import group_by_text as group_by_text
 from ._layout import html_cells as html_cells
 from ._layout import terminal_width as terminal_width
 from ._layout import wrap as wrap
+from ._layout import wrapped_lines as wrapped_lines
 from ._maps import diverging as diverging
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
@@ -51,6 +54,8 @@ from ._numbers import align_with_errors as align_with_errors
 from ._numbers import columns as columns
 from ._numbers import cut as cut
 from ._numbers import format_with_error as format_with_error
+from ._numbers import minus as minus
+from ._numbers import rounded as rounded
 from ._numbers import shorten as shorten
 from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error

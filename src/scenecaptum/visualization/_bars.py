@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +28,7 @@ from ._figures import (
     write_at,
     write_header,
 )
+from ._layout import wrapped_lines
 from ._numbers import shorten
 from ._text import (
     axis_label,
@@ -81,7 +81,7 @@ def plot_bars(
     # Up to a third of the width is for the names.
     width = 0.67 * WIDTH if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE))
-    axis = textwrap.wrap(axis_label(attribution, scale), characters_per_line(width, TEXT))
+    axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
     footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
     if ax is None:
         points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
@@ -188,4 +188,4 @@ def _footnotes(
         more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
         lines.append(f"! {text} ({', '.join([*labels, *more])})")
     lines += [f"! {text}" for text in scene_cautions(attribution)]
-    return [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="    ")]
+    return [part for line in lines for part in wrapped_lines(line, width, 4)]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
-import textwrap
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import whole_number
 from ..protocols import Attribution, RankedParameter, Scale
+from ._layout import wrapped_lines
+from ._numbers import rounded
 from ._text import METRIC_WIDTH, method_name, metric_line, sign_labels
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ WIDTH = 7.2  # text width of a page in inches
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
 DEFAULT_TOP = 15  # parameters in a figure
 _DOTS_PER_INCH = 150
+_MAX_DECADES_OF_THREE = 1.8  # of a logarithmic axis with ticks at 1, 2 and 5
 _CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
 
 
@@ -87,7 +90,7 @@ def figure_title(attribution: Attribution, width: int) -> str:
     value, method = metric_line(attribution, METRIC_WIDTH), method_name(attribution)
     if len(value) + len(method) + 5 <= width:
         return f"{value}   ({method})"
-    return "\n".join(textwrap.wrap(value, width) + textwrap.wrap(f"({method})", width))
+    return "\n".join(wrapped_lines(value, width) + wrapped_lines(f"({method})", width))
 
 
 def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:
@@ -98,6 +101,23 @@ def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: flo
     ax.set_ylabel(y, fontsize=TEXT, parse_math=False)
     ax.tick_params(labelsize=SMALL)
     ax.spines[["top", "right"]].set_visible(False)
+
+
+def log_axis(ax: Axes, which: str, low: float, high: float, write: Callable[[float], str] = rounded) -> None:
+    """Make the axis ``"x"`` or ``"y"`` logarithmic between limits, with labels that do not overlap."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    ax.set(**{f"{which}scale": "log", f"{which}lim": (low, high)})
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    axis.set_major_locator(LogLocator(subs=log_steps(low, high)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: write(value)))
+    axis.set_minor_locator(NullLocator())
+
+
+def log_steps(low: float, high: float) -> tuple[float, ...]:
+    """Return the ticks of each decade of a logarithmic axis, the more the fewer decades there are."""
+    decades = math.log10(high / low)
+    return (1.0, 2.0, 5.0) if decades <= _MAX_DECADES_OF_THREE else (1.0, 3.0) if decades <= 3 else (1.0,)
 
 
 def name_rows(ax: Axes, names: Sequence[str], size: float = TEXT) -> None:

@@ -35,8 +35,14 @@ def group_by_text(pairs: Iterable[tuple[str, str | None]]) -> dict[str, list[str
 def wrap(text: str, width: int, indent: int = 4) -> str:
     """Wrap a text into lines of a width, indented from the second on."""
     width = max(width, 20)
-    indent = min(indent, width // 2)
-    return textwrap.fill(text, width, subsequent_indent=" " * indent, break_on_hyphens=False)
+    return "\n".join(wrapped_lines(text, width, min(indent, width // 2)))
+
+
+def wrapped_lines(text: str, width: int, indent: int = 0) -> list[str]:
+    """Return the lines of a wrapped text, which never break within a number, its error and a percent sign."""
+    joined = text.replace(" ± ", "\u00a0±\u00a0").replace(" %", "\u00a0%")
+    lines = textwrap.wrap(joined, width, subsequent_indent=" " * indent, break_on_hyphens=False)
+    return [line.replace("\u00a0", " ") for line in lines]
 
 
 def html_cells(row: Iterable[str], tag: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
@@ -20,7 +19,8 @@ from ._figures import (
     figure_title,
     new_figure,
 )
-from ._numbers import format_with_error, shorten
+from ._layout import wrapped_lines
+from ._numbers import format_with_error, rounded, shorten
 from ._text import axis_label, noise_notes, sign_labels
 from ._tonemap import display_image
 
@@ -144,7 +144,7 @@ def draw_colorbar(
     # A separate mappable, since the map itself may be transparent.
     opaque = ScalarMappable(norm=mapped.norm, cmap=mapped.cmap)
     bar: Colorbar = figure_of(mapped.axes).colorbar(opaque, **location)
-    bar.set_ticks(places, labels=[f"{value:g}".replace("-", "−") for value in values])
+    bar.set_ticks(places, labels=[rounded(value) for value in values])
     bar.minorticks_off()
     bar.ax.tick_params(labelsize=SMALL)
     return bar
@@ -187,12 +187,12 @@ def _map_title(
     names = [parameter] if isinstance(parameter, str) else parameter
     shown = ", ".join(attribution.labels.get(name, name) for name in names)
     shown = shorten([shown], 60)[0] or axis_label(attribution, scale)
-    strongest = "the strongest" if maximum is None else f"{maximum:.3g}"
+    strongest = "the strongest" if maximum is None else rounded(maximum)
     lines = [f"{shown}, relative to {strongest} ({_NORMS[norm]})"]
     labels = sign_labels(attribution) if signed else None
     if labels is not None:
         lines += [f"blue: {labels[0]}", f"orange: {labels[1]}"]
-    return "\n".join(part for line in lines for part in textwrap.wrap(line, characters_per_line(width, TEXT)))
+    return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
 
 
 def _width(ax: Axes | None, heat: torch.Tensor, count: int) -> float:
@@ -214,7 +214,7 @@ def _panels(
     title = figure_title(attribution, characters_per_line(width - 0.2, TITLE))
     notes = filter(None, [_invisible_note(attribution, scale), *noise_notes(attribution)])
     line_length = characters_per_line(width - 0.2, SMALL)
-    caption = [line for note in notes for line in textwrap.wrap(note, line_length)]
+    caption = [line for note in notes for line in wrapped_lines(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
     top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines())
     height = bottom + h + top

@@ -47,17 +47,37 @@ class Format(NamedTuple):
     def write(self, number: float) -> str:
         """Format a number; zero is ``'0'``, without a sign."""
         if number == 0 or not math.isfinite(number):
-            return f"{number + 0.0:g}"
+            return minus(f"{number + 0.0:g}")
         decimals = self.place + self.exponent
         scaled = round(number / 10.0**self.exponent, decimals) + 0.0  # + 0.0 turns −0.0 into 0.0
         text = f"{scaled:.{max(decimals, 0)}f}"
-        return f"{text}e{self.exponent}" if self.exponent else text
+        return minus(f"{text}e{self.exponent}" if self.exponent else text)
 
     def write_signed(self, number: float) -> str:
         """Format a number with its sign, except if it rounds to zero."""
         text = self.write(number)
         positive = number > 0 and re.search("[1-9]", text.partition("e")[0])
         return f"+{text}" if positive else text
+
+
+def minus(text: str) -> str:
+    """Write hyphens of a number as minus signs, as figures do."""
+    return text.replace("-", "−")
+
+
+def rounded(number: float, digits: int = 3) -> str:
+    """Return a number with at most so many significant digits: ``'0.62'``, ``'3160'``, ``'1.2e−7'``.
+
+    Example
+    -------
+    >>> rounded(170.4, 2), rounded(-1.25e-7), rounded(2.0)
+    ('170', '−1.25e−7', '2')
+    """
+    if number == 0 or not math.isfinite(number):
+        return minus(f"{number + 0.0:g}")
+    style = Format.of(number, None).at_most(digits, abs(number))
+    text, e, exponent = style.write(number).partition("e")
+    return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{e}{exponent}"
 
 
 def with_error(value: float, error: float | None, *, digits: int | None = None) -> tuple[str, str]:

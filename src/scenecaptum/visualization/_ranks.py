@@ -26,7 +26,7 @@ from ._figures import (
     first,
     write_at,
 )
-from ._numbers import shorten
+from ._numbers import minus, shorten
 from ._text import method_name, metric_name, pack, pluralize
 
 if TYPE_CHECKING:
@@ -190,9 +190,7 @@ def _draw_headers(ax: Axes, a: Attribution, b: Attribution, tau: float) -> None:
         fontsize=SMALL,
         frameon=False,
     )
-    value = (
-        "not defined: all saliencies of one are equal" if math.isnan(tau) else f"{tau:.2f}".replace("-", "−")
-    )
+    value = "not defined: all saliencies of one are equal" if math.isnan(tau) else minus(f"{tau:.2f}")
     ax.set_title(f"Kendall's τ = {value}", fontsize=TITLE, pad=36)
 
 

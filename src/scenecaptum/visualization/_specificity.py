@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from ._figures import (
     new_figure,
     style_axes,
 )
+from ._layout import wrap
 from ._maps import draw_colorbar, draw_map
 from ._text import axis_label
 
@@ -83,8 +83,8 @@ def plot_specificity(
     for ax, attribution, ranked in zip(
         upper.subplots(1, columns, squeeze=False)[0], attributions, rows, strict=True
     ):
-        label = textwrap.fill(
-            axis_label(attribution, scale), characters_per_line(0.68 * _COLUMN_WIDTH, SMALL)
+        label = wrap(
+            axis_label(attribution, scale), characters_per_line(0.68 * _COLUMN_WIDTH, SMALL), indent=0
         )
         style_axes(ax)
         draw_bars(ax, attribution, ranked, scale=scale, name_width=_NAME_WIDTH, size=SMALL)

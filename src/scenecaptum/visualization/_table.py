@@ -176,7 +176,10 @@ def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
     fitting = [row for row in formatted if len(row) <= _MAX_CHANNELS]
     padded = map(align_decimals, zip_longest(*fitting, fillvalue=""))
     lines = iter("  ".join(channels).rstrip() for channels in zip(*padded, strict=True))
-    return [next(lines) if len(row) <= _MAX_CHANNELS else _range(row) for row in formatted]
+    return [
+        next(lines) if len(written) <= _MAX_CHANNELS else _range(row, written)
+        for row, written in zip(rows, formatted, strict=True)
+    ]
 
 
 def _channels(row: RankedParameter) -> list[str]:
@@ -187,9 +190,9 @@ def _channels(row: RankedParameter) -> list[str]:
     return [style.write_signed(value) for value in row.total]
 
 
-def _range(numbers: Sequence[str]) -> str:
-    ordered = sorted(numbers, key=float)
-    return f"{len(numbers)} numbers, {ordered[0]} to {ordered[-1]}"
+def _range(row: RankedParameter, written: Sequence[str]) -> str:
+    lowest, highest = (written[row.total.index(limit)] for limit in (min(row.total), max(row.total)))
+    return f"{len(written)} numbers, {lowest} to {highest}"
 
 
 def _grid(rows: Sequence[_Row], width: int) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..protocols import Attribution, Scale
 from ._layout import group_by_text
-from ._numbers import format_with_error, shorten, with_error
+from ._numbers import format_with_error, rounded, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
@@ -17,7 +17,7 @@ METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
     """Return ``'mean luminance = 2.337 ± 0.005 cd/m²'``, with the name shortened to ``width``."""
-    value = format_with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
+    value = format_with_error(attribution.metric_value, attribution.metric_standard_error)
     unit = metric_unit(attribution)
     return f"{metric_name(attribution, width)} = {value}{f' {unit}' if unit else ''}"
 
@@ -108,7 +108,7 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     verdict, explained = attribution.info.get("convergence"), attribution.info.get("explained")
     if verdict is None or explained is None:
         unknown = f"{verdict}: the metric is not finite at the baseline" if not math.isfinite(delta) else ""
-        return [unknown or f"convergence delta {delta:.2g}"]
+        return [unknown or f"convergence delta {rounded(delta, 2)}"]
     if abs(delta) <= _ROUNDING * abs(explained):
         delta = 0.0
     note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
@@ -126,7 +126,9 @@ def _comparison_notes(attribution: Attribution) -> list[str]:
     names = [f"depth {against['max_depth']}"] if "max_depth" in against else []
     names += ["×".join(map(str, against["resolution"]))] if "resolution" in against else []
     change, half_width = 100 * against["relative_change"], 100 * against["relative_half_width"]
-    return [f"{' at '.join(names) or 'the other renderer'} changes ≤ {change:.2g} ± {half_width:.2g} %"]
+    return [
+        f"{' at '.join(names) or 'the other renderer'} changes ≤ {rounded(change, 2)} ± {rounded(half_width, 2)} %"
+    ]
 
 
 def goal_notes(attribution: Attribution) -> list[str]:
@@ -141,7 +143,7 @@ def goal_notes(attribution: Attribution) -> list[str]:
         ties = f" except {pluralize(tied, 'tie')}" if tied else ""
         outcome = f"resolved{ties}" if planner["reached"] else f"not resolved{stopped}"
         return [f"order of the top {top} {outcome}"]
-    achieved = "unknown" if half_width is None else f"{100 * half_width:.2g} %"
+    achieved = "unknown" if half_width is None else f"{rounded(100 * half_width, 2)} %"
     if tolerance is None:
         return [f"95 % half-widths ≤ {achieved} in {planner['time_limit']:g} s"]
     return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
