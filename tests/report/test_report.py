@@ -531,6 +531,7 @@ def test_report_figure_and_exported_picture_show_the_same_map(browser, tmp_path)
     in_figure = drawn.to_rgba(drawn.get_array(), bytes=True)[..., :3]
     assert np.abs(in_figure.astype(int) - exported).max() <= 1
     page = Page(browser, tmp_path / "report.html")
+    page.page.get_by_text("Magnitude", exact=True).click()
     for line, column in ((1, 2), (1, 11), (7, 4), (5, 15)):
         painted = page.colour("overlay", column, line)[:3]
         # The canvas rounds to the next of 256 colours, where matplotlib rounds down.
@@ -579,7 +580,7 @@ def test_contributions_add_and_variances_have_no_sign(browser, tmp_path):
     page.page.get_by_text("Variance", exact=True).first.click()
     assert page.page.locator("#rows .sign").count() == 0
     assert page.page.locator("[value=signed]").is_disabled()
-    assert "variance of the change of Glare" in page.page.locator("#caption").inner_text()
+    assert "Variance of the change of Glare" in page.page.locator("#caption").inner_text()
     page.check(path)
 
 
@@ -609,6 +610,7 @@ def test_results_of_one_metric_can_share_a_scale(browser, tmp_path):
     path = tmp_path / "report.html"
     write_report([make(), make(factor=10.0)], path)
     page = Page(browser, path)
+    page.page.get_by_text("Magnitude", exact=True).click()
     page.page.get_by_text("Linear", exact=True).click()
     own = page.colour("overlay", 2, 1)
     page.page.locator("#shared").check()
@@ -642,7 +644,7 @@ def test_everything_can_be_reached_with_the_keyboard(report):
     for _ in range(4):
         keyboard.press("ArrowUp")
     assert report.page.locator("#tip").inner_text().startswith("chair")
-    assert "chair: alpha, saliency 0.0500" in report.page.locator("#announcement").inner_text()
+    assert "chair: alpha, norm 0.0500" in report.page.locator("#announcement").inner_text()
     keyboard.press("Enter")
     assert report.selected() == ["chair.reflectance.data", "chair.alpha"]
 
@@ -691,8 +693,8 @@ def test_downloaded_numbers_have_full_precision(report):
         assert [row["name"] for row in mine] == [row.name for row in ranking]
         assert [row["name"] for row in result["ranking"]] == [row.name for row in ranking]
         for line, entry, row in zip(mine, result["ranking"], ranking, strict=True):
-            assert float(line["saliency"]) == entry["saliency"] == pytest.approx(row.saliency, rel=1e-7)
-            assert float(line["saliency_error"]) == pytest.approx(row.saliency_error, rel=1e-7)
+            assert float(line["effect"]) == entry["effect"] == pytest.approx(row.effect, rel=1e-7)
+            assert float(line["effect_error"]) == pytest.approx(row.effect_error, rel=1e-7)
             assert float(line["gradient_1"]) == entry["total"][0] == pytest.approx(row.total[0], rel=1e-7)
     assert results[0]["info"]["seed"] == shifted(7)
     assert {row["name"]: row["value_2"] for row in rows}["floor.reflectance.value"] == "0.25"
@@ -734,7 +736,7 @@ def test_the_page_fits_a_phone_and_a_tap_selects(browser, written):
     assert page.selected() == ["chair.reflectance.data", "chair.alpha"]
     assert page.lit() == ["chair"]
     assert "0.0500 ± 0.0020" in page.page.locator("#detail").inner_text()
-    assert page.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.page.evaluate("document.documentElement.scrollWidth") == 360
     small = page.page.evaluate(
         """() => [...document.querySelectorAll("button:not([data-sort]), .switch span, #rows tr")]
         .filter((one) => one.offsetParent && one.getBoundingClientRect().height < 24)
@@ -752,7 +754,7 @@ def test_the_page_fits_a_phone_and_a_tap_selects(browser, written):
 
 
 def test_ctrl_c_leaves_a_report_of_finished_results(tmp_path, capsys, monkeypatch):
-    def interrupted_at_the_second(self, **_: object) -> SceneAttribution:
+    def interrupted_at_the_second(self, inputs: object = None, **_: object) -> SceneAttribution:
         result = make(type(self.metric).__name__)
         result.info["metric_bias"] = 0.0
         result.info["picture"] = {"caution": None}

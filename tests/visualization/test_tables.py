@@ -90,7 +90,7 @@ def test_table_ranks_with_sign_error_and_channels() -> None:
     assert names == ["lamp", "two_minds", "floor", "desk:", "wall", "noisy", "tiny", NASTY]
     assert re.search(r"0\.0978 +± 0\.0008 +−0\.0978$", row_of("desk: roughness", text))
     assert re.search(r"± 0\.0030 .*\+0\.100 +−0\.200 +\+0\.010$", row_of("two_minds", text))
-    assert re.search(r"1\.25e-7 ± 0\.20e-7 +\+1\.25e-7$", row_of("tiny", text))
+    assert re.search(r"1\.25e−7 ± 0\.20e−7 +\+1\.25e−7$", row_of("tiny", text))
     points = {row_of(name, text).index(".") for name in ("lamp", "two_minds", "wall", "tiny")}
     assert len(points) == 1
 

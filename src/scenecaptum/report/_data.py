@@ -17,6 +17,7 @@ from ..visualization import (
     LOWERS,
     RAISES,
     UNCLEAR,
+    Format,
     axis_label,
     caution_groups,
     color_of,
@@ -95,14 +96,15 @@ def _result(
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
     saliencies = [_object_effect(ranking, rows) for rows in object_rows]
-    value, error = with_error(attribution.metric_value, attribution.metric_standard_error, digits=3)
+    value, error = with_error(attribution.metric_value, attribution.metric_standard_error)
     return {
         "title": title,
         "metric": metric_name(attribution),
         "unit": metric_unit(attribution),
         "verdict": verdict(attribution),
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
-        "explanation": [] if explanation is None else explanation.sections(),
+        # The first section is the headline, which stands on top anyway.
+        "explanation": [] if explanation is None else explanation.sections()[1:],
         "quantity": attribution.kind.value,
         "axis": axis_label(attribution),
         "signs": sign_labels(attribution),
@@ -168,7 +170,10 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         "effect": _number(row.effect),
         "saliency": _number(row.saliency),
         "error": _number(row.saliency_error),
-        "written": _format_signed(row.effect, row.effect_error),
+        "effectError": _number(row.effect_error),
+        "written": with_error(row.saliency, row.saliency_error)
+        if attribution.ranks_by_norm()
+        else _format_signed(row.effect, row.effect_error),
         "sign": _SIGNS[color_of(row, attribution)],
         "total": [_number(value) for value in row.total] if few else [],
         "totalError": [_number(error) for error in errors] if few and row.total_error else [],
@@ -182,8 +187,8 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
 
 
 def _format_signed(value: float, error: float | None) -> tuple[str, str]:
-    formatted, formatted_error = with_error(value, error)
-    return (f"+{formatted}" if value > 0 else formatted), formatted_error
+    style = Format.of(value, error)
+    return style.write_signed(value), "" if error is None else style.write(error)
 
 
 def _value(attribution: Attribution, name: str, members: Sequence[str] | None) -> dict[str, Any]:

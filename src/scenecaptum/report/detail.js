@@ -91,7 +91,7 @@ function hintOf(result) {
 /** The answer in sentences: a heading for each part, and its lines. */
 function drawExplanation(result) {
   const parts = result.explanation.map(([heading, lines]) => make("div", { class: "part" },
-    make("h2", {}, heading), lines.length ? make("pre", {}, lines.join("\n")) : null));
+    make("h2", {}, heading), make("ul", {}, ...lines.map((line) => make("li", {}, line)))));
   byId("explanation").hidden = parts.length === 0;
   byId("explanation").replaceChildren(...parts);
 }

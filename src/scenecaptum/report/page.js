@@ -316,7 +316,7 @@ function csvText() {
   const channels = most((row) => row.total.length);
   const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "effect", "effect_error", ...numbered("gradient", channels), ...numbered("error", channels)];
   const lines = results.flatMap((one) => one.rows.map((row, index) => [
-    one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.effect ?? "", row.error ?? "",
+    one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.effect ?? "", row.effectError ?? "",
     ...padded(row.total, channels), ...padded(row.totalError, channels)]));
   const cell = (one) => (/[",\r\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
   return `${[head, ...lines].map((line) => line.map(cell).join(",")).join("\r\n")}\r\n`;
@@ -328,7 +328,7 @@ function jsonText() {
     metric: { name: one.metric, value: one.value, standard_error: one.error },
     quantity: one.quantity,
     ranking: one.rows.map((row, index) => ({
-      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, effect: row.effect, effect_error: row.error,
+      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, effect: row.effect, effect_error: row.effectError,
       total: row.total, total_error: row.totalError.length ? row.totalError : null,
       caution: row.caution === null ? null : one.cautions[row.caution],
     })),
