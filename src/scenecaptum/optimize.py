@@ -17,6 +17,7 @@ from .estimation import (
     Denoise,
     Metric,
     Stream,
+    Target,
     TargetedMetric,
     TransformSelector,
     channel_totals,
@@ -63,6 +64,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     metric: Metric,
     below: float,
     *,
+    target: Target = None,
     top: int = 5,
     change: float = 0.5,
     steps: int = 60,
@@ -88,10 +90,12 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     Parameters
     ----------
     renderer, metric
-        As for ``VanillaSceneGradient``; the metric must return a scalar, and the renderer must have ``bounds``.
-        To increase a metric, minimize its negative.
+        As for ``VanillaSceneGradient``; the renderer must have ``bounds``. To increase a metric, minimize its
+        negative.
     below
         The goal, in the metric's unit.
+    target
+        Index of the metric's output, if that is a vector.
     top
         Number of parameters to change.
     change
@@ -128,7 +132,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     count = whole_number("steps", steps)
     ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
-    ranked = VanillaSceneGradient(renderer, metric).attribute(seed=ranking_seed, spp=spp, denoise=denoise)
+    ranked = VanillaSceneGradient(renderer, metric).attribute(
+        target=target, seed=ranking_seed, spp=spp, denoise=denoise
+    )
     name = metric_symbol(ranked)
     fixed = _construction(renderer)
     movable = [row for row in ranked.ranking() if row.saliency > 0 and row.name not in fixed]
@@ -141,7 +147,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         return render_images(renderer, changed, budget.seeds[0], budget.spp[0])
 
     (transformed,) = with_image_transform(
-        [TargetedMetric(metric)], render(values), TransformSelector(denoise, renderer)
+        [TargetedMetric(metric, target)], render(values), TransformSelector(denoise, renderer)
     )
 
     def measure(changed: Mapping[str, torch.Tensor]) -> Measured:

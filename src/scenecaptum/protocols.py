@@ -91,6 +91,7 @@ class Capabilities:
     surfaces_with_texels = _Offer[Callable[[Iterable[str]], Any]](
         "What each pixel shows, with the texels of textures."
     )
+    see_through = _Offer[Callable[[Iterable[str]], Any]]("What each pixel shows in mirrors and behind glass.")
     effective_samples = _Offer[Callable[..., dict[str, float]]]("Counts the samples behind each variance.")
     require_memory = _Offer[Callable[..., None]]("Raises if images do not fit into memory.")
     held_values = _Offer[Callable[..., Mapping[str, torch.Tensor]]](

@@ -278,6 +278,7 @@ def make_attribution(
     """
     scale = 1 / gradients.weight
     names = list(gradients.mean)
+    surfaces = surfaces_of(renderer, names)
     replicates = {name: scale * gradients.rows(name) for name in names}
     has_errors = gradients.degrees_of_freedom > 0
     bias = (
@@ -295,12 +296,13 @@ def make_attribution(
         parameter_values=summarize(values),
         labels=dict(Capabilities(renderer).labels or {}),
         image=image,
-        surfaces=surfaces_of(renderer, names),
+        surfaces=surfaces,
         info={
             **info,
             "replicates": gradients.replicates,
             "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
+            "seen_through": seen_through(renderer, surfaces, names),
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **(Capabilities(renderer).info or {}),
             "versions": versions(),
@@ -325,6 +327,14 @@ def surfaces_of(renderer: Renderer, names: Iterable[str]) -> SurfaceMap | None:
     with_texels = Capabilities(renderer).surfaces_with_texels
     surfaces: SurfaceMap | None = with_texels(names) if with_texels else Capabilities(renderer).surfaces
     return surfaces
+
+
+def seen_through(renderer: Renderer, surfaces: SurfaceMap | None, names: Iterable[str]) -> list[str]:
+    """Return the parameters whose objects are seen only in mirrors or behind glass."""
+    hidden = set(names) - (set(names) if surfaces is None else surfaces.visible_parameters())
+    trace = Capabilities(renderer).see_through
+    behind = trace(()) if trace is not None and hidden else None
+    return [] if behind is None else sorted(hidden & behind.visible_parameters())
 
 
 def _error(gradients: GradientSum, name: str) -> torch.Tensor:

@@ -270,9 +270,7 @@ class Run:
             image=evaluation.image,
             info={
                 "method": self.method,
-                "metric": metric.name,
-                "measure": None if metric.measure is None else metric.measure.describe(),
-                "verdict": evaluation.metric.verdict(adjoints.value, evaluation.image),
+                **evaluation.metric.describe(adjoints.value, evaluation.image),
                 "seed": self.settings.seed,
                 "spp": gradients.budget.total,
                 "budget": _budget_info(gradients),

@@ -27,7 +27,7 @@ from ..estimation import (
 )
 from ..finite import error_context
 from ..protocols import Capabilities, Renderer
-from ._attribution import SceneAttribution, surfaces_of, versions
+from ._attribution import SceneAttribution, seen_through, surfaces_of, versions
 from ._convergence import convergence
 from ._data import summarize
 from ._method import AttributionInterrupted, Result, Settings, Targets, target_list
@@ -170,12 +170,13 @@ class Perturbation:
         bias = value - unbiased.mean().item() if count > 1 else None
         error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
         drift = None if bias is None or error is None else (bias, error)
+        surfaces = surfaces_of(self.renderer, effects)
         spp_per_arm = None if measured.budget.spp[0] is None else count * measured.budget.spp[0]
         result_info = {
             **(Capabilities(self.renderer).info or {}),
             "cautions": {},  # the renderer's cautions are about derivatives
             **measured.info,
-            "metric": measured.metrics[index].name,
+            **measured.metrics[index].describe(value, measured.image),
             "spp": measured.budget.total,
             "replicates": count,
             "budget": {
@@ -185,7 +186,10 @@ class Perturbation:
                 "total_spp": measured.budget.total,
             },
             "metric_bias": bias,
-            "picture": describe_picture(measured.metrics[index].transform, value, drift, spp_per_arm),
+            "picture": describe_picture(
+                measured.metrics[index].transform, value, drift, spp_per_arm, metric=measured.metrics[index]
+            ),
+            "seen_through": seen_through(self.renderer, surfaces, measured.inputs),
             "interrupted": measured.interrupted,
             "versions": versions(),
             **info,
@@ -207,7 +211,7 @@ class Perturbation:
             parameter_values=measured.inputs,
             labels={name: labels.get(name, name) for name in effects},
             image=measured.image,
-            surfaces=surfaces_of(self.renderer, effects),
+            surfaces=surfaces,
             info=result_info,
         )
 

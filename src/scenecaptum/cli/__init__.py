@@ -2,3 +2,4 @@
 
 from ._main import main as main
 from ._main import parser as parser
+from ._main import run as run

@@ -26,16 +26,9 @@ def add_file(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
+def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the scene and the render options."""
     add_file(parser)
-    parser.add_argument(
-        "--inputs",
-        action="append",
-        metavar="SELECTION",
-        help="parameters to differentiate: materials, reflectance, roughness, ior, opacity, textures, emitters, "
-        "media, all, a glob or a name; may be repeated (default: all)",
-    )
     parser.add_argument(
         "--sensor",
         default="0",
@@ -57,6 +50,18 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         help="maximum path depth in segments, -1 for no limit (default: %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: %(default)s)")
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the scene, the render options, the parameters to differentiate and the checkpoint."""
+    add_view(parser)
+    parser.add_argument(
+        "--inputs",
+        action="append",
+        metavar="SELECTION",
+        help="parameters to differentiate: materials, reflectance, roughness, ior, opacity, textures, emitters, "
+        "media, all, a glob or a name; may be repeated (default: all)",
+    )
     parser.add_argument(
         "--checkpoint",
         type=Path,
@@ -109,13 +114,13 @@ def make_renderer(options: argparse.Namespace) -> SceneRenderer:
     """Create the renderer from the arguments."""
     return SceneRenderer(
         options.scene,
-        options.inputs or "all",
+        getattr(options, "inputs", None) or "all",
         resolution=options.resolution,
         spp=options.spp,
         max_depth=options.max_depth,
         sensor=int(options.sensor) if options.sensor.isdigit() else options.sensor,
         parameters=dict(options.parameters or ()),
-    ).with_checkpoint(options.checkpoint)
+    ).with_checkpoint(getattr(options, "checkpoint", None))
 
 
 def print_resumed(renderer: SceneRenderer) -> None:

@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient
+from ..attr import Ranked, SceneAttribution, VanillaSceneGradient
 from ..errors import SceneCaptumError
+from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
+from ..rendering import SceneRenderer
 from ..report import write_report
-from ..visualization import format_with_error, grid, metric_line, metric_unit, rounded, signed_with_error
+from ..validation import Scenes, denoise_of
+from ..visualization import (
+    format_with_error,
+    grid,
+    metric_line,
+    metric_name,
+    metric_unit,
+    pluralize,
+    rounded,
+    signed_with_error,
+)
 from . import _arguments
-from ._design import add_design, designed_values
+from ._design import add_design, design_of, designed_values, read_design
 from ._files import print_files, writable
 from ._metrics import add_metric, find_metrics
 
@@ -27,37 +42,113 @@ def add(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
         "compare",
-        help="compare two scenes, a scene with a design of it, or two saved results",
+        help="compare two scenes, two designs of a scene, or two saved results",
         description="Compare a metric and its causes in two scenes or two saved results (attribution.npz). With "
-        "--set or --design, B is the design of A. Both use the same random numbers, so that the noise of the "
-        "difference is small.",
+        "--set or --design, B is that design of the scene, and A the scene as it is or the design --from. Both "
+        "are rendered with the same random numbers, so that the error of the change is small.",
         epilog="example: scenecaptum compare office --set desk.base_color.value=0.8 --metric ugr --spp 64",
     )
     _arguments.add_scene(parser)
     parser.add_argument("other", nargs="?", metavar="B", help="another scene or saved result")
     add_metric(parser)
     add_design(parser)
+    parser.add_argument("--from", type=Path, dest="origin", metavar="FILE", help="the design that is A")
     parser.add_argument("--titles", nargs=2, metavar=("A", "B"), help="names of the two in the output")
     _arguments.add_output(parser)
     parser.set_defaults(run=run)
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """Two results of one metric, their titles, and the change of the metric with its standard error."""
+
+    before: SceneAttribution
+    after: SceneAttribution
+    titles: Sequence[str]
+    change: float
+    error: float | None
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    titles = options.titles or _titles(options)
     with writable(options.out):
-        before, after = _results(options)
-        write_report([before, after], options.out / REPORT, titles=titles)
-    print("\n".join(lines(before, after, titles)))
+        found = _compare(options)
+        write_report([found.before, found.after], options.out / REPORT, titles=found.titles)
+    if options.json:
+        print(json.dumps(_numbers(found), indent=1, ensure_ascii=False))
+        return 0
+    print("\n".join(_lines(found)))
     print_files(options.out, [])
     print(f"{options.out / REPORT}  both results, with their pictures side by side")
     return 0
 
 
-def _titles(options: argparse.Namespace) -> list[str]:
-    if options.other is None:
-        return ["as it is", options.design.stem if options.design else "the design"]
-    return [_name(options.scene), _name(options.other)]
+def _compare(options: argparse.Namespace) -> Comparison:
+    designed = bool(options.settings or options.design)
+    if (options.other is None) != designed:
+        raise SceneCaptumError(
+            "Give either a second scene or saved result, or the values of a design with --set or --design."
+        )
+    return _compare_designs(options) if designed else _compare_scenes(options)
+
+
+def _compare_designs(options: argparse.Namespace) -> Comparison:
+    renderer, metric = _renderer_and_metric(options, options.scene)
+    origin = None if options.origin is None else design_of(renderer, read_design(options.origin))
+    design = designed_values(options, renderer)
+    method, progress = VanillaSceneGradient(renderer, metric), _arguments.shows_progress(options)
+    before, after = (
+        method.attribute(values, target=options.target, seed=options.seed, show_progress=progress)
+        for values in (origin, design)
+    )
+    scenes = Scenes(
+        renderer,
+        metric,
+        options.target,
+        seed=options.seed,
+        spp=None,
+        replicates=DEFAULT_REPLICATES,
+        denoise=denoise_of(before),
+        values=origin,
+    )
+    titles = options.titles or [
+        "as it is" if options.origin is None else options.origin.stem,
+        "the design" if options.design is None else options.design.stem,
+    ]
+    change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
+    return Comparison(before, after, titles, *change)
+
+
+def _compare_scenes(options: argparse.Namespace) -> Comparison:
+    if options.origin is not None:
+        raise SceneCaptumError(
+            "--from needs --set or --design: it is the design that they are compared with."
+        )
+    before, after = (_loaded_or_attributed(options, given) for given in (options.scene, options.other))
+    if metric_name(before) != metric_name(after):
+        raise SceneCaptumError(
+            f"The results are of different metrics, {metric_name(before)} and {metric_name(after)}: compare "
+            "results of one metric."
+        )
+    a, b = before.metric_standard_error, after.metric_standard_error
+    error = None if a is None or b is None else math.hypot(a, b)
+    titles = options.titles or [_name(options.scene), _name(options.other)]
+    return Comparison(before, after, titles, after.metric_value - before.metric_value, error)
+
+
+def _loaded_or_attributed(options: argparse.Namespace, given: str) -> SceneAttribution:
+    if given.endswith(".npz"):
+        return SceneAttribution.load(given)
+    result: SceneAttribution = VanillaSceneGradient(*_renderer_and_metric(options, given)).attribute(
+        target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
+    )
+    return result
+
+
+def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
+    (create,) = find_metrics([options.metric], options).values()
+    renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}))
+    return renderer, create(renderer)
 
 
 def _name(given: str) -> str:
@@ -65,58 +156,25 @@ def _name(given: str) -> str:
     return path.parent.name if path.stem in ("scene", "attribution") and path.parent.name else path.stem
 
 
-def _results(options: argparse.Namespace) -> tuple[SceneAttribution, SceneAttribution]:
-    designed = bool(options.settings or options.design)
-    if (options.other is None) != designed:
-        raise SceneCaptumError(
-            "Give either a second scene or saved result, or the values of a design with --set or --design."
-        )
-    if designed:
-        method, renderer = _method(options, options.scene)
-        values = designed_values(options, renderer)
-        return method.attribute(seed=options.seed), method.attribute(values, seed=options.seed)
-    before, after = (
-        SceneAttribution.load(given)
-        if given.endswith(".npz")
-        else _method(options, given)[0].attribute(seed=options.seed)
-        for given in (options.scene, options.other)
-    )
-    return before, after
-
-
-def _method(options: argparse.Namespace, scene: str) -> tuple[VanillaSceneGradient, Any]:
-    (create,) = find_metrics([options.metric], options).values()
-    renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}))
-    return VanillaSceneGradient(renderer, create(renderer)), renderer
-
-
-def lines(before: SceneAttribution, after: SceneAttribution, titles: list[str]) -> list[str]:
+def _lines(found: Comparison) -> list[str]:
     """Return the comparison as text: the metric, the values that differ, and the effects that changed."""
-    unit = metric_unit(before)
-    suffix = f" {unit}" if unit else ""
-    change = after.metric_value - before.metric_value
-    error = _hypot(before.metric_standard_error, after.metric_standard_error)
+    before, after = found.before, found.after
+    suffix = f" {metric_unit(before)}".rstrip()
     text = [
-        f"{titles[0]}: {metric_line(before)}",
-        f"{titles[1]}: {metric_line(after)}",
-        f"change: {signed_with_error(change, error)}{suffix}",
+        f"{found.titles[0]}: {metric_line(before)}",
+        f"{found.titles[1]}: {metric_line(after)}",
+        f"change: {signed_with_error(found.change, found.error)}{suffix}",
     ]
     moved = [
-        (before.labels.get(name, name), _values(value), _values(after.parameter_values[name]))
-        for name, value in before.parameter_values.items()
-        if name in after.parameter_values and not torch.equal(value, after.parameter_values[name])
+        (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
+        for name in _moved(before, after)
     ]
     if moved:
-        text += ["", *grid(("parameter", titles[0], titles[1]), moved[:ROWS])]
+        text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]
     if set(before) != set(after):
-        only = len(set(before) ^ set(after))
-        return [*text, "", f"{only} parameters are only in one of the two; effects are not compared."]
+        only = pluralize(len(set(before) ^ set(after)), "parameter")
+        return [*text, "", f"{only} of one of the two only; effects are not compared."]
     effects, others = before.effects(), after.effects()
-    rows = [
-        row
-        for row in (after - before).ranking()
-        if abs(row.effect) > SIGNIFICANT * (row.effect_error or math.inf)
-    ]
     table = [
         (
             row.label,
@@ -124,15 +182,49 @@ def lines(before: SceneAttribution, after: SceneAttribution, titles: list[str]) 
             format_with_error(others[row.name], None),
             signed_with_error(row.effect, row.effect_error),
         )
-        for row in rows[:ROWS]
+        for row in _changed_effects(before, after)[:ROWS]
     ]
     if table:
-        text += ["", *grid(("effect of", titles[0], titles[1], f"change{suffix}"), table)]
+        text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
     return text
 
 
-def _hypot(a: float | None, b: float | None) -> float | None:
-    return None if a is None or b is None else math.hypot(a, b)
+def _numbers(found: Comparison) -> dict[str, Any]:
+    """Return the comparison as plain values."""
+    before, after = found.before, found.after
+    rows = _changed_effects(before, after) if set(before) == set(after) else []
+    return {
+        "metric": metric_name(before),
+        "unit": metric_unit(before),
+        "results": [
+            {"title": title, "value": one.metric_value, "standard_error": one.metric_standard_error}
+            for title, one in zip(found.titles, (before, after), strict=True)
+        ],
+        "change": {"value": found.change, "standard_error": found.error},
+        "values": {
+            name: [one.parameter_values[name].tolist() for one in (before, after)]
+            for name in _moved(before, after)
+        },
+        "effects": [
+            {"name": row.name, "label": row.label, "change": row.effect, "standard_error": row.effect_error}
+            for row in rows
+        ],
+    }
+
+
+def _moved(before: SceneAttribution, after: SceneAttribution) -> list[str]:
+    """Return the parameters with different values."""
+    values, others = before.parameter_values, after.parameter_values
+    return [name for name in values if name in others and not torch.equal(values[name], others[name])]
+
+
+def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[Ranked]:
+    """Return the changes of effects that are clear of the noise, the largest first."""
+    return [
+        row
+        for row in (after - before).ranking()
+        if abs(row.effect) > SIGNIFICANT * (row.effect_error or math.inf)
+    ]
 
 
 def _values(value: torch.Tensor) -> str:

@@ -13,7 +13,9 @@ ARGUMENTS = ("office", "--resolution", "320x180", "--spp", "64")
 def add(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
-        "demo", help="attribute the mean luminance of a bundled office scene in about a minute"
+        "demo",
+        help="attribute the mean luminance of a bundled office scene in about a minute",
+        epilog="example: scenecaptum demo --out out",
     )
     add_results(parser)
     complete = argparse.ArgumentParser()

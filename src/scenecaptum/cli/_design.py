@@ -49,10 +49,13 @@ def assignment(text: str) -> tuple[str, list[float]]:
 
 def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, torch.Tensor] | None:
     """Return the renderer's inputs with the values of the design, or None without one."""
-    settings: dict[str, Any] = dict(_read(options.design)) if options.design else {}
+    settings: dict[str, Any] = dict(read_design(options.design)) if options.design else {}
     settings |= dict(options.settings or ())
-    if not settings:
-        return None
+    return design_of(renderer, settings) if settings else None
+
+
+def design_of(renderer: SceneRenderer, settings: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Return the renderer's inputs with other values by name."""
     values = renderer.inputs
     for name, value in settings.items():
         if name not in values:
@@ -64,7 +67,7 @@ def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dic
     return values
 
 
-def _read(path: Path) -> Mapping[str, Any]:
+def read_design(path: Path) -> Mapping[str, Any]:
     """Read a file of names and values; tables in TOML are parts of names."""
     parse = _toml_parser() if path.suffix == ".toml" else json.loads
     try:

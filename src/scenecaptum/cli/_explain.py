@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
 from ..attr import Explanation
 from ..explanation import explain
 from ..report import write_report
+from ..visualization import metric_name, metric_unit, verdict
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
+from ._optimize import optimization_numbers
 
 REPORT = "report.html"
 
@@ -62,6 +65,9 @@ def run(options: argparse.Namespace) -> int:
         write_files(explanation, options.out, FORMATS)
         if options.report:
             write_report(explanation, options.out / REPORT)
+    if options.json:
+        print(_json(explanation))
+        return 0
     print(explanation)
     print_files(options.out, FORMATS)
     if options.report:
@@ -70,8 +76,41 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _json(explanation: Explanation) -> str:
+    attribution, goal = explanation.attribution, explanation.goal
+    changes = [
+        {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
+        for change in explanation.changes
+    ]
+    numbers = {
+        "metric": {
+            "name": metric_name(attribution),
+            "unit": metric_unit(attribution),
+            "value": attribution.metric_value,
+            "standard_error": attribution.metric_standard_error,
+            "verdict": verdict(attribution),
+        },
+        "sources": [vars(source) for source in explanation.sources],
+        "effects": [
+            {"name": row.name, "label": row.label, "effect": row.effect, "standard_error": row.effect_error}
+            for row in attribution.ranking()
+        ],
+        "changes": changes,
+        "goal": None if goal is None else optimization_numbers(goal),
+        "sentences": dict(explanation.sections()),
+    }
+    return json.dumps(numbers, indent=1, ensure_ascii=False)
+
+
+def _write_json(explanation: Explanation, path: Path) -> None:
+    path.write_text(_json(explanation) + "\n", encoding="utf-8")
+
+
 def _write_markdown(explanation: Explanation, path: Path) -> None:
     path.write_text(explanation.markdown(), encoding="utf-8")
 
 
-FORMATS = [OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown)]
+FORMATS = [
+    OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
+    OutputFormat("explanation.json", "the numbers", _write_json),
+]

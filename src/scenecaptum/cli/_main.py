@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 from .. import __version__
-from ..errors import SceneCaptumError
+from ..errors import SceneCaptumError, near_misses
 from . import (
     _attribute,
     _compare,
@@ -20,6 +23,7 @@ from . import (
     _tradeoff,
     _validate,
 )
+from ._interrupt import INTERRUPTED, leave, prompt_exit
 
 COMMANDS = (
     _explain,
@@ -34,31 +38,58 @@ COMMANDS = (
     _doctor,
 )
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BAD_INPUT = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 success, 1 not confirmed, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
+    say = partial(_say_interrupted, options, time.time())
     try:
-        status: int = options.run(options)
+        with prompt_exit(say):
+            status: int = options.run(options)
     except SceneCaptumError as error:
         print(f"scenecaptum: error: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print(f"scenecaptum: interrupted; {_kept(options)}.", file=sys.stderr)
+        say()
         return INTERRUPTED
     return status
 
 
-def _kept(options: argparse.Namespace) -> str:
+def run() -> int:
+    """Run the command of this process; it ends within seconds of Ctrl-C."""
+    status = main()
+    if status == INTERRUPTED:
+        leave(status)
+    return status
+
+
+def _say_interrupted(options: argparse.Namespace, started: float) -> None:
+    print(f"\nscenecaptum: interrupted; {_kept(options, started)}.", file=sys.stderr)
+
+
+def _kept(options: argparse.Namespace, started: float) -> str:
     """Return what an interrupted command has left."""
     checkpoint, folder = getattr(options, "checkpoint", None), getattr(options, "out", None)
     if checkpoint is not None and checkpoint.exists():
         return f"run the same command again to resume from {checkpoint}"
-    if folder is not None and folder.exists():
-        return f"finished results are in {folder}"
-    return "nothing was kept; --checkpoint DIR keeps finished replicates"
+    if folder is not None and any(path.stat().st_mtime >= started for path in folder.rglob("*.*")):
+        return f"what was finished is in {folder}"
+    if checkpoint is None and hasattr(options, "checkpoint"):
+        return "nothing was kept; --checkpoint DIR keeps finished replicates"
+    return "nothing was kept"
+
+
+class _CommandParser(argparse.ArgumentParser):
+    """Reports a misspelt option with the usage of its command; argparse shows that of the whole program."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        options, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = near_misses(unknown[0], self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}.{near}")
+        return options, unknown
 
 
 def parser() -> argparse.ArgumentParser:
@@ -68,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
         description="Attribute any metric of a rendered image to the parameters of the scene.",
     )
     whole.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
-    commands = whole.add_subparsers(required=True, metavar="COMMAND")
+    commands = whole.add_subparsers(required=True, metavar="COMMAND", parser_class=_CommandParser)
     for command in COMMANDS:
         command.add(commands)
     return whole

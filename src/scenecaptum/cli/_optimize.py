@@ -22,7 +22,7 @@ def add(commands: Any) -> None:
         help="change the parameters that matter most until a metric is below a goal",
         description="Lower a metric below a goal by changing the parameters with the largest effects within their "
         "bounds. Exits with 1 if the goal is not reached.",
-        epilog="example: scenecaptum optimize office --metric luminance --below 40 --resolution 64x36 --spp 64",
+        epilog="example: scenecaptum optimize office --metric ugr --below 19 --resolution 64x36 --spp 64",
     )
     _arguments.add_scene(parser)
     add_metric(parser)
@@ -54,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
             renderer,
             create(renderer),
             options.below,
+            target=options.target,
             top=options.top,
             change=options.change,
             steps=options.steps,
@@ -61,19 +62,20 @@ def run(options: argparse.Namespace) -> int:
             show_progress=_arguments.shows_progress(options),
         )
         write_files(found, options.out, FORMATS)
-    print(_json(found) if options.json else found)
+    print(json.dumps(optimization_numbers(found), indent=1) if options.json else found)
     if not options.json:
         print_files(options.out, FORMATS)
     return 0 if found.reached else NOT_REACHED
 
 
-def _json(found: Optimization) -> str:
+def optimization_numbers(found: Optimization) -> dict[str, Any]:
+    """Return what was reached, and the design, as plain values."""
     measured = {
         name: {"value": side.value, "standard_error": side.error}
         for name, side in (("before", found.before), ("after", found.after))
     }
     numbers = {"metric": found.metric, "below": found.below, "reached": found.reached, **measured}
-    return json.dumps({**numbers, "design": _design(found)}, indent=1)
+    return {**numbers, "design": _design(found)}
 
 
 def _design(found: Optimization) -> dict[str, Any]:

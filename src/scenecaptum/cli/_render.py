@@ -24,7 +24,7 @@ def add(commands: Any) -> None:
         description="Render a scene. A PNG is tone-mapped for display; an EXR has the linear radiance.",
         epilog="example: scenecaptum render office --resolution 320x180 --spp 64 --denoise --to office.png",
     )
-    _arguments.add_scene(parser)
+    _arguments.add_view(parser)
     add_design(parser)
     parser.add_argument("--denoise", action="store_true", help="denoise the picture (Open Image Denoise)")
     parser.add_argument(

@@ -72,6 +72,14 @@ class TargetedMetric:
             return text
         return "" if self.measure is None else self.measure.verdict(value)
 
+    def describe(self, value: float, image: torch.Tensor) -> dict[str, Any]:
+        """Return name, measure and meaning of a value, for the ``info`` of a result."""
+        return {
+            "metric": self.name,
+            "measure": None if self.measure is None else self.measure.describe(),
+            "verdict": self.verdict(value, image),
+        }
+
     def with_transform(self, transform: ImageTransform) -> TargetedMetric:
         """Return the same metric with another transform."""
         return dataclasses.replace(self, transform=transform)

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 
 import torch
 
-from ..attr import Explanation, VanillaSceneGradient
+from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..optimize import minimize
-from ..protocols import Renderer
+from ..projection import SurfaceMap
+from ..protocols import Capabilities, Renderer
 from ..validation import Scenes, denoise_of
 from ._changes import propose, rendered
 from ._sources import find_sources
@@ -90,9 +91,16 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     )
     return Explanation(
         attribution,
-        sources=find_sources(scenes.metric, scenes.images, attribution.surfaces),
+        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, change) for change in proposed),
         goal=None
         if below is None
-        else minimize(renderer, metric, below, seed=goal_seed, spp=spp, denoise=denoise),
+        else minimize(renderer, metric, below, target=target, seed=goal_seed, spp=spp, denoise=denoise),
     )
+
+
+def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:
+    """Return what each pixel shows, through glass and in mirrors if the renderer can tell."""
+    trace = Capabilities(renderer).see_through
+    found: SurfaceMap | None = None if trace is None else trace(())
+    return attribution.surfaces if found is None else found

@@ -77,6 +77,11 @@ class SurfaceMap:
         visible = pixels.ravel()[self.pixel] & (self.fraction > 0)
         return [self.objects[index] for index in np.unique(self.object_index[visible])]
 
+    def visible_parameters(self) -> set[str]:
+        """Return the names of the parameters of all visible objects."""
+        visible = np.unique(self.object_index[self.fraction > 0])
+        return {name for index in visible for name in self.parameters[index]}
+
     def shown(self, names: Collection[str]) -> NDArray[np.float32]:
         """Return the fraction of each pixel covered by objects that use any of these parameters, ``(H, W)``."""
         uses = np.array([any(name in names for name in used) for used in self.parameters])

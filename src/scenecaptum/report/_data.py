@@ -180,6 +180,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         "totalWritten": [_format_signed(value, error) for value, error in zip(row.total, errors, strict=True)]
         if few
         else [],
+        "seenThrough": bool({row.name, *(members or ())} & set(attribution.info.get("seen_through") or ())),
         "channels": len(row.total),
         "texture": attribution[row.name].ndim > 1,
         **_value(attribution, row.name, members),

@@ -41,13 +41,17 @@ function drawDetail(results, current, view, selection) {
     make("div", { class: "cards" }, ...rows.map((index) => cardOf(results, current, index))));
 }
 
-function standingOf(result, view, { kind, objects }) {
+function standingOf(result, view, { kind, objects, rows }) {
   const count = view.width * view.height;
   let covered = 0;
   for (const one of coverage(view, objects)) covered += one;
   const share = (100 * covered) / (255 * count);
   const size = share >= 0.1 ? `${share.toFixed(1)} %` : "less than 0.1 %";
-  if (objects.length === 0) return "No pixel shows it directly; it acts by the light that it sends or bounces.";
+  if (objects.length === 0) {
+    return rows.some((row) => result.rows[row].seenThrough)
+      ? "Pixels show it only behind glass or in a mirror."
+      : "No pixel shows it directly; it acts by the light that it sends or bounces.";
+  }
   if (kind === "object") return `${size} of the picture`;
   const names = objects.map((one) => view.names[one]);
   const listed = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${names.length - 3} more` : names.join(", ");
@@ -82,7 +86,7 @@ function othersOf(results, current, name) {
 
 /** Before anything is selected: how to read the picture, and what matters out of sight. */
 function hintOf(result) {
-  const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && objectsOf(result, index).length === 0);
+  const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && objectsOf(result, index).length === 0);
   const hint = "Point at the picture to read an object; click it, or a row of the table, to keep it lit.";
   const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);
   return [make("p", { class: "muted" }, hint), hidden].filter(Boolean);

@@ -237,7 +237,7 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
     surfaces = attribution.surfaces
     if surfaces is None:
         return ""
-    visible = {name for index in set(surfaces.object_index.tolist()) for name in surfaces.parameters[index]}
+    visible = surfaces.visible_parameters() | set(attribution.info.get("seen_through") or ())
     groups = attribution.info.get("groups") or {}
     for row in attribution.ranking(3, scale=scale):
         if visible.isdisjoint(groups.get(row.name, [row.name])) and row.saliency > 0:
