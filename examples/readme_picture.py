@@ -1,4 +1,4 @@
-"""Draw the figure of the README: the office, and the saliency for its mean luminance.
+"""Draw the figure of the README: what causes the glare in the office, and what lowers it.
 
 python examples/readme_picture.py [FILE]
 """
@@ -9,18 +9,78 @@ import argparse
 import sys
 from pathlib import Path
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+
+from scenecaptum import SceneAttribution, SceneRenderer, metrics
+from scenecaptum.attr import Explanation
+from scenecaptum.explanation import explain
+from scenecaptum.visualization import display_image, new_figure
+
+LABELS = 5
+LIMIT = 19  # of UGR in offices, EN 12464-1
 
 
-def main(path: Path) -> None:
+def main(path: Path, resolution: tuple[int, int] = (640, 360), spp: int = 64) -> None:
     renderer = SceneRenderer(
-        "office", inputs=["materials", "emitters"], resolution=(640, 360), spp=64, max_depth=6
+        "office", inputs=["materials", "emitters"], resolution=resolution, spp=spp, max_depth=6
     )
-    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
-    attribution = method.attribute(seed=0, show_progress=sys.stderr.isatty())
+    metric = metrics.UnifiedGlareRating(renderer.camera)
+    explanation = explain(renderer, metric, seed=0, changes=1, show_progress=sys.stderr.isatty())
+    attribution = explanation.attribution
+    figure = new_figure(11, 3.9)
+    figure.suptitle(sentence(explanation), fontsize=14)
+    left, right = figure.subplots(1, 2)
+    left.imshow(display_image(attribution.image).numpy())
+    left.set_axis_off()
+    attribution.plot_heatmap(ax=right, signed=True)
+    figure.axes[-1].remove()  # the colour bar: the largest effects are written on the objects
+    label_objects(right, attribution)
+    left.set_title("the office, rendered", fontsize=11)
+    right.set_title("blue raises its glare, orange lowers it (change of UGR)", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
-    attribution.plot_heatmap().savefig(path, dpi=170)
-    print(attribution)
+    figure.savefig(path, dpi=130)
+    print(explanation)
+
+
+def sentence(explanation: Explanation) -> str:
+    """Return the answer: the cause of the glare, and what lowers it most."""
+    rating, source = explanation.attribution.metric_value, explanation.sources[0]
+    lowering = [row for row in explanation.attribution.ranking() if row.effect < 0][:3]
+    *first, last = (row.label.partition(":")[0].replace("_", " ") for row in lowering)
+    excess = "above" if rating > LIMIT else "below"
+    return (
+        f"The {source.name} causes {100 * source.share:.0f} % of this office's glare: UGR {rating:.1f}, {excess} "
+        f"the limit of {LIMIT} for offices.\nA lighter {', '.join(first)} or {last} lowers it most."
+    )
+
+
+def label_objects(ax: Axes, attribution: SceneAttribution) -> None:
+    """Write the largest effects on the visible objects that have them."""
+    surfaces = attribution.surfaces
+    height, width = surfaces.shape
+    for row in attribution.ranking(LABELS):
+        shown = surfaces.shown([row.name])
+        if shown.sum() < 0.002 * shown.size:
+            continue
+        y, x = fullest_place(shown > 0.5)
+        y, x = np.clip((y, x), (0.07 * height, 0.08 * width), (0.93 * height, 0.92 * width))
+        name = row.label.partition(":")[0].replace("_", " ")
+        style = {"ha": "center", "va": "center", "fontsize": 11, "fontweight": "bold"}
+        outline = [withStroke(linewidth=2.5, foreground="white")]
+        ax.text(x, y, f"{name}\n{row.effect:+.1f}".replace("-", "−"), path_effects=outline, **style)
+    ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+
+
+def fullest_place(mask: np.ndarray) -> tuple[float, float]:
+    """Return row and column of the pixel of a mask with most of the mask around it."""
+    size = 2 * (mask.shape[1] // 12) + 1
+    given = torch.from_numpy(mask).float()[None, None]
+    around = torch.nn.functional.avg_pool2d(given, size, stride=1, padding=size // 2)
+    row, column = divmod(int((around * given).argmax()), mask.shape[1])
+    return float(row), float(column)
 
 
 if __name__ == "__main__":

@@ -233,15 +233,20 @@ class SceneAttribution(AttributionData):
         return plot_overlay(self, ax=ax, **options)
 
     def plot_bars(
-        self, top: int | None = DEFAULT_TOP, *, ax: Axes | None = None, scale: Scale | None = None
+        self,
+        top: int | None = DEFAULT_TOP,
+        *,
+        ax: Axes | None = None,
+        scale: Scale | None = None,
+        figsize: tuple[float, float] | None = None,
     ) -> Figure:
         """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given.
 
-        ``scale`` as for ``ranking``.
+        ``scale`` is as for ``ranking``, ``figsize`` the width and height of the figure in inches.
         """
         from ..visualization import plot_bars
 
-        return plot_bars(self, top=top, scale=scale, ax=ax)
+        return plot_bars(self, top=top, scale=scale, ax=ax, figsize=figsize)
 
     def explain(self, count: int = DEFAULT_EFFECTS) -> Explanation:
         """Return what the result says in sentences: the verdict, and the first ``count`` effects.

@@ -56,6 +56,7 @@ def plot_bars(
     *,
     ax: Axes | None = None,
     scale: Scale | None = None,
+    figsize: tuple[float, float] | None = None,
 ) -> Figure:
     """Plot the ranking as horizontal bars of effects with standard errors, the largest on top.
 
@@ -74,18 +75,22 @@ def plot_bars(
         ``"range"`` (the default where ranges are known), ``"unit"`` or ``"value"``, as for ``ranking``.
     ax
         Axes to draw into; by default those of a new figure.
+    figsize
+        Width and height of the new figure in inches; by default as high as the rows need.
     """
     rows = first(attribution.ranking(scale=scale), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
     legend = bar_legend(attribution, rows, scale)
     # Up to a third of the width is for the names.
-    width = 0.67 * WIDTH if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
+    full = WIDTH if figsize is None else figsize[0]
+    width = 0.67 * full if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE))
     axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
     footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
     if ax is None:
         points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
-        ax = new_figure(WIDTH, 0.7 + 1.4 * points / 72 + 0.21 * max(len(rows), 2)).add_subplot()
+        height = 0.7 + 1.4 * points / 72 + 0.21 * max(len(rows), 2)
+        ax = new_figure(*(figsize or (WIDTH, height))).add_subplot()
 
     style_axes(ax, x="\n".join(axis))
     draw_bars(ax, attribution, rows, scale=scale, name_width=_NAME_WIDTH)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _NORMS = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
-_MAX_HEIGHT = 4.0
+DEFAULT_SIZE = (WIDTH, 4.0)  # the largest width of a figure and height of an image
 _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
 
 
@@ -45,6 +45,7 @@ def plot_heatmap(
     ax: Axes | None = None,
     signed: bool = False,
     norm: MapNorm = DEFAULT_NORM,
+    figsize: tuple[float, float] = DEFAULT_SIZE,
     **options: Any,
 ) -> Figure:
     """Plot the render and the saliency map side by side.
@@ -59,6 +60,8 @@ def plot_heatmap(
         Show signed values on a diverging colour scale, in the colours of the bars, instead of magnitudes.
     norm
         ``"sqrt"``, ``"linear"`` or ``"log"``, as for ``projection.heatmap``.
+    figsize
+        Largest width of the new figure and largest height of its images, in inches.
     options
         Other options of ``projection.heatmap``: ``parameter``, ``scale``, ``decades``, ``maximum``, ``texels``,
         ``surfaces``.
@@ -69,11 +72,11 @@ def plot_heatmap(
         If the attribution has no image, or no map of the surfaces in it.
     """
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
-    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2))
+    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2, figsize))
     bar = None
     if ax is None:
         render = _displayed_render(attribution)
-        left, ax, bar = _panels(attribution, heat, 2, title, options.get("scale"))
+        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"))
         left.imshow(render)
         left.set_title("render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
@@ -89,6 +92,7 @@ def plot_overlay(
     alpha: float = 0.8,
     signed: bool = False,
     norm: MapNorm = DEFAULT_NORM,
+    figsize: tuple[float, float] = DEFAULT_SIZE,
     **options: Any,
 ) -> Figure:
     """Plot the saliency map as an overlay on the grey render.
@@ -101,7 +105,7 @@ def plot_overlay(
         Axes to draw into; by default those of a new figure.
     alpha
         Opacity of the map at its maximum, between 0 and 1; it decreases with the saliency.
-    signed, norm, options
+    signed, norm, figsize, options
         As for ``plot_heatmap``.
 
     Raises
@@ -113,10 +117,10 @@ def plot_overlay(
         raise SceneCaptumError(f"alpha must be between 0 and 1, not {alpha!r}.")
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
     grey = _displayed_render(attribution).mean(-1)
-    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1))
+    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
-        ax, bar = _panels(attribution, heat, 1, title, options.get("scale"))
+        ax, bar = _panels(attribution, heat, 1, figsize, title, options.get("scale"))
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
@@ -195,20 +199,25 @@ def _map_title(
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
 
 
-def _width(ax: Axes | None, heat: torch.Tensor, count: int) -> float:
-    """Return the width of an image in inches, limited by the page width and the maximum height."""
+def _width(ax: Axes | None, heat: torch.Tensor, count: int, limits: tuple[float, float]) -> float:
+    """Return the width of an image in inches, limited by the width of the figure and the height of an image."""
     if ax is not None:
         return float(ax.get_position().width) * figure_of(ax).get_figwidth()
     height, width = heat.shape
-    available = (WIDTH - 2 * _MARGIN - _COLORBAR - _TICK_LABELS) / count - _GAP
-    return min(available, _MAX_HEIGHT * width / height)
+    available = (limits[0] - 2 * _MARGIN - _COLORBAR - _TICK_LABELS) / count - _GAP
+    return min(available, limits[1] * width / height)
 
 
 def _panels(
-    attribution: Attribution, heat: torch.Tensor, count: int, heading: str, scale: Scale | None
+    attribution: Attribution,
+    heat: torch.Tensor,
+    count: int,
+    limits: tuple[float, float],
+    heading: str,
+    scale: Scale | None,
 ) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
-    w = _width(None, heat, count)
+    w = _width(None, heat, count, limits)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
     title = figure_title(attribution, characters_per_line(width - 0.2, TITLE))
