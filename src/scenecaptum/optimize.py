@@ -28,6 +28,7 @@ from .estimation import (
     with_image_transform,
 )
 from .protocols import Capabilities, Renderer
+from .scene import clamp_inside
 from .visualization import (
     RAISES,
     SMALL,
@@ -214,11 +215,9 @@ class _BoundedAdam:
         current = {}
         for name, value in self.start.items():
             offset = self._offsets[name].reshape(value.shape if value.ndim < 2 else (-1,))
-            low, high = self._bounds[name]
+            moved = value + self._ranges[name] * offset
             margin = BOUND_MARGIN * self._ranges[name]
-            # A value that starts within the margin may stay there.
-            lowest, highest = value.clamp(max=low + margin), value.clamp(min=high - margin)
-            current[name] = torch.minimum(torch.maximum(value + self._ranges[name] * offset, lowest), highest)
+            current[name] = clamp_inside(moved, value, *self._bounds[name], margin)
         return current
 
     def step(self, image: torch.Tensor, adjoint: torch.Tensor) -> None:

@@ -10,7 +10,9 @@ import torch
 
 from ..attr import Change, SceneAttribution
 from ..estimation import channel_totals
+from ..optimize import BOUND_MARGIN
 from ..protocols import Capabilities, Renderer
+from ..scene import clamp_inside
 from ..validation import Scenes
 
 STEP = 0.1  # of a bounded range
@@ -59,7 +61,7 @@ def _moved(
     if not math.isfinite(length):
         moved = value * (1 + direction * DIMMING)
         return moved if bool(value.any()) else None
-    moved = (value + direction * STEP * length).clamp(*bounds)
+    moved = clamp_inside(value + direction * STEP * length, value, *bounds, BOUND_MARGIN * length)
     return moved if (moved - value).abs().mean() >= MIN_STEP * length else None
 
 

@@ -91,7 +91,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     )
     return Explanation(
         attribution,
-        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
+        sources=find_sources(
+            scenes.metric, scenes.images, _surfaces(renderer, attribution), attribution.labels
+        ),
         changes=tuple(rendered(scenes, change) for change in proposed),
         goal=None
         if below is None

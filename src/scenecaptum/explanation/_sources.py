@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 
@@ -14,30 +16,54 @@ MIN_SHARE = 0.02
 
 
 def find_sources(
-    metric: TargetedMetric, images: torch.Tensor, surfaces: SurfaceMap | None
+    metric: TargetedMetric, images: torch.Tensor, surfaces: SurfaceMap | None, labels: Mapping[str, str]
 ) -> tuple[Source, ...]:
     """Return the objects that cause at least 2 % of a metric, the largest share first, with the errors.
 
-    ``images`` are independent pictures, ``(replicates, H, W, 3)``. Without a map of the objects there are none.
+    ``images`` are independent pictures, ``(replicates, H, W, 3)``; ``labels`` are those of the parameters. Without
+    a map of the objects there are no sources.
     """
     if surfaces is None:
         return ()
-    shares, errors = delete_one_jackknife(
-        lambda kept: _shares(_weights(metric, images[kept].mean(0)), surfaces), len(images)
-    )
+    coverage = _coverage(surfaces, labels)
+    names = list(coverage)
+    covered = torch.stack([coverage[name] for name in names]).flatten(1)
+
+    def shares(kept: torch.Tensor) -> torch.Tensor:
+        parts = covered @ _weights(metric, images[kept].mean(0)).flatten()
+        return parts / parts.sum().clamp_min(torch.finfo(parts.dtype).tiny)
+
+    means, errors = delete_one_jackknife(shares, len(images))
     mean = images.mean(0)
     weights, luminance = _weights(metric, mean), _source_luminance(metric, mean)
-    order = [index for index in shares.argsort(descending=True).tolist() if shares[index] >= MIN_SHARE]
     return tuple(
         Source(
-            surfaces.objects[index],
-            _place(weights * _coverage(surfaces, index)),
-            shares[index].item(),
+            names[index],
+            _place(weights * coverage[names[index]]),
+            means[index].item(),
             errors[index].item(),
-            None if luminance is None else (luminance * (_coverage(surfaces, index) > 0)).max().item(),
+            None if luminance is None else (luminance * (coverage[names[index]] > 0)).max().item(),
         )
-        for index in order
+        for index in means.argsort(descending=True).tolist()
+        if means[index] >= MIN_SHARE
     )
+
+
+def _coverage(surfaces: SurfaceMap, labels: Mapping[str, str]) -> dict[str, torch.Tensor]:
+    """Return the fraction of each pixel, ``(H, W)``, that the objects of each name cover."""
+    shape, coverage = surfaces.shape, dict[str, torch.Tensor]()
+    for index in np.unique(surfaces.object_index):
+        fraction = surfaces.fraction * (surfaces.object_index == index)
+        covered = np.bincount(surfaces.pixel, weights=fraction, minlength=shape[0] * shape[1])
+        name = _name(surfaces, int(index), labels)
+        coverage[name] = coverage.get(name, 0.0) + torch.from_numpy(covered.reshape(shape))
+    return coverage
+
+
+def _name(surfaces: SurfaceMap, index: int, labels: Mapping[str, str]) -> str:
+    """Return the owner of all of an object's parameters, such as its material, or else the object's own name."""
+    owners = {labels[name].rpartition(": ")[0] for name in surfaces.parameters[index] if name in labels}
+    return owners.pop() if len(owners) == 1 else surfaces.objects[index]
 
 
 def _weights(metric: TargetedMetric, image: torch.Tensor) -> torch.Tensor:
@@ -65,20 +91,6 @@ def _source_luminance(metric: TargetedMetric, image: torch.Tensor) -> torch.Tens
         rows, columns = source.pixels.cpu().unbind(-1)
         luminance[rows, columns] = source.luminance
     return luminance
-
-
-def _shares(weights: torch.Tensor, surfaces: SurfaceMap) -> torch.Tensor:
-    """Return each object's share of the weights."""
-    parts = surfaces.fraction * weights.flatten().numpy(force=True)[surfaces.pixel]
-    totals = np.bincount(surfaces.object_index, weights=parts, minlength=len(surfaces.objects))
-    return torch.from_numpy(totals / (totals.sum() or 1.0))
-
-
-def _coverage(surfaces: SurfaceMap, index: int) -> torch.Tensor:
-    """Return the fraction of each pixel that an object covers, ``(H, W)``."""
-    fraction = surfaces.fraction * (surfaces.object_index == index)
-    covered = np.bincount(surfaces.pixel, weights=fraction, minlength=surfaces.shape[0] * surfaces.shape[1])
-    return torch.from_numpy(covered.reshape(surfaces.shape))
 
 
 def _place(weights: torch.Tensor) -> str:

@@ -19,6 +19,7 @@ from ._parameters import discover as discover
 from ._parameters import discover_in as discover_in
 from ._ranges import choose_ranges as choose_ranges
 from ._reflection import OPEN_MARGIN as OPEN_MARGIN
+from ._reflection import clamp_inside as clamp_inside
 from ._reflection import reflect as reflect
 from ._selection import Selection as Selection
 from ._selection import select as select

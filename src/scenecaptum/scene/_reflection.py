@@ -49,6 +49,22 @@ def reflect(values: torch.Tensor, low: float, high: float, *, open_low: bool = F
     return flat.index_copy(0, indices, folded + correction).reshape(values.shape)
 
 
+def clamp_inside(
+    moved: torch.Tensor, start: torch.Tensor, low: float, high: float, margin: float
+) -> torch.Tensor:
+    """Clamp values that moved from ``start`` to a distance from their bounds, which may be degenerate.
+
+    A value that starts nearer to a bound may stay there.
+
+    Example
+    -------
+    >>> clamp_inside(torch.tensor([-1.0, 0.5, 2.0]), torch.tensor([0.5, 0.5, 1.0]), 0.0, 1.0, margin=0.01)
+    tensor([0.0100, 0.5000, 1.0000])
+    """
+    lowest, highest = start.clamp(max=low + margin), start.clamp(min=high - margin)
+    return torch.minimum(torch.maximum(moved, lowest), highest)
+
+
 def _fold(values: torch.Tensor, low: float, high: float) -> torch.Tensor:
     if math.isfinite(low) and math.isfinite(high):
         width = high - low
