@@ -374,3 +374,11 @@ def test_subpackages_are_attributes_and_load_when_used() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="no attribute 'valdation'"):
         _ = scenecaptum.valdation  # type: ignore[attr-defined]
+
+
+def test_a_network_as_a_metric_gets_a_hint_about_its_input() -> None:
+    network = torch.nn.Sequential(
+        torch.nn.Conv2d(3, 4, 3), torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(0)
+    )
+    with pytest.raises(SceneCaptumError, match=r"metrics\.ClassLogit\(network\)"):
+        VanillaSceneGradient(ToyRenderer(), network).attribute()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
+import rooms
 import torch
 from chance import allowed
 from seeds import seeds, shifted
@@ -121,3 +123,35 @@ def test_glare_of_the_office_falls(mi):
     fall = before - after  # with common random numbers
     assert fall.mean() > allowed(len(fall)) * fall.std() / math.sqrt(len(fall))
     assert found.after.value < found.before.value
+
+
+def test_a_goal_that_is_not_clear_of_the_noise_asks_for_more_samples():
+    found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
+    barely = dataclasses.replace(found, below=found.after.value + found.after.error)
+    assert not barely.reached
+    assert "not by two standard errors: use more samples" in str(barely)
+
+
+def test_the_cone_of_a_spot_is_never_changed(mi):
+    spot = {
+        "type": "spot",
+        "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
+        "intensity": 50.0,
+        "cutoff_angle": 30.0,
+        "beam_width": 20.0,
+    }
+    scene = rooms.room(mi, {"type": "diffuse"}) | {"spot": spot}
+    renderer = SceneRenderer(scene, "all", resolution=(16, 16), spp=64)
+    cones = [name for name in renderer.inputs if "cutoff" in name or "beam" in name]
+    found = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, top=20, steps=2, seed=shifted())
+    assert cones
+    assert not set(cones) & {moved.name for moved in found.moved}
+
+
+def test_an_element_of_a_vector_is_optimized():
+    def channels(image: torch.Tensor) -> torch.Tensor:
+        return image.mean((0, 1))
+
+    found = optimize.minimize(Lamps(), channels, 0.6, target=2, top=1)
+    assert found.reached
+    assert found.before.value == pytest.approx(0.9, rel=0.1)

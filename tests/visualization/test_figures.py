@@ -535,3 +535,37 @@ def test_the_example_draws_every_figure(mi: Any, tmp_path: Path) -> None:
         with Image.open(picture) as shown:
             assert shown.format == "PNG"
             assert 1000 < shown.width < 1300
+
+
+# ---------------------------------------------------------------------------------------- sizes and labels
+
+
+def test_a_figure_has_the_size_that_is_asked_for() -> None:
+    from scenecaptum.visualization import plot_bars, plot_heatmap
+
+    attribution = make()
+    assert plot_bars(attribution, figsize=(5.0, 3.0)).get_size_inches().tolist() == [5.0, 3.0]
+    small, large = (plot_heatmap(attribution, figsize=(width, 8.0)) for width in (5.0, 12.0))
+    assert small.get_figwidth() <= 5.0 + 1e-6
+    assert 5.0 < large.get_figwidth() <= 12.0 + 1e-6
+
+
+@pytest.mark.parametrize("high", [0.3, 2.0, 30.0, 5e3, 1e6])
+def test_labels_of_a_logarithmic_axis_do_not_overlap(high: float) -> None:
+    from scenecaptum.visualization import SMALL, log_axis, new_figure
+
+    figure = new_figure(3.6, 2.0)
+    ax = figure.add_subplot()
+    ax.tick_params(labelsize=SMALL)
+    log_axis(ax, "x", 0.1, high)
+    figure.canvas.draw()
+    low, top = ax.get_xlim()
+    labels = [
+        label
+        for label, place in zip(ax.get_xticklabels(), ax.get_xticks(), strict=True)
+        if low <= place <= top
+    ]
+    boxes = [label.get_window_extent() for label in labels if label.get_text()]
+    assert len(boxes) >= 2
+    assert not any(left.overlaps(right) for left, right in itertools.pairwise(boxes))
+    assert all("10^" not in label.get_text() for label in labels)

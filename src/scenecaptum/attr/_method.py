@@ -221,7 +221,7 @@ class Run:
         budget = Budget.split(settings.spp, settings.replicates, settings.seed, count, pairs=pairs)
         budget = budget.with_picture_spp(settings.picture_spp, budget.total)
         require_memory(self.renderer, budget.spp, max(budget.replicates))
-        with Progress(self.metrics[0].name, show=settings.show_progress) as bar:
+        with Progress(self.metrics[0].label, show=settings.show_progress) as bar:
             bar.expect(sum(budget.replicates))
             gradients = GradientEstimator(self.renderer, self.metrics, budget, self.transform_selector, bar)
             sums, interrupted = sum_gradients(

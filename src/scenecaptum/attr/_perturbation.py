@@ -112,7 +112,7 @@ class Perturbation:
         spp = Capabilities(self.renderer).spp if settings.spp is None else settings.spp
         budget = Budget.with_common_seeds(spp, settings.replicates, settings.seed, len(arms))
         require_memory(renderer, budget.spp, settings.replicates)
-        bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].name, unit="scene")
+        bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].label, unit="scene")
         rows, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)

@@ -52,6 +52,11 @@ class TargetedMetric:
         return name if self.target is None else f"{name}[{self.target}]"
 
     @property
+    def label(self) -> str:
+        """What is measured, in words if the metric says so, for a progress bar."""
+        return self.name if self.measure is None else self.measure.name
+
+    @property
     def measure(self) -> Measure | None:
         """What the attributed value measures, if the metric says so."""
         if self.target is not None and (of_element := getattr(self.metric, "measure_of", None)) is not None:

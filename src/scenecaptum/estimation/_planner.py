@@ -105,7 +105,7 @@ class Planner:
         self.replicate_time = ReplicateTime()
         settings = dataclasses.asdict(goal), seed, replicates, self.first_spp, point.values
         self.time = TimeLimit(goal.time_limit, renderer, (settings, Capabilities(renderer).info or {}))
-        self.bar = Progress(metrics[0].name, show=sampling.show_progress)
+        self.bar = Progress(metrics[0].label, show=sampling.show_progress)
         self.rounds = Rounds(
             renderer,
             metrics,

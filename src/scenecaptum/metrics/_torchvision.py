@@ -38,8 +38,8 @@ def _models() -> ModuleType:
         ) from error
     except RuntimeError as error:  # 'operator torchvision::nms does not exist'
         raise SceneCaptumError(
-            f"torchvision does not match the installed torch {torch.__version__}: {error}. Fix: install both for the "
-            "same device, from PyTorch's own package index (pytorch.org/get-started shows the command): pip install "
+            f"torchvision does not match the installed torch {torch.__version__}: {error}. Fix: install both for "
+            "the same device, from PyTorch's own index (pytorch.org/get-started shows the command): pip install "
             "--force-reinstall torch torchvision --index-url …"
         ) from error
     module: ModuleType = models

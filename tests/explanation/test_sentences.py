@@ -1,0 +1,90 @@
+"""The sentences of an explanation, from numbers made by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import results
+import torch
+
+from scenecaptum.attr import Change, Explanation, Source
+
+UGR = {
+    "name": "unified glare rating",
+    "symbol": "UGR",
+    "unit": "",
+    "better": "lower",
+    "limits": [16.0, 19.0, 22.0],
+    "source": "EN 12464-1",
+}
+
+
+def rated(value: float, error: float, **info: Any) -> Any:
+    attribution = results.make(measure=UGR, verdict="within 19, the limit for offices", **info)
+    return dataclasses.replace(attribution, metric_value=value, metric_standard_error=error)
+
+
+def change(measured: float | None, error: float | None = 0.02, predicted: float = -0.7) -> Change:
+    before, after = torch.tensor([0.62, 0.62, 0.62]), torch.tensor([0.72, 0.72, 0.72])
+    return Change("wall", "wall_left: reflectance", before, after, predicted, 0.01, measured, error)
+
+
+def lines(explanation: Explanation) -> dict[str, list[str]]:
+    return dict(explanation.sections()[1:])
+
+
+def test_the_verdict_names_its_source_and_a_limit_that_is_too_close():
+    (clear, _), *_ = Explanation(rated(17.5, 0.1)).sections()
+    assert clear.endswith("within 19, the limit for offices (EN 12464-1)")
+    (close, _), *_ = Explanation(rated(18.9, 0.1)).sections()
+    assert "too close to 19 to be sure" in close
+
+
+def test_a_change_has_values_effects_and_errors():
+    (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.68),)))["What would change it"]
+    assert line == (
+        "wall_left reflectance 0.62 → 0.72: UGR 24.800 → 24.120 "
+        "(−0.680 ± 0.020 rendered, −0.700 ± 0.010 predicted)"
+    )
+
+
+def test_a_change_that_is_not_linear_is_marked():
+    assert change(-0.68).is_linear
+    assert not change(-1.4).is_linear
+    (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-1.4),)))["What would change it"]
+    assert line.endswith("predicted, not linear)")
+
+
+def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
+    said = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.03),)))
+    assert "What would change it" not in said
+    assert any("within its noise" in line for line in said["What could not be told"])
+
+
+def test_effects_and_shares_within_their_noise_are_not_said():
+    sources = (Source("window", "top", 0.8, 0.01, 3000.0), Source("lamp", "left", 0.03, 0.02, 5000.0))
+    said = lines(Explanation(rated(24.8, 0.05), sources=sources, count=20))
+    assert said["Where the glare comes from"] == ["window, top: 80.0 ± 1.0 % of it, up to 3000 cd/m²"]
+    (effects,) = (value for heading, value in said.items() if heading.startswith("What it depends on"))
+    assert not any(line.startswith(("noisy", results.NASTY)) for line in effects)
+    assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
+
+
+def test_markdown_has_the_same_sentences():
+    explanation = Explanation(rated(24.8, 0.05), changes=(change(-0.68),))
+    markdown = explanation.markdown()
+    for heading, sentences in explanation.sections()[1:]:
+        assert f"### {heading}" in markdown
+        assert all(f"- {sentence}" in markdown for sentence in sentences)
+
+
+def test_lines_of_text_do_not_break_inside_a_number():
+    text = Explanation(rated(24.8, 0.05), changes=(change(-0.68),)).text(width=60)
+    assert all(len(line) <= 60 for line in text.splitlines())
+    assert not any(line.rstrip().endswith("±") or line.lstrip().startswith("±") for line in text.splitlines())
+
+
+def test_without_error_bars_it_says_so():
+    attribution = results.make(barred=False)
+    assert any("no error bars" in line for line in lines(Explanation(attribution))["What could not be told"])
