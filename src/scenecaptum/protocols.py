@@ -180,6 +180,10 @@ class Measure(Protocol):
     """What a metric measures; see ``metrics.Measure``."""
 
     @property
+    def name(self) -> str:
+        """In words, such as ``"mean luminance"``."""
+
+    @property
     def half_class(self) -> float | None:
         """Half the width of its narrowest class."""
 

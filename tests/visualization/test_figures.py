@@ -550,7 +550,7 @@ def test_a_figure_has_the_size_that_is_asked_for() -> None:
     assert 5.0 < large.get_figwidth() <= 12.0 + 1e-6
 
 
-@pytest.mark.parametrize("high", [0.3, 2.0, 30.0, 5e3, 1e6])
+@pytest.mark.parametrize("high", [0.12, 0.3, 0.6, 2.0, 30.0, 5e3, 1e6])
 def test_labels_of_a_logarithmic_axis_do_not_overlap(high: float) -> None:
     from scenecaptum.visualization import SMALL, log_axis, new_figure
 

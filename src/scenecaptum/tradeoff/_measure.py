@@ -26,6 +26,7 @@ from ..estimation import (
 )
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau, spearman
+from ..visualization import metric_name
 from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
 from ._statistics import Estimate, kendall_of_resolved, relative_bias, relative_error, top_agreement
@@ -129,7 +130,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
         reference=reference.describe(best),
         runs=runs,
         parameters=len(reference.saliency),
-        metric=str(reference.attribution.info["metric"]),
+        metric=metric_name(reference.attribution),
         scene=Capabilities(renderer).name or type(renderer).__name__,
     )
 

@@ -27,6 +27,7 @@ from ..visualization import (
     format_with_error,
     grid,
     log_axis,
+    metric_name,
     name_rows,
     rounded,
     shorten,
@@ -146,7 +147,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
             rows=tuple(
                 _ablate(scenes, row, attribution[row.name], slopes[row.name], errors[row.name]) for row in bar
             ),
-            metric=str(attribution.info["metric"]),
+            metric=metric_name(attribution),
         )
 
 

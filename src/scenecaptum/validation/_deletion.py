@@ -24,6 +24,7 @@ from ..visualization import (
     figure_of,
     format_with_error,
     grid,
+    metric_name,
     new_figure,
     shorten,
     style_axes,
@@ -124,7 +125,7 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
         deletion=deletion(names),
         insertion=torch.stack([without(names[count:]) for count in moved]),
         random=torch.stack([deletion(generator.permutation(names).tolist()) for _ in range(orders)]),
-        metric=str(attribution.info["metric"]),
+        metric=metric_name(attribution),
         method=str(attribution.info["method"]),
     )
 

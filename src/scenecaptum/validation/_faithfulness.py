@@ -22,6 +22,7 @@ from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, derived_seeds, random_generator
 from ..protocols import Renderer
+from ..visualization import metric_name
 from ._faithfulness_result import Infidelity, SensitivityN
 from ._scenes import Scenes, denoise_of
 
@@ -102,7 +103,7 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     return Infidelity(
         predicted=torch.tensor(predicted, dtype=torch.float64),
         measured=torch.stack(measured),
-        metric=str(attribution.info["metric"]),
+        metric=metric_name(attribution),
         method=str(attribution.info["method"]),
     )
 
@@ -190,7 +191,7 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
         sizes=sizes,
         predicted=tuple(predicted),
         measured=tuple(measured),
-        metric=str(attribution.info["metric"]),
+        metric=metric_name(attribution),
         method=str(attribution.info["method"]),
     )
 

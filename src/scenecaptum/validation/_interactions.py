@@ -23,6 +23,7 @@ from ..visualization import (
     axes_or_new,
     figure_of,
     grid,
+    metric_name,
     name_rows,
     shorten,
     wrap,
@@ -123,7 +124,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         replicates=both * torch.stack([_slopes(product.replicates, directions) for product in products], 1),
         shared_error=both * torch.stack([_shared_error(p, attribution, directions) for p in products]),
         steps=tuple(product.info["step"] for product in products),
-        metric=str(attribution.info["metric"]),
+        metric=metric_name(attribution),
         scale=scale,
         left_out=tuple(row.label for row in rows if row.name not in directions),
     )

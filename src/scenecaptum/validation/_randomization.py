@@ -24,6 +24,7 @@ from ..visualization import (
     axes_or_new,
     figure_of,
     grid,
+    metric_name,
     shorten,
     style_axes,
     wrapped_lines,
@@ -128,7 +129,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
         randomized=tuple(ends),
         magnitudes=magnitudes,
         signed=signed,
-        metric=str(reference.info["metric"]),
+        metric=metric_name(reference),
         method=str(reference.info["method"]),
     )
 

@@ -29,7 +29,13 @@ WIDTH = 7.2  # text width of a page in inches
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
 DEFAULT_TOP = 15  # parameters in a figure
 _DOTS_PER_INCH = 150
-_MAX_DECADES_OF_THREE = 1.8  # of a logarithmic axis with ticks at 1, 2 and 5
+# The ticks of each decade of a logarithmic axis over at most so many decades.
+_LOG_STEPS = (
+    (0.4, (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
+    (0.8, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)),
+    (1.8, (1.0, 2.0, 5.0)),
+    (3.0, (1.0, 3.0)),
+)
 _CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
 
 
@@ -117,7 +123,7 @@ def log_axis(ax: Axes, which: str, low: float, high: float, write: Callable[[flo
 def log_steps(low: float, high: float) -> tuple[float, ...]:
     """Return the ticks of each decade of a logarithmic axis, the more the fewer decades there are."""
     decades = math.log10(high / low)
-    return (1.0, 2.0, 5.0) if decades <= _MAX_DECADES_OF_THREE else (1.0, 3.0) if decades <= 3 else (1.0,)
+    return next((steps for limit, steps in _LOG_STEPS if decades <= limit), (1.0,))
 
 
 def name_rows(ax: Axes, names: Sequence[str], size: float = TEXT) -> None:
