@@ -42,7 +42,8 @@ def whole_number(name: str, value: int, low: int = 1, high: int | None = None) -
     whole = isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer()
     if not whole or value < low or (high is not None and value > high):
         span = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise SceneCaptumError(f"{name} must be a whole number {span}, not {value!r}.")
+        required = f"{low}" if low == high else f"a whole number {span}"
+        raise SceneCaptumError(f"{name} must be {required}, not {value!r}.")
     return int(value)
 
 

@@ -24,6 +24,7 @@ from ..visualization import (
     convergence_notes,
     method_name,
     metric_name,
+    metric_symbol,
     metric_unit,
     rounded,
     sampling_notes,
@@ -244,6 +245,9 @@ def default_titles(attributions: Sequence[Attribution]) -> list[str]:
         titles = [f"{name}{detail}" for name, detail in zip(names, details, strict=True)]
         if len(set(titles)) == len(titles):
             return titles
+    values = [f"{metric_symbol(one)} {rounded(one.metric_value)}" for one in attributions]
+    if len(set(values)) == len(values):
+        return values
     return [f"{name} ({index})" for index, name in enumerate(names, start=1)]
 
 
