@@ -248,7 +248,7 @@ class Explanation:
         return [
             *lines,
             f"{pluralize(len(hiding), 'parameter')} may have an effect of "
-            f"{self._in_unit(format_with_error(smallest, None))} or more within the error; {factor} times the "
+            f"{self._in_unit(rounded(smallest, 2))} or more within the error; {factor} times the "
             "samples would tell",
         ]
 

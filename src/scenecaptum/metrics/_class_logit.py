@@ -136,11 +136,11 @@ class ClassLogit(torch.nn.Module):
             probabilities = self._logits(image).double().softmax(0)
         if index is None:
             return ""
-        text = f"probability {rounded(probabilities[index].item(), 2)} of {self._class_name(index)}"
+        text = f"probability {_probability(probabilities[index].item())} of {self._class_name(index)}"
         best = int(probabilities.argmax())
         if best == index:
             return text
-        return f"{text}; {rounded(probabilities[best].item(), 2)} of {self._class_name(best)}"
+        return f"{text}; {_probability(probabilities[best].item())} of {self._class_name(best)}"
 
     def _class_name(self, index: int | None) -> str:
         return f"class {index}" if index is None or index >= len(self.classes) else self.classes[index]
@@ -176,3 +176,7 @@ def _not_logits(model: object, output: Any) -> str:
         else "Pass a function that returns one row of logits."
     )
     return f"A classifier must return logits of shape (1, classes); {name} returned {got}. {fix}"
+
+
+def _probability(share: float) -> str:
+    return "above 0.99" if share > 0.99 else rounded(share, 2)
