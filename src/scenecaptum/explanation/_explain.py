@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 
@@ -65,14 +66,14 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     if inputs is not None and below is not None:
         raise SceneCaptumError("below= optimizes the renderer's own scene: leave out inputs=.")
     attribution_seed, scenes_seed, goal_seed = derived_seeds(seed, Stream.EXPLANATION, 3)
+    options: dict[str, Any] = {
+        "target": target,
+        "spp": spp,
+        "denoise": denoise,
+        "show_progress": show_progress,
+    }
     attribution = VanillaSceneGradient(renderer, metric).attribute(
-        inputs,
-        target=target,
-        seed=attribution_seed,
-        spp=spp,
-        replicates=replicates,
-        denoise=denoise,
-        show_progress=show_progress,
+        inputs, seed=attribution_seed, replicates=replicates, **options
     )
     values = input_values(renderer, inputs)
     better = (attribution.info.get("measure") or {}).get("better")
@@ -95,9 +96,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
             scenes.metric, scenes.images, _surfaces(renderer, attribution), attribution.labels
         ),
         changes=tuple(rendered(scenes, change) for change in proposed),
-        goal=None
-        if below is None
-        else minimize(renderer, metric, below, target=target, seed=goal_seed, spp=spp, denoise=denoise),
+        goal=None if below is None else minimize(renderer, metric, below, seed=goal_seed, **options),
     )
 
 
