@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pages import HEIGHT, NASTY, VALUES, WIDTH, Page, data_of, make, quarters
+from pages import HEIGHT, NASTY, PHONE, VALUES, WIDTH, Page, data_of, make, quarters
 from PIL import Image
 from seeds import shifted
 
@@ -570,14 +570,7 @@ def test_light_and_dark_follow_the_system_and_the_button(browser, written):
 
 
 def test_the_page_fits_a_phone_and_a_tap_selects(browser, written):
-    page = Page(
-        browser,
-        written,
-        viewport={"width": 360, "height": 740},
-        has_touch=True,
-        is_mobile=True,
-        device_scale_factor=2,
-    )
+    page = Page(browser, written, **PHONE)
     page.page.touchscreen.tap(*page.place(11, 1))
     assert page.selected() == ["chair.reflectance.data", "chair.alpha"]
     assert page.lit() == ["chair"]

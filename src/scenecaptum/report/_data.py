@@ -23,6 +23,7 @@ from ..visualization import (
     color_of,
     convergence_notes,
     method_name,
+    metric_line,
     metric_name,
     metric_symbol,
     metric_unit,
@@ -102,7 +103,7 @@ def _result(
         "title": title,
         "metric": metric_name(attribution),
         "unit": metric_unit(attribution),
-        "verdict": verdict(attribution),
+        "verdict": _meaning(attribution, explanation),
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
         # The first section is the headline, which stands on top anyway.
         "explanation": [] if explanation is None else explanation.sections()[1:],
@@ -139,6 +140,14 @@ def _result(
         "texels": _texels(attribution, surfaces),
         "info": plain(attribution.info),
     }
+
+
+def _meaning(attribution: Attribution, explanation: Explanation | None) -> str:
+    """Return what the metric's value means; an explanation also says by which source, and if it is in doubt."""
+    if explanation is None:
+        return verdict(attribution)
+    headline, _ = explanation.sections()[0]
+    return headline.removeprefix(metric_line(attribution)).removeprefix(": ")
 
 
 def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | None:

@@ -30,7 +30,10 @@ function placeTip(tip, x, y) {
 function drawDetail(results, current, view, selection) {
   const result = results[current];
   const { rows, objects } = selection;
-  if (rows.length === 0 && objects.length === 0) {
+  const isEmpty = rows.length === 0 && objects.length === 0;
+  byId("detail").classList.toggle("chosen", !isEmpty);
+  byId("detail").scrollTop = 0;
+  if (isEmpty) {
     byId("detail").replaceChildren(...hintOf(result));
     return;
   }

@@ -59,7 +59,7 @@ function drawSplit() {
   if (other) byId("other").src = data.pictures[other.picture];
   byId("other").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
   byId("overlay").style.clipPath = `inset(0 0 0 ${share}%)`;
-  byId("split-value").textContent = share === 0 ? "" : other.title;
+  byId("split-value").textContent = other ? `left: ${other.title}` : "";
 }
 
 function drawMarks() {
@@ -78,7 +78,7 @@ function drawTable() {
 function drawResult() {
   byId("render").src = data.pictures[result().picture];
   byId("picture").style.aspectRatio = `${view().width} / ${view().height}`;
-  byId("picture").style.setProperty("--ratio", view().width / view().height);
+  byId("main").style.setProperty("--ratio", view().width / view().height);
   byId("texels-choice").hidden = !texelsOf(result());
   byId("shared-choice").hidden = results.filter(isAlike).length < 2;
   document.querySelector('[value="signed"]').disabled = !result().signs;
@@ -124,12 +124,8 @@ const isSelected = (kind, name) => state.selection.kind === kind && state.select
 
 function selectRow(index) {
   select(isSelected("row", result().rows[index].name) ? nothing() : ofRow(index));
-  showDetail();
-}
-
-/** On a phone the details are below the table: bring them into view. */
-function showDetail() {
-  if (state.selection.kind !== null && !isWide()) byId("detail").scrollIntoView({ block: "nearest" });
+  // On a phone the details may cover it.
+  if (state.selection.kind !== null && !isWide()) document.querySelector(`[data-row="${index}"]`).scrollIntoView({ block: "nearest" });
 }
 
 const isWide = () => window.matchMedia("(min-width: 60rem)").matches;
@@ -141,10 +137,9 @@ function selectObject(object) {
   }
   select(ofObject(object));
   announce(object);
-  // Beside the picture the table may follow; below it, it would pull the picture away.
-  const line = document.querySelector('#rows [aria-selected="true"]');
-  if (line && isWide()) line.scrollIntoView({ block: "nearest" });
-  showDetail();
+  // Beside the picture the table follows; on a phone the details may cover what was touched.
+  const wanted = isWide() ? document.querySelector('#rows [aria-selected="true"]') : byId("picture");
+  wanted?.scrollIntoView({ block: "nearest" });
 }
 
 function previewRow(index) {
@@ -234,7 +229,11 @@ function remember() {
   if (state.sort.by !== "rank" || state.sort.reversed) chosenNow.set("sort", `${state.sort.by}${state.sort.reversed ? "-" : ""}`);
   if (state.filter) chosenNow.set("filter", state.filter);
   if (state.selection.kind) chosenNow.set(state.selection.kind, state.selection.name);
-  history.replaceState(null, "", `#${chosenNow}`);
+  try {
+    history.replaceState(null, "", `#${chosenNow}`);
+  } catch {
+    // A page inside another has no address of its own.
+  }
 }
 
 function recall() {
@@ -243,15 +242,14 @@ function recall() {
   if (Number.isInteger(index) && index >= 0 && index < results.length) state.current = index;
   document.querySelectorAll('[name="result"]')[state.current].checked = true;
   for (const name of SWITCHES) {
-    for (const input of document.querySelectorAll(`[name="${name}"]`)) input.checked = kept.has(name) ? input.value === kept.get(name) : input.checked;
-    if (!document.querySelector(`[name="${name}"]:checked`)) document.querySelector(`[name="${name}"]`).checked = true;
+    for (const input of document.querySelectorAll(`[name="${name}"]`)) if (input.value === kept.get(name)) input.checked = true;
   }
   for (const name of BOXES) byId(name).checked = kept.has(name);
   const sort = kept.get("sort") ?? "rank";
   const by = sort.replace("-", "");
-  if (by in SORTS) state.sort = { by, reversed: sort.endsWith("-") };
+  if (Object.hasOwn(SORTS, by)) state.sort = { by, reversed: sort.endsWith("-") };
   state.filter = byId("filter").value = kept.get("filter") ?? "";
-  for (const kind of ["row", "object"]) if (kept.has(kind)) state.selection = { kind, name: kept.get(kind) };
+  for (const kind of ["row", "object"]) if (kept.has(kind)) state.selection = { ...nothing(), kind, name: kept.get(kind) };
 }
 
 // ------------------------------------------------------------------------------------------------ downloads
@@ -283,27 +281,39 @@ function mapPicture() {
 
 const BARS = 15;
 
+/** The largest width of texts in a font. */
+function widest(texts, font) {
+  const pen = make("canvas").getContext("2d");
+  pen.font = font;
+  return Math.max(0, ...texts.map((text) => pen.measureText(text).width));
+}
+
 /** The first rows of the table as bars from a common zero, as SVG. */
 function barsText() {
   const rows = result().rows.slice(0, BARS);
+  const numbers = rows.map((row) => withError(row.written));
+  const title = `${result().title}: ${[withError(result().written), result().unit].filter(Boolean).join(" ")}`;
   const top = Math.max(...rows.map((row) => (row.saliency ?? 0) + (row.error ?? 0))) || 1;
-  const [left, width, step] = [320, 420, 24];
-  const zero = left + (rows.some((row) => row.effect < 0) ? width / 2 : 0);
-  const along = (zero === left ? width : width / 2) / top;
+  const signed = result().ranked === "Effect" && rows.some((row) => row.effect < 0);
+  const [width, step] = [420, 24];
+  const left = 24 + widest(rows.map((row) => row.label), "13px sans-serif");
+  const right = left + width + 16 + widest(numbers, "13px sans-serif");
+  const zero = left + (signed ? width / 2 : 0);
+  const along = (signed ? width / 2 : width) / top;
   const ink = { "1": "#0072b2", "-1": "#d55e00", "0": "#8c8c8c" };
   const escape = (text) => String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
   const lines = rows.map((row, index) => {
-    const y = 58 + step * index;
-    const value = zero === left ? row.saliency ?? 0 : row.effect ?? 0;
+    const y = 70 + step * index;
+    const value = (signed ? row.effect : row.saliency) ?? 0;
     const end = zero + along * value;
     const reach = along * (row.error ?? 0);
     return `<text x="${left - 8}" y="${y + 4}" text-anchor="end">${escape(row.label)}</text>`
       + `<rect x="${Math.min(zero, end)}" y="${y - 8}" width="${Math.abs(end - zero)}" height="16" fill="${ink[row.sign]}"/>`
       + `<line x1="${end - reach}" x2="${end + reach}" y1="${y}" y2="${y}" stroke="#222"/>`
-      + `<text x="${left + width + 70}" y="${y + 4}" text-anchor="end">${escape(withError(row.written))}</text>`;
+      + `<text x="${right}" y="${y + 4}" text-anchor="end">${escape(numbers[index])}</text>`;
   });
-  const title = `${result().title}: ${[withError(result().written), result().unit].filter(Boolean).join(" ")}`;
-  return `<svg xmlns="http://www.w3.org/2000/svg" width="${left + width + 90}" height="${76 + step * rows.length}" font-family="sans-serif" font-size="13">`
+  const whole = Math.max(right, 12 + widest([title], "15px sans-serif"), 12 + widest([result().axis], "13px sans-serif"));
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${Math.ceil(whole) + 16}" height="${70 + step * rows.length}" font-family="sans-serif" font-size="13">`
     + `<rect width="100%" height="100%" fill="white"/><text x="12" y="22" font-size="15">${escape(title)}</text>`
     + `<text x="12" y="42" fill="#555">${escape(result().axis)}</text>${lines.join("")}</svg>\n`;
 }
@@ -344,7 +354,8 @@ function drawResults() {
     const input = make("input", { type: "radio", name: "result", value: index, checked: index === 0 });
     input.addEventListener("change", () => { state.current = index; leave(); drawResult(); remember(); });
     return make("label", { class: "result" }, input, make("span", { class: "result-face" },
-      make("span", { class: "result-title" }, one.title), make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
+      make("span", {}, make("span", { class: "result-title" }, one.title), one.title.includes(one.metric) ? null : make("span", { class: "result-metric" }, ` · ${one.metric}`)),
+      make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
       one.verdict ? make("span", { class: "result-verdict" }, one.verdict) : null));
   });
   byId("results").replaceChildren(...choices);
@@ -385,6 +396,7 @@ function listen() {
   byId("svg").addEventListener("click", () => download("effects.svg", "image/svg+xml", barsText()));
   byId("csv").addEventListener("click", () => download("attributions.csv", "text/csv", csvText()));
   byId("json").addEventListener("click", () => download("attributions.json", "application/json", jsonText()));
+  window.addEventListener("hashchange", () => location.reload());
   new ResizeObserver(drawOutlines).observe(picture);
 }
 

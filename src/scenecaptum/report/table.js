@@ -121,7 +121,8 @@ function drawNotes(result) {
     const whose = isShared(index, result) ? "all parameters" : counted(count, "parameter");
     return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
   }));
-  notes.push(...result.sceneCautions.map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`)));
+  const noise = result.sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", ""));
+  notes.push(...[...noise, ...result.sceneCautions].map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`)));
   notes.push(...result.convergence.map((text) => make("p", {}, text)));
   if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {

@@ -1,0 +1,401 @@
+"""Every command with every documented option: what it prints, how it exits and what it leaves."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from scenecaptum import cli
+from scenecaptum.cli import _demo
+
+VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
+SCENE = f"cornell-box {VIEW} --inputs reflectance --inputs emitters --sensor 0 --checkpoint kept"
+WALL = "left_wall.reflectance.value"
+
+# Arguments, exit status, words that are printed, and files that are left.
+Case = tuple[str, int, list[str], list[str]]
+CASES: dict[str, Case] = {
+    "explain": (
+        f"explain {SCENE} --metric luminance --set {WALL}=0.5 --design design.json --below 25 --changes 1 --report "
+        "--no-progress --out out",
+        0,
+        [
+            "mean luminance = ",
+            "cd/m²",
+            "What it depends on",
+            "What would change it",
+            "goal",
+            "explanation.md",
+        ],
+        ["explanation.json", "explanation.md", "report.html"],
+    ),
+    "explain a relative glare rating": (
+        "explain office --resolution 32x18 --spp 32 --max-depth 3 --metric ugr --threshold-factor 4 --json --out out",
+        0,
+        ['"sentences"', "unified glare rating"],
+        ["explanation.json", "explanation.md"],
+    ),
+    "explain an element": (
+        f"explain {SCENE} --metric own_metric.py:channels --target 1 --out out",
+        0,
+        ["channels[1] = "],
+        ["explanation.json", "explanation.md"],
+    ),
+    "attribute": (
+        f"attribute {SCENE} --metric luminance --method vanilla-gradient --scale unit --groups kind --signed "
+        f"--set {WALL}=0.5 --design design.json --replicates 2 --tolerance 2.0 --time-limit 30 --denoise off "
+        "--picture-spp 32 --report --no-progress --format csv --format heatmap --out out",
+        0,
+        ["mean luminance = ", "reflectance", "emitters", "attribution.csv", "heatmap.png", "report.html"],
+        ["attribution.csv", "heatmap.png", "report.html"],
+    ),
+    "attribute an element": (
+        f"attribute {SCENE} --metric own_metric.py:channels --target 2 --json --format json --out out",
+        0,
+        ["channels[2]"],
+        ["attribution.json"],
+    ),
+    "attribute against a baseline": (
+        f"attribute {SCENE} --metric ugr --threshold-factor 2 --method feature-ablation --baselines dark "
+        "--format npz --out out",
+        0,
+        ["unified glare rating = ", "attribution.npz"],
+        ["attribution.npz"],
+    ),
+    "compare": (
+        f"compare {SCENE} --metric luminance --set {WALL}=0.1 --design design.json --titles before after "
+        "--from other.toml --no-progress --out out",
+        0,
+        ["before: mean luminance", "after: mean luminance", "change: −", "cd/m²", "comparison.html"],
+        ["comparison.html"],
+    ),
+    "compare an element": (
+        f"compare {SCENE} --metric own_metric.py:channels --target 0 --set {WALL}=0.1 --json --out out",
+        0,
+        ['"change"'],
+        ["comparison.html"],
+    ),
+    "compare a glare rating": (
+        f"compare {SCENE} --metric ugr --threshold-factor 2 --set {WALL}=0.1 --out out",
+        0,
+        ["unified glare rating"],
+        ["comparison.html"],
+    ),
+    "optimize": (
+        f"optimize {SCENE} --metric luminance --below 25 --top 2 --change 0.9 --steps 20 --no-progress --out out",
+        0,
+        ["moved", "below the goal of 25 cd/m²", "design.json"],
+        ["design.json", "optimization.png"],
+    ),
+    "optimize towards what cannot be reached": (
+        f"optimize {SCENE} --metric ugr --threshold-factor 2 --below -50 --steps 1 --json --out out",
+        1,
+        ['"reached": false'],
+        ["design.json", "optimization.png"],
+    ),
+    "optimize an element": (
+        f"optimize {SCENE} --metric own_metric.py:channels --target 0 --below 100 --steps 1 --out out",
+        0,
+        ["below the goal of 100"],
+        ["design.json", "optimization.png"],
+    ),
+    "validate": (
+        f"validate {SCENE} --metric luminance --top 2 --no-progress --out out",
+        0,
+        ["Confirmed", "validation.json"],
+        ["validation.csv", "validation.json", "validation.png"],
+    ),
+    "validate an element": (
+        f"validate {SCENE} --metric own_metric.py:channels --target 0 --top 1 --json --out out",
+        0,
+        ['"confirmed": true'],
+        ["validation.csv", "validation.json", "validation.png"],
+    ),
+    "validate a glare rating": (
+        "validate office --resolution 32x18 --spp 64 --max-depth 3 --inputs wall_left.* --metric ugr --threshold-factor 5 "
+        "--top 1 --out out",
+        0,
+        ["Confirmed"],
+        ["validation.csv", "validation.json", "validation.png"],
+    ),
+    "tradeoff": (
+        f"tradeoff {SCENE} --metric luminance --vary spp=8,32 --reference-spp 64 --runs 2 --tolerance 0.5 "
+        "--no-progress --out out",
+        0,
+        ["For an error of 50 %"],
+        ["tradeoff.csv", "tradeoff.json", "tradeoff.png"],
+    ),
+    "tradeoff of an element": (
+        f"tradeoff {SCENE} --metric own_metric.py:channels --target 0 --vary spp=8 --reference-spp 64 --runs 2 --json "
+        "--out out",
+        0,
+        ["channels"],
+        ["tradeoff.csv", "tradeoff.json", "tradeoff.png"],
+    ),
+    "tradeoff of a glare rating": (
+        f"tradeoff {SCENE} --metric ugr --threshold-factor 2 --vary spp=8 --reference-spp 64 --runs 2 --out out",
+        0,
+        ["unified glare rating"],
+        ["tradeoff.csv", "tradeoff.json", "tradeoff.png"],
+    ),
+    "parameters": ("parameters cornell-box left_* --kind reflectance", 0, [WALL], []),
+    "parameters of a file": (
+        "parameters scene.xml -D level=0.25 --json",
+        0,
+        ['"wall.reflectance.value"'],
+        [],
+    ),
+    "render": (
+        f"render cornell-box {VIEW} --sensor 0 --set {WALL}=0.5 --design design.json --denoise --to out.png",
+        0,
+        ["out.png"],
+        [],
+    ),
+    "demo": (
+        "demo --json --no-progress --report --format json --out out",
+        0,
+        ["ranking"],
+        ["attribution.json", "report.html"],
+    ),
+    "doctor": ("doctor", 0, ["llvm"], []),
+    **{
+        f"{command} with $names": (
+            f"{command} scene.xml -D level=0.25 {VIEW} {more} --out out",
+            0,
+            [],
+            files,
+        )
+        for command, more, files in (
+            ("explain", "--changes 0", ["explanation.json", "explanation.md"]),
+            ("attribute", "--format json --replicates 2", ["attribution.json"]),
+            ("compare", "--set wall.reflectance.value=0.1", ["comparison.html"]),
+            ("optimize", "--below 1000 --steps 1", ["design.json", "optimization.png"]),
+            ("validate", "--top 1", ["validation.csv", "validation.json", "validation.png"]),
+            (
+                "tradeoff",
+                "--vary spp=8 --reference-spp 32 --runs 2",
+                ["tradeoff.csv", "tradeoff.json", "tradeoff.png"],
+            ),
+        )
+    },
+    "render with $names": (f"render scene.xml -D level=0.25 {VIEW} --to out.exr", 0, ["out.exr"], []),
+}
+
+XML = """<scene version="3.0.0">
+  <default name="level" value="0.5"/>
+  <integrator type="path"/>
+  <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+  <shape type="rectangle" id="wall_shape"><bsdf type="diffuse" id="wall">
+    <rgb name="reflectance" value="$level"/></bsdf></shape>
+  <emitter type="constant" id="sky"><rgb name="radiance" value="1"/></emitter>
+</scene>
+"""
+METRIC = "def channels(image):\n    return 179 * image.mean((0, 1))\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with a scene, a metric and two designs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_demo, "ARGUMENTS", ("office", "--resolution", "16x9", "--spp", "8"))
+    (tmp_path / "scene.xml").write_text(XML)
+    (tmp_path / "own_metric.py").write_text(METRIC)
+    (tmp_path / "design.json").write_text(json.dumps({WALL: [0.3, 0.2, 0.1]}))
+    (tmp_path / "other.toml").write_text("[left_wall.reflectance]\nvalue = [0.9, 0.2, 0.1]\n")
+    return tmp_path
+
+
+def subparsers() -> dict[str, argparse.ArgumentParser]:
+    (commands,) = (
+        action for action in cli.parser()._actions if isinstance(action, argparse._SubParsersAction)
+    )
+    return dict(commands.choices)
+
+
+def options(parser: argparse.ArgumentParser) -> Iterator[list[str]]:
+    """Return the ways to write each option of a command."""
+    for action in parser._actions:
+        if action.option_strings and "--help" not in action.option_strings:
+            yield list(action.option_strings)
+
+
+def test_every_option_of_every_command_is_driven() -> None:
+    for name, parser in subparsers().items():
+        given = {word for text, *_ in CASES.values() for word in shlex.split(text) if text.split()[0] == name}
+        missing = [names for names in options(parser) if not given & set(names)]
+        assert not missing, f"{name}: no case has {missing}"
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="a design in TOML needs tomllib")
+@pytest.mark.parametrize("name", CASES)
+def test_a_command_prints_exits_and_leaves_what_it_says(
+    name: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, status, words, files = CASES[name]
+    assert cli.main(shlex.split(text)) == status
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert [word for word in words if word not in printed.out] == []
+    if "--json" in text:
+        json.loads(printed.out)
+    found = sorted(path.name for path in (folder / "out").iterdir()) if (folder / "out").exists() else []
+    assert found == files
+    if "--json" not in text:
+        assert [file for file in files if file not in printed.out] == []
+
+
+@pytest.mark.parametrize("name", subparsers())
+def test_the_example_in_the_help_runs(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = subparsers()[name]
+    if name == "doctor":
+        return  # it has no options
+    assert parser.epilog is not None
+    example = shlex.split(parser.epilog.replace("\n", " ").partition("example: scenecaptum ")[2])
+    assert example[0] == name
+    small = [] if name in ("parameters", "demo") else ["--resolution", "32x18", "--spp", "32"]
+    status = cli.main([*example, *small])
+    # A tiny picture need not reach the goal or confirm the prediction.
+    assert status == 0 or (status == 1 and name in ("optimize", "validate"))
+
+
+def test_a_design_that_was_found_is_rendered_and_compared(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(shlex.split(f"optimize {SCENE} --metric luminance --below 25 --out found")) == 0
+    design = json.loads((folder / "found" / "design.json").read_text())
+    capsys.readouterr()
+    assert cli.main(shlex.split(f"compare {SCENE} --design found/design.json --json --out out")) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["change"]["value"] < -5 * numbers["change"]["standard_error"]
+    for name, (_, after) in numbers["values"].items():
+        np.testing.assert_allclose(after, design[name], rtol=1e-5)
+    assert cli.main(shlex.split(f"render cornell-box {VIEW} --design found/design.json --to found.png")) == 0
+    assert Image.open(folder / "found.png").size == (16, 16)
+
+
+def test_set_takes_precedence_over_the_design(folder: Path) -> None:
+    for name, more in (("design", ""), ("set", f"--set {WALL}=0.9"), ("alone", "")):
+        design = "" if name == "alone" else "--design design.json"
+        text = f"attribute cornell-box {VIEW} --inputs reflectance {design} {more} --format npz --out {name}"
+        assert cli.main(shlex.split(text)) == 0
+    from scenecaptum import SceneAttribution
+
+    values = {
+        name: SceneAttribution.load(folder / name / "attribution.npz").parameter_values[WALL]
+        for name in ("design", "set", "alone")
+    }
+    torch.testing.assert_close(values["design"], torch.tensor([0.3, 0.2, 0.1]))
+    torch.testing.assert_close(values["set"], torch.full((3,), 0.9))
+    assert not torch.allclose(values["alone"], values["design"])
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("--set left_wal.reflectance.value=0.5", ["not an input", "left_wall.reflectance.value"]),
+        (f"--set {WALL}=0.1,0.2", [WALL, "one number or 3"]),
+        ("--design nowhere.json", ["nowhere.json", "cannot be read"]),
+        ("--design own_metric.py", ["own_metric.py", "not valid JSON"]),
+        ("", ["--set or --design"]),
+        ("office --from design.json", ["--from"]),
+    ],
+)
+def test_a_bad_design_is_one_clear_line(
+    more: str, words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(shlex.split(f"compare cornell-box {VIEW} {more} --out out")) == 2
+    error = capsys.readouterr().err
+    assert [word for word in words if word not in error] == []
+    assert error.count("\n") == 1
+    assert not (folder / "out").exists()
+
+
+def test_saved_results_are_compared_if_they_are_of_one_metric(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, metric, seed in (("one", "luminance", 1), ("two", "luminance", 2), ("three", "contrast", 1)):
+        text = f"attribute cornell-box --resolution 16x16 --spp 16 --seed {seed} --metric {metric} --format npz --out {name}"
+        assert cli.main(shlex.split(text)) == 0
+    capsys.readouterr()
+    files = [f"{name}/attribution.npz" for name in ("one", "two", "three")]
+    assert cli.main(["compare", *files[:2], "--out", "out"]) == 0
+    assert "one: mean luminance" in capsys.readouterr().out
+    assert cli.main(["compare", *files[1:], "--out", "other"]) == 2
+    assert "different metrics" in capsys.readouterr().err
+    assert not (folder / "other").exists()
+
+
+def test_titles_stand_in_the_report(folder: Path) -> None:
+    text = f"compare cornell-box {VIEW} --set {WALL}=0.1 --titles Bright Dim --out out"
+    assert cli.main(shlex.split(text)) == 0
+    page = (folder / "out" / "comparison.html").read_text()
+    assert '"title":"Bright"' in page
+    assert '"title":"Dim"' in page
+
+
+def test_only_pictures_that_can_be_written_are_rendered(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["render", "cornell-box", "--to", "out.jpg"]) == 2
+    assert ".png or .exr" in capsys.readouterr().err
+
+
+def test_filters_select_parameters(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["parameters", "office", "desk.*", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert rows
+    assert all(row["name"].startswith("desk.") for row in rows)
+    assert cli.main(["parameters", "office", "--kind", "emitters", "--json"]) == 0
+    assert {row["kind"] for row in json.loads(capsys.readouterr().out)} == {"emitters"}
+
+
+@pytest.mark.parametrize("name", [name for name in subparsers() if name != "doctor"])
+def test_a_misspelt_option_shows_the_usage_of_its_command(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main([name, *([] if name == "demo" else ["office"]), "--jsno"])
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"usage: scenecaptum {name} ")
+    if name != "render":
+        assert "Did you mean '--json'" in error
+
+
+def test_ctrl_c_during_a_render_says_that_nothing_was_kept(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "scenecaptum.cli", "attribute", "office", "--resolution", "320x180"]
+    process = subprocess.Popen(
+        [*command, "--spp", "8192", "--out", str(tmp_path / "out")], stderr=subprocess.PIPE, text=True
+    )
+    while not (tmp_path / "out").exists() and process.poll() is None:  # created when the command starts
+        time.sleep(0.1)
+    while process.poll() is None and _cpu_seconds(process.pid) < _LOADED:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "interrupted; nothing was kept; --checkpoint DIR keeps finished replicates" in error
+    assert "Traceback" not in error
+
+
+_LOADED = 12.0  # seconds of computing, by which the render has begun
+
+
+def _cpu_seconds(pid: int) -> float:
+    with open(f"/proc/{pid}/stat") as file:
+        fields = file.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -1,0 +1,471 @@
+"""The page in a real browser: what it opens with, its address, downloads, phones, pairs and explanations."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import torch
+from pages import HEIGHT, NASTY, PHONE, VALUES, WIDTH, Page, make, quarters
+from PIL import Image
+from seeds import shifted
+from toy import ToyRenderer
+
+from scenecaptum import SceneAttribution, VanillaSceneGradient
+from scenecaptum.attr import Change, Explanation, Source
+from scenecaptum.metrics import ClassLogit
+from scenecaptum.report import write_report
+from scenecaptum.visualization import plot_heatmap
+
+UGR = {
+    "name": "unified glare rating",
+    "symbol": "UGR",
+    "unit": "cd/m²",
+    "better": "lower",
+    "limits": [2.337],
+    "source": "EN 12464-1",
+}
+VERDICT = "within 19, the limit for offices"
+LONG_NAME = "luminaire_" + 12 * "suspended"  # no place to break
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def ranged(**changes: Any) -> SceneAttribution:
+    """A result whose ranges are known: it opens in the scale of effects."""
+    channels = {name: torch.tensor(value).shape[-1:] or (1,) for name, value in VALUES.items()}
+    return make(**{"extents": {name: torch.ones(count) for name, count in channels.items()}, **changes})
+
+
+def noted(attribution: SceneAttribution, **info: Any) -> SceneAttribution:
+    return dataclasses.replace(attribution, info={**attribution.info, **info})
+
+
+def plain_picture(*colour: float) -> torch.Tensor:
+    return torch.tensor(colour).expand(HEIGHT, WIDTH, 3).clone()
+
+
+def explained() -> Explanation:
+    before, after = torch.tensor([0.62, 0.58, 0.52]), torch.tensor([0.72, 0.68, 0.62])
+    return Explanation(
+        noted(ranged(), measure=UGR, verdict=VERDICT),
+        sources=(Source("sky", "top", 0.89, 0.001, 3160.0), Source(LONG_NAME, "left", 0.03, 0.001, 5000.0)),
+        changes=(
+            Change("wall", "wall_left: reflectance", before, after, -0.7, 0.01, -0.68, 0.02),
+            Change(NASTY, f"{LONG_NAME}: {NASTY}", before, after, 0.3, 0.01, 0.6, 0.02),
+        ),
+    )
+
+
+def written(folder: Path, *results: Any, **options: Any) -> Path:
+    path = folder / "report.html"
+    write_report(list(results), path, **options)
+    return path
+
+
+def checked(page: Page, *values: str) -> list[bool]:
+    return [page.page.locator(f'[type="radio"][value="{value}"]').is_checked() for value in values]
+
+
+def box_of(page: Page, selector: str) -> tuple[float, float]:
+    """Where an element begins and ends, from the top of the window."""
+    box = page.page.locator(selector).bounding_box()
+    return box["y"], box["y"] + box["height"]
+
+
+def downloaded(page: Page, button: str, path: Path) -> Path:
+    with page.page.expect_download() as download:
+        page.page.locator(f"#{button}").click()
+    download.value.save_as(path)
+    return path
+
+
+# ------------------------------------------------------------------------------------------- what it opens with
+
+
+def test_it_opens_signed_with_the_colours_of_the_figure(browser, tmp_path):
+    attribution = ranged()
+    page = Page(browser, written(tmp_path, attribution))
+    assert checked(page, "signed", "sqrt") == [True, True]
+    drawn = plot_heatmap(attribution, signed=True).axes[1].images[0]
+    in_figure = drawn.to_rgba(drawn.get_array(), bytes=True)[..., :3].astype(int)
+    for line, column in ((1, 2), (1, 11), (7, 4), (5, 15)):
+        painted = page.colour("overlay", column, line)[:3]
+        # The canvas rounds to the next of 256 colours, where matplotlib rounds down.
+        assert np.abs(np.array(painted) - in_figure[line, column]).max() <= 6
+    page.context.close()
+
+
+def test_effects_are_compared_where_ranges_are_known_and_else_norms(browser, tmp_path):
+    path = written(tmp_path, ranged(), make(), titles=["Ranged", "Per unit"])
+    page = Page(browser, path)
+    header, first = page.page.locator("th.saliency"), page.page.locator("#rows tr").first
+    assert header.first.inner_text() == "Effect"
+    assert "+0.7000" in first.inner_text()  # 0.3 + 0.4
+    page.page.get_by_text("Per unit", exact=True).click()
+    assert header.first.inner_text() == "Norm"
+    assert "0.5000" in first.inner_text()
+    page.check(path)
+    page.context.close()
+
+
+def test_unit_verdict_and_metric_are_at_the_headline(browser, tmp_path):
+    rated = noted(ranged(), measure=UGR, verdict=VERDICT)
+    path = written(tmp_path, rated, Explanation(rated), ranged(), titles=["as it is", "explained", "Glare"])
+    page = Page(browser, path)
+    bare, explanation, plain = (one.inner_text().splitlines() for one in page.page.locator(".result").all())
+    assert bare == ["as it is · unified glare rating", "2.3369 ± 0.0005 cd/m²", VERDICT]
+    assert explanation[2] == f"{VERDICT}; too close to 2.337 to be sure (EN 12464-1)"
+    assert plain == ["Glare", "2.3369 ± 0.0005"]
+    page.check(path)
+    page.context.close()
+
+
+def test_a_picture_too_noisy_for_the_metric_is_said(browser, tmp_path):
+    noisy = noted(ranged(), picture={"spp": 4, "caution": "the noise alone raises it <b>"})
+    page = Page(browser, written(tmp_path, noisy))
+    assert "! the noise alone raises it <b>" in page.page.locator("#notes").inner_text()
+    page.context.close()
+
+
+# ------------------------------------------------------------------------------------------------- its address
+
+
+def choose_everything(page: Page) -> None:
+    page.page.get_by_text("Brightness", exact=True).first.click()
+    page.page.get_by_text("Magnitude", exact=True).click()
+    page.page.get_by_text("Linear", exact=True).click()
+    for _ in range(2):  # once more for the reverse order
+        page.page.locator("[data-sort=label]").click()
+    page.page.locator("#filter").fill("chair")
+    page.click(11, 1)
+
+
+def shown(page: Page) -> dict[str, Any]:
+    return {
+        "checked": checked(page, "0", "1", "magnitude", "signed", "sqrt", "linear"),
+        "sort": page.page.locator("th.label").first.get_attribute("aria-sort"),
+        "filter": page.page.locator("#filter").input_value(),
+        "rows": page.names(),
+        "selected": page.selected(),
+        "lit": page.lit(),
+        "detail": page.page.locator("#detail").inner_text(),
+        "colours": [page.colour("overlay", *place) for place in ((2, 1), (11, 1), (4, 7))],
+        "values": page.page.locator("#rows").inner_text(),
+    }
+
+
+def test_a_link_shows_everything_that_was_chosen(browser, tmp_path):
+    path = written(tmp_path, ranged(), ranged(metric="Brightness", factor=2.0))
+    page = Page(browser, path)
+    start = shown(page)
+    choose_everything(page)
+    chosen = shown(page)
+    assert chosen["checked"] == [False, True, True, False, False, True]
+    assert chosen["rows"] == chosen["selected"] == ["chair.alpha", "chair.reflectance.data"]
+    assert all(chosen[name] != start[name] for name in chosen)
+    fragment = page.page.evaluate("location.hash")
+    page.check(path)
+    page.context.close()
+    linked = Page(browser, path, fragment)
+    assert shown(linked) == chosen
+    # An address typed into the open page is followed too.
+    with linked.page.expect_navigation():
+        linked.page.evaluate("location.hash = 'quantity=signed'")
+    linked.page.wait_for_selector("html[data-ready]")
+    assert shown(linked) == start
+    assert linked.complaints == []
+    linked.context.close()
+
+
+@pytest.mark.parametrize(
+    "fragment",
+    [
+        "#result=99&quantity=half&scale=cubic&sort=nonsense&row=none",
+        "#result=-1&sort=__proto__&object=none",
+        "#result=0.5&sort=-&row=&%E0%A4%A",
+    ],
+)
+def test_a_broken_address_opens_the_default(browser, tmp_path, fragment):
+    path = written(tmp_path, ranged(), ranged(metric="Brightness", factor=2.0))
+    page, broken = Page(browser, path), Page(browser, path, fragment)
+    assert shown(broken) == shown(page)
+    broken.check(path)
+    for one in (page, broken):
+        one.context.close()
+
+
+def test_a_page_inside_another_works_without_an_address(browser, tmp_path):
+    report = written(tmp_path, ranged()).read_text()
+    host = tmp_path / "host.html"
+    host.write_text(
+        f'<html data-ready><iframe width="1200" height="800" srcdoc="{html.escape(report)}"></iframe>'
+    )
+    page = Page(browser, host)
+    inside = page.page.frame_locator("iframe")
+    inside.locator("#rows tr").first.click()
+    assert "lamp.radiance.value" in inside.locator("#detail").inner_text()
+    assert page.complaints == []
+    page.context.close()
+
+
+# --------------------------------------------------------------------------------------------------- downloads
+
+
+def test_the_exported_map_is_large_and_has_the_colours_of_the_overlay(browser, tmp_path):
+    path = written(tmp_path, ranged())
+    page = Page(browser, path)
+    page.page.locator("#opacity").focus()
+    page.page.keyboard.press("End")
+    with Image.open(downloaded(page, "png", tmp_path / "map.png")) as picture:
+        assert picture.format == "PNG"
+        assert picture.width >= 1280
+        assert picture.width * HEIGHT == picture.height * WIDTH
+        pixels, factor = np.array(picture.convert("RGB")).astype(int), picture.width // WIDTH
+    for column, line in ((2, 1), (11, 1), (4, 7), (15, 5)):
+        found = pixels[line * factor + factor // 2, column * factor + factor // 2]
+        assert np.abs(found - page.colour("overlay", column, line)[:3]).max() <= 1
+    page.check(path)
+    page.context.close()
+
+
+def bars(path: Path) -> tuple[list[dict[str, float]], list[str]]:
+    """The bars without the background, and all texts."""
+    root = ElementTree.parse(path).getroot()
+    assert root.tag == f"{SVG}svg"
+    assert {one.tag.removeprefix(SVG) for one in root.iter()} == {"svg", "rect", "text", "line"}
+    places = [one.attrib for one in root.iter(f"{SVG}rect") if one.get("width") != "100%"]
+    numbers = [{name: float(place[name]) for name in ("x", "width")} for place in places]
+    return numbers, [one.text or "" for one in root.iter(f"{SVG}text")]
+
+
+def test_exported_bars_are_the_rows_of_the_table(browser, tmp_path):
+    """Effects go to either side of zero; norms, which have no sign, all to one."""
+    results = noted(ranged(), measure=UGR), make()
+    path = written(tmp_path, *results, titles=["Ranged", NASTY])
+    page = Page(browser, path)
+    for index, title in enumerate(["Ranged: 2.3369 ± 0.0005 cd/m²", f"{NASTY}: 2.3369 ± 0.0005"]):
+        page.page.locator(".result").nth(index).click()
+        places, texts = bars(downloaded(page, "svg", tmp_path / f"{index}.svg"))
+        labels = [row.label for row in results[index].ranking()]
+        numbers = page.page.locator("#rows .number").all_inner_texts()
+        listed = [
+            text
+            for pair in zip(labels, (one.lstrip("▲▼◆ \n") for one in numbers), strict=True)
+            for text in pair
+        ]
+        assert texts[0] == title
+        assert texts[2:] == listed
+        assert len(places) == len(VALUES)
+        sides = {
+            row.effect < 0: place["x"] for row, place in zip(results[index].ranking(), places, strict=True)
+        }
+        assert (sides[True] < sides[False]) == (index == 0)
+        longest = max(places, key=lambda place: place["width"])
+        assert longest is places[0]
+    page.check(path)
+    page.context.close()
+
+
+def test_nothing_overlaps_in_the_exported_bars(browser, tmp_path):
+    page = Page(browser, written(tmp_path, ranged()))
+    path = downloaded(page, "svg", tmp_path / "bars.svg")
+    page.page.goto(path.as_uri())
+    read = """(all) => all.map((one) => one.getBoundingClientRect())
+        .map(({left, right, top, bottom}) => [left, right, top, bottom])"""
+    boxes = page.page.locator("text, rect[fill^='#']").evaluate_all(read)
+    root = ElementTree.parse(path).getroot()
+    whole = [float(root.attrib[name]) for name in ("width", "height")]
+    assert len(boxes) == 2 + 3 * len(VALUES)
+    for index, (left, right, top, bottom) in enumerate(boxes):
+        assert left >= 0
+        assert top >= 0
+        assert right <= whole[0]
+        assert bottom <= whole[1]
+        for other in boxes[:index]:
+            apart = left >= other[1] or right <= other[0] or top >= other[3] - 2 or bottom <= other[2] + 2
+            assert apart, f"{boxes[index]} and {other}"
+    page.context.close()
+
+
+# ------------------------------------------------------------------------------------------- what is out of sight
+
+
+def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
+    glass = noted(ranged(), seen_through=["sky.radiance.value"])
+    path = written(tmp_path, glass, ranged(), titles=["Behind glass", "Out of view"])
+    page = Page(browser, path)
+    row = page.page.locator("#rows tr", has_text="sky.radiance")
+    detail = page.page.locator("#detail")
+    assert row.locator(".tag").inner_text() == "behind glass or mirrored"
+    assert page.page.locator("#rows .tag").count() == 1
+    assert "Not in the picture" not in detail.inner_text()
+    row.click()
+    assert "only behind glass or in a mirror" in detail.inner_text()
+    page.page.get_by_text("Out of view", exact=True).click()
+    assert row.locator(".tag").inner_text() == "not in view"
+    assert "No pixel shows it directly" in detail.inner_text()
+    page.page.locator("#clear").click()
+    assert "Not in the picture: sky.radiance.value" in detail.inner_text()
+    page.check(path)
+    page.context.close()
+
+
+# ---------------------------------------------------------------------------------------------------- on a phone
+
+
+def test_details_on_a_phone_are_in_sight_below_what_was_touched(browser, tmp_path):
+    path = written(tmp_path, explained(), ranged(metric="Brightness"))
+    page = Page(browser, path, **PHONE)
+
+    def check_detail(title: str, touched: str) -> None:
+        assert title in page.page.locator("#detail h2").inner_text()
+        top, bottom = box_of(page, "#detail")
+        assert 0 <= top < bottom <= 740
+        card_top, _ = box_of(page, "#detail .card h3 >> nth=0")
+        assert card_top < 740
+        start, end = box_of(page, touched)
+        assert start >= 0
+        assert end <= top + 1, "the details cover what was touched"
+
+    def tap(selector: str, across: float, down: float) -> None:
+        """Tap at a place of an element that is at the bottom of the window, where the details will be."""
+        page.page.locator(selector).evaluate("one => scrollBy(0, one.getBoundingClientRect().bottom - 735)")
+        box = page.page.locator(selector).bounding_box()
+        page.page.touchscreen.tap(box["x"] + across * box["width"], box["y"] + down * box["height"])
+
+    tap("#picture", 11 / WIDTH, 1 / HEIGHT)
+    check_detail("chair", "#picture")
+    for name in (NASTY, "floor: reflectance", "sky.radiance.value"):
+        page.page.locator("#clear").tap()
+        index = page.page.locator("#rows tr", has_text=name).get_attribute("data-row")
+        row = f"#rows [data-row='{index}']"
+        tap(row, 0.5, 0.5)
+        check_detail(name, row)
+        # The picture above shows where it is.
+        assert box_of(page, "#picture")[0] == pytest.approx(0, abs=1)
+        assert box_of(page, row)[0] >= box_of(page, "#picture")[1] - 1
+    assert page.page.evaluate("document.documentElement.scrollWidth") == 360
+    page.page.locator("#clear").tap()
+    assert page.page.locator("#detail").evaluate("one => getComputedStyle(one).position") == "static"
+    page.check(path)
+    page.context.close()
+
+
+# ----------------------------------------------------------------------------------------------- before and after
+
+
+def test_the_slider_shows_the_other_picture_on_the_left(browser, tmp_path):
+    red, green = plain_picture(1.0, 0.0, 0.0), plain_picture(0.0, 1.0, 0.0)
+    path = written(tmp_path, make(image=red), make(image=green), titles=["as it is", NASTY])
+    page = Page(browser, path)
+    other, slider = page.page.locator("#other"), page.page.locator("#split")
+    assert page.page.locator("#split-choice").is_visible()
+    assert NASTY in page.page.locator("#split-value").inner_text()
+    assert other.is_hidden()
+    slider.fill("50")
+    assert other.is_visible()
+    assert other.evaluate("one => getComputedStyle(one).clipPath") == "inset(0px 50% 0px 0px)"
+    page.page.locator("#opacity").fill("0")
+    seen = tmp_path / "seen.png"
+    page.page.locator("#picture").screenshot(path=seen)
+    with Image.open(seen) as picture:
+        width, height = picture.size
+        left, right = (picture.getpixel((width * part // 100, height // 2)) for part in (47, 53))
+    assert left[1] > 2 * left[0]
+    assert right[0] > 2 * right[1]
+    # The other way round, the slider keeps its place.
+    page.page.get_by_text(NASTY, exact=True).first.click()
+    assert "as it is" in page.page.locator("#split-value").inner_text()
+    assert other.get_attribute("src") != page.page.locator("#render").get_attribute("src")
+    page.check(path)
+    page.context.close()
+
+
+@pytest.mark.parametrize(
+    "others",
+    [[], [make("Brightness")], [make(image=torch.ones(5, 7, 3), surfaces=quarters(5, 7))]],
+    ids=["one result", "one picture", "another size"],
+)
+def test_without_a_picture_to_compare_there_is_no_slider(browser, tmp_path, others):
+    page = Page(browser, written(tmp_path, make(), *others))
+    assert page.page.locator("#split-choice").is_hidden()
+    assert page.page.locator("#other").is_hidden()
+    page.context.close()
+
+
+# --------------------------------------------------------------------------------------------------- explanations
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"viewport": {"width": 1000, "height": 800}}, PHONE], ids=["desktop", "tablet", "phone"]
+)
+def test_an_explanation_shows_all_its_sentences(browser, tmp_path, options):
+    path = written(tmp_path, explained())
+    page = Page(browser, path, **options)
+    parts = page.page.locator("#explanation .part").all()
+    sections = explained().sections()[1:]
+    assert len(sections) >= 3
+    assert [
+        (part.locator("h2").inner_text(), part.locator("li").all_inner_texts()) for part in parts
+    ] == sections
+    cut = page.page.evaluate(
+        """() => [...document.querySelectorAll("#explanation li, #explanation h2")].filter((one) => {
+            const part = one.closest(".part").getBoundingClientRect(), box = one.getBoundingClientRect();
+            const right = Math.min(part.right, innerWidth) + 1;
+            return one.scrollWidth > one.clientWidth || box.right > right || box.left < 0;
+        }).map((one) => one.textContent)"""
+    )
+    assert cut == []
+    width = page.page.evaluate("innerWidth")
+    assert page.page.evaluate("document.documentElement.scrollWidth") == width
+    page.check(path)
+    page.context.close()
+
+
+def test_results_without_an_explanation_have_no_section_for_it(browser, tmp_path):
+    path = written(tmp_path, explained(), make("Brightness"))
+    page = Page(browser, path)
+    section = page.page.locator("#explanation")
+    for title, is_explained in (("unified glare rating", True), ("Brightness", False)) * 2:
+        page.page.get_by_text(title, exact=True).first.click()
+        assert section.evaluate("one => one.hidden") != is_explained
+        assert (section.locator("li").count() > 0) == is_explained
+    page.check(path)
+    page.context.close()
+
+
+# ---------------------------------------------------------------------------------------------------- class names
+
+
+class Room(ToyRenderer):
+    """All objects of its picture have the colour ``x``."""
+
+    surfaces = dataclasses.replace(quarters(4, 4), parameters=(("x",),) * 5)
+
+
+def test_classes_are_called_by_their_names(browser, tmp_path):
+    model = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 2))
+    metric = ClassLogit(model, classes=["chair", "lamp"], transform=torch.nn.Identity())
+    results = VanillaSceneGradient(Room(), metric).attribute(
+        target=[0, 1], spp=16, replicates=4, seed=shifted()
+    )
+    path = written(tmp_path, *results)
+    page = Page(browser, path)
+    headlines = [one.inner_text().splitlines() for one in page.page.locator(".result").all()]
+    assert [lines[0] for lines in headlines] == ["logit of chair", "logit of lamp"]
+    said = [float(re.match(r"probability ([0-9.]+) of ", lines[2])[1]) for lines in headlines]
+    logits = metric(results[0].image)
+    assert said == pytest.approx(logits.softmax(0).tolist(), abs=0.01)
+    likelier = ["chair", "lamp"][int(logits.argmax())]
+    assert sum(lines[2].endswith(f"of {likelier}") for lines in headlines) == 2
+    assert "logit of chair" in page.page.locator("#caption").inner_text()
+    page.page.get_by_text("logit of lamp", exact=True).first.click()
+    assert "logit of lamp" in page.page.locator("#caption").inner_text()
+    page.check(path)
+    page.context.close()
