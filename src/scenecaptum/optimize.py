@@ -65,6 +65,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     metric: Metric,
     below: float,
     *,
+    inputs: Mapping[str, torch.Tensor] | None = None,
     target: Target = None,
     top: int = 5,
     change: float = 0.5,
@@ -95,6 +96,8 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         negative.
     below
         The goal, in the metric's unit.
+    inputs
+        The values to start from; by default the scene's own.
     target
         Index of the metric's output, if that is a vector.
     top
@@ -129,12 +132,12 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         raise SceneCaptumError(
             f"change must be a fraction of a range, above 0 and at most 1, not {change!r}."
         )
-    values = input_values(renderer, None)
+    values = input_values(renderer, inputs)
     spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
     count = whole_number("steps", steps)
     ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
     ranked = VanillaSceneGradient(renderer, metric).attribute(
-        target=target, seed=ranking_seed, spp=spp, denoise=denoise
+        values, target=target, seed=ranking_seed, spp=spp, denoise=denoise
     )
     name = metric_symbol(ranked)
     fixed = _construction(renderer)

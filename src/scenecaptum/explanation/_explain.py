@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
-from ..errors import SceneCaptumError, whole_number
+from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..optimize import minimize
 from ..projection import SurfaceMap
@@ -63,8 +63,6 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     SceneCaptumError
         As ``VanillaSceneGradient`` and ``optimize.minimize``.
     """
-    if inputs is not None and below is not None:
-        raise SceneCaptumError("below= optimizes the renderer's own scene: leave out inputs=.")
     attribution_seed, scenes_seed, goal_seed = derived_seeds(seed, Stream.EXPLANATION, 3)
     options: dict[str, Any] = {
         "target": target,
@@ -96,7 +94,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
             scenes.metric, scenes.images, _surfaces(renderer, attribution), attribution.labels
         ),
         changes=tuple(rendered(scenes, change) for change in proposed),
-        goal=None if below is None else minimize(renderer, metric, below, seed=goal_seed, **options),
+        goal=None
+        if below is None
+        else minimize(renderer, metric, below, inputs=inputs, seed=goal_seed, **options),
     )
 
 
