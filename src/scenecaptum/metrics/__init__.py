@@ -2,6 +2,7 @@
 
 # What users see; the other names are for the rooms above and for extensions.
 __all__ = [
+    "Band",
     "ClassLogit",
     "ContrastRatio",
     "DaylightGlareIndex",
@@ -11,6 +12,7 @@ __all__ = [
     "LuminancePercentile",
     "MeanLuminance",
     "MeanSquaredError",
+    "Measure",
     "PerceptualDistance",
     "ResizeCropNormalize",
     "ShapeClassifier",

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 
 class Band(NamedTuple):
-    """A class of values, up to and including ``upper``, and its meaning."""
+    """A class of values, up to and including ``upper``, and its ``meaning``."""
 
     upper: float
     meaning: str
