@@ -269,7 +269,7 @@ def test_tradeoff_writes_what_it_measured_and_recommends(tmp_path, capsys):
     assert [line["varied"] for line in lines] == ["own", "spp", "spp", "resolution"]
     assert lines[-1]["resolution"] == "12x12"
     assert (out / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
-    for words in ("UnifiedGlareRating", "spp 64", "12×12", "50 %", str(out / "tradeoff.csv")):
+    for words in ("unified glare rating", "spp 64", "12×12", "50 %", str(out / "tradeoff.csv")):
         assert words in printed
 
 
