@@ -11,9 +11,13 @@ LUMINANCE_WEIGHTS = (0.212671, 0.715160, 0.072169)
 
 
 def channels_first(image: torch.Tensor) -> torch.Tensor:
-    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks; raise for others."""
-    check_image_shape(image)
-    return image.movedim(-1, 0)[None]
+    """Convert an ``(H, W, 3)`` image to ``(1, 3, H, W)``, the layout of kornia and networks; raise for others.
+
+    A stack ``(N, H, W, 3)`` becomes ``(N, 3, H, W)``.
+    """
+    stack = image if image.ndim == 4 else image[None]
+    check_image_shape(stack[0] if len(stack) else image)
+    return stack.movedim(-1, 1)
 
 
 def channels_last(picture: torch.Tensor) -> torch.Tensor:

@@ -16,6 +16,7 @@ __all__ = [
     "PerceptualDistance",
     "ResizeCropNormalize",
     "ShapeClassifier",
+    "Smoothed",
     "StructuralSimilarity",
     "UnifiedGlareRating",
     "VerticalIlluminance",
@@ -43,6 +44,7 @@ from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
 from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
 from ._shape_classifier import ShapeClassifier as ShapeClassifier
+from ._smoothed import Smoothed as Smoothed
 from ._sources import GlareSource as GlareSource
 from ._ugr import UnifiedGlareRating as UnifiedGlareRating
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -11,6 +12,7 @@ from ..errors import SceneCaptumError, near_misses, whole_number
 from ..visualization import rounded
 from ._frozen import run_frozen
 from ._measure import Measure
+from ._noise import PictureNoise, smoothed_measure, without_smoothing
 from ._picture import check_exposure, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
@@ -21,7 +23,7 @@ class ClassLogit(torch.nn.Module):
     Example
     -------
     >>> model = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 1000))
-    >>> ClassLogit(model, target=559)(torch.rand(180, 320, 3)).shape
+    >>> ClassLogit(model, target=559, smoothing=0.3)(torch.rand(180, 320, 3)).shape
     torch.Size([])
 
     Parameters
@@ -40,6 +42,10 @@ class ClassLogit(torch.nn.Module):
         Factor on radiance before it is clipped at white and encoded as sRGB. Above white the derivative is 0.
     classes
         The names of the classes, in the order of the logits; by default ``model.classes`` if it exists.
+    smoothing
+        The ``sigma`` of log-normal noise of the picture over which the logit is averaged, for a gradient that the
+        noise of a render does not dominate; 0.3 is a good choice. None: the logit itself. ``Smoothed`` has more
+        settings, and says what is averaged.
 
     Raises
     ------
@@ -61,6 +67,7 @@ class ClassLogit(torch.nn.Module):
         *,
         exposure: float = 1.0,
         classes: Sequence[str] | None = None,
+        smoothing: float | None = None,
     ) -> None:
         super().__init__()
         own = getattr(model, "classes", None)
@@ -69,10 +76,17 @@ class ClassLogit(torch.nn.Module):
         self.exposure = check_exposure(exposure)
         self.transform = transform or own_preprocessing(model, ResizeCropNormalize())
         self.model = model
+        self.noise = None if smoothing is None else PictureNoise.create(smoothing)
 
     @classmethod
     def pretrained(
-        cls, name: str, weights: Any = "DEFAULT", target: int | str | None = None, *, exposure: float = 1.0
+        cls,
+        name: str,
+        weights: Any = "DEFAULT",
+        target: int | str | None = None,
+        *,
+        exposure: float = 1.0,
+        smoothing: float | None = None,
     ) -> ClassLogit:
         """Return the logit of a pretrained torchvision classifier, with the preprocessing of its weights.
 
@@ -84,7 +98,7 @@ class ClassLogit(torch.nn.Module):
             A member of its weights enumeration, such as ``ResNet50_Weights.IMAGENET1K_V2``, or its name.
         target
             As in ``ClassLogit``; the class names are the weights' ``meta["categories"]``.
-        exposure
+        exposure, smoothing
             As in ``ClassLogit``.
 
         Raises
@@ -96,30 +110,48 @@ class ClassLogit(torch.nn.Module):
 
         model, chosen = load_pretrained(name, weights)
         classes = chosen.meta.get("categories")
-        return cls(model, target, chosen.transforms(), exposure=exposure, classes=classes)
+        return cls(
+            model, target, chosen.transforms(), exposure=exposure, classes=classes, smoothing=smoothing
+        )
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the logit of an ``(H, W, 3)`` image, a 0-d tensor; without a target all, ``(classes,)``."""
-        logits = self._logits(image)
+        return self.of_batch(image[None])[0] if self.noise is None else self.noise.mean(self.of_batch, image)
+
+    def of_batch(self, images: torch.Tensor) -> torch.Tensor:
+        """Return the logits of images ``(N, H, W, 3)`` without smoothing: ``(N,)``, or ``(N, classes)``."""
+        logits = self._logits(images)
         if self.target is None:
             return logits
-        if self.target >= len(logits):
+        if self.target >= logits.shape[1]:
             raise SceneCaptumError(
-                f"target={self.target} is not a class of {type(self.model).__name__}: it has {len(logits)} "
-                f"classes, 0 to {len(logits) - 1}."
+                f"target={self.target} is not a class of {type(self.model).__name__}: it has {logits.shape[1]} "
+                f"classes, 0 to {logits.shape[1] - 1}."
             )
-        return logits[self.target]
+        return logits[:, self.target]
 
-    def _logits(self, image: torch.Tensor) -> torch.Tensor:
-        logits = run_frozen(self.model, self.transform(srgb_picture(image, self.exposure)))
-        if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != 1:
+    @property
+    def n_draws(self) -> int:
+        """Number of draws of noise over which the logit is averaged, 0 without smoothing."""
+        return 0 if self.noise is None else self.noise.n
+
+    def with_draws(self, draws: Mapping[int, int]) -> ClassLogit:
+        """Return the same metric with other draws of noise: a number of them for each seed, rounded up to even."""
+        other = copy.copy(self)
+        other.noise = None if self.noise is None else self.noise.with_draws(draws)
+        return other
+
+    def _logits(self, images: torch.Tensor) -> torch.Tensor:
+        logits = run_frozen(self.model, self.transform(srgb_picture(images, self.exposure)))
+        if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != len(images):
             raise SceneCaptumError(_not_logits(self.model, logits))
-        return logits[0]
+        return logits
 
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
         """Return what an element of the output measures."""
         index = target[0] if isinstance(target, tuple) else target
-        return Measure(f"logit of {self._class_name(index)}")
+        measure = Measure(f"logit of {self._class_name(index)}")
+        return measure if self.noise is None else smoothed_measure(measure)
 
     @property
     def measure(self) -> Measure:
@@ -133,9 +165,14 @@ class ClassLogit(torch.nn.Module):
         """
         index = self.target if self.target is not None else target[0] if isinstance(target, tuple) else target
         with torch.no_grad():
-            probabilities = self._logits(image).double().softmax(0)
+            logits = self._logits(image[None])[0].double()
         if index is None:
             return ""
+        text = self._probabilities(logits.softmax(0), index)
+        return text if self.noise is None else without_smoothing(logits[index].item(), text)
+
+    def _probabilities(self, probabilities: torch.Tensor, index: int) -> str:
+        """Return the probability of a class and, if another is more likely, which."""
         text = f"probability {_probability(probabilities[index].item())} of {self._class_name(index)}"
         best = int(probabilities.argmax())
         if best == index:
@@ -162,7 +199,8 @@ class ClassLogit(torch.nn.Module):
     def extra_repr(self) -> str:
         """Show the class and the exposure."""
         name = f" ({self.classes[self.target]})" if self.target is not None and self.classes else ""
-        return f"target={self.target}{name}, exposure={self.exposure:g}"
+        smoothing = "" if self.noise is None else f", smoothing={self.noise.sigma:g}"
+        return f"target={self.target}{name}, exposure={self.exposure:g}{smoothing}"
 
 
 def _not_logits(model: object, output: Any) -> str:

@@ -11,9 +11,10 @@ from ..images import channels_first, check_image_shape
 def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
     """Encode linear radiance as an sRGB picture, ``sRGB(min(exposure · L, 1))``.
 
-    The image is ``(H, W, 3)`` linear radiance with Rec. 709 primaries, the picture ``(1, 3, H, W)`` in [0, 1]. The
-    gradient is finite everywhere: 12.92 · exposure at black, and 0 above white, where values are clipped. Raises
-    if the image has another shape, or a value that is negative or not finite.
+    The image is ``(H, W, 3)`` linear radiance with Rec. 709 primaries, the picture ``(1, 3, H, W)`` in [0, 1];
+    for a stack ``(N, H, W, 3)`` it is ``(N, 3, H, W)``. The gradient is finite everywhere: 12.92 · exposure at
+    black, and 0 above white, where values are clipped. Raises if the image has another shape, or a value that is
+    negative or not finite.
 
     Example
     -------
@@ -30,7 +31,7 @@ def srgb_picture(image: torch.Tensor, exposure: float = 1.0) -> torch.Tensor:
     valid = (radiance >= 0) & (radiance < torch.inf)
     if not bool(valid.all()):
         raise SceneCaptumError(
-            f"Radiance must be finite and not negative; on {int((~valid).any(1).sum())} of {valid[0, 0].numel()} "
+            f"Radiance must be finite and not negative; on {int((~valid).any(1).sum())} of {valid[:, 0].numel()} "
             "pixels it is not. Fix the scene, or remove the values with image.nan_to_num(0).clamp(min=0)."
         )
     encoded: torch.Tensor = linear_rgb_to_rgb((radiance * exposure).clamp(max=1.0))
