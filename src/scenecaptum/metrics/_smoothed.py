@@ -42,7 +42,7 @@ class Smoothed(torch.nn.Module):
         so that standard errors include the error of a finite number of draws.
     noise
         ``"lognormal"``: each pixel is multiplied by ``exp(σ z − σ² / 2)`` with a standard normal ``z``, which
-        keeps colours, black pixels and the mean. ``"gaussian"``: ``σ z`` is added to each channel of the sRGB
+        keeps hues, black pixels and the mean. ``"gaussian"``: ``σ z`` is added to each channel of the sRGB
         picture, where 1 is white; negative values are reflected.
     seed
         Of the draws, which are the same for all images of one size.
@@ -115,7 +115,10 @@ class Smoothed(torch.nn.Module):
         return None if found is None else smoothed_measure(found)
 
     def verdict(self, image: torch.Tensor, target: int | tuple[int, ...] | None = None) -> str:
-        """Return the value of an ``(H, W, 3)`` image without smoothing, and what it means."""
+        """Return the value of an ``(H, W, 3)`` ``image`` without smoothing, and what it means.
+
+        ``target`` is the index of the element of a vector.
+        """
         with torch.no_grad():
             output = self.metric(image)
         value = (output if target is None else output[target]).item()
