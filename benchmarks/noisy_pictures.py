@@ -99,7 +99,7 @@ def rate(
     for replicates in seeds:
         images = list(replicates)
         (metric,) = with_image_transform(
-            [TargetedMetric(rating)], images, TransformSelector("auto", renderer)
+            [TargetedMetric(rating)], images, TransformSelector("auto", renderer, smoothed=False)
         )
         seen = jackknife(metric, images)
         assert seen.standard_error is not None

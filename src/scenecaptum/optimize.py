@@ -150,9 +150,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     def render(changed: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
         return render_images(renderer, changed, budget.seeds[0], budget.spp[0])
 
-    (transformed,) = with_image_transform(
-        [TargetedMetric(metric, target)], render(values), TransformSelector(denoise, renderer)
-    )
+    targeted = TargetedMetric(metric, target)
+    selector = TransformSelector(denoise, renderer, smoothed=targeted.is_smoothed)
+    (transformed,) = with_image_transform([targeted], render(values), selector)
 
     def measure(changed: Mapping[str, torch.Tensor]) -> Measured:
         images = render(changed)

@@ -113,7 +113,9 @@ class Run:
 
     def __post_init__(self) -> None:
         self.watch = Stopwatch(self.renderer)
-        self.transform_selector = TransformSelector(self.settings.denoise, self.renderer)
+        self.transform_selector = TransformSelector(
+            self.settings.denoise, self.renderer, smoothed=self.metrics[0].is_smoothed
+        )
 
     def attribute(
         self,
@@ -233,7 +235,11 @@ class Run:
         """Evaluate every metric on images of the inputs."""
         image = torch.stack(tuple(images)).mean(0)
         metrics = with_image_transform(self.metrics, images, self.transform_selector)
-        return [InputEvaluation(jackknife(metric, images), image, None, metric) for metric in metrics]
+        seeds = derived_seeds(self.settings.seed, Stream.INPUT_METRIC, len(images))
+        return [
+            InputEvaluation(jackknife(metric, images, draws=metric.split_draws(seeds)), image, None, metric)
+            for metric in metrics
+        ]
 
     def render_scenes(
         self, scenes: Sequence[Mapping[str, torch.Tensor]], sums: Sequence[GradientSum]

@@ -116,9 +116,8 @@ class Perturbation:
         rows, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            metrics = tuple(
-                with_image_transform(metrics, images, TransformSelector(settings.denoise, renderer))
-            )
+            selector = TransformSelector(settings.denoise, renderer, smoothed=metrics[0].is_smoothed)
+            metrics = tuple(with_image_transform(metrics, images, selector))
             values, first = _pseudo_values(metrics, images, arms[0].description)
             image = torch.stack(images).mean(0)
             rows.append(first)

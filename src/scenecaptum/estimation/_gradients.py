@@ -298,8 +298,13 @@ class GradientEstimator:
     def _evaluate_metrics(self, index: int, values: Tensors, images: list[torch.Tensor]) -> list[Adjoints]:
         """Evaluate each metric on the images; render images with more samples for the metrics that need them."""
         results: list[Adjoints | None]
-        if len(images) == len(self.budget.seeds[index]):
-            results = [jackknife(metric, images) for metric in self._transformed_metrics(images)]
+        seeds = self.budget.seeds[index]
+
+        def evaluate(metric: TargetedMetric, images: list[torch.Tensor]) -> Adjoints:
+            return jackknife(metric, images, draws=metric.split_draws(seeds, self.n_points))
+
+        if len(images) == len(seeds):
+            results = [evaluate(metric, images) for metric in self._transformed_metrics(images)]
         else:
             known = zip(self.metrics, self._first_adjoints, strict=True)
             results = [adjoints_if_linear(metric, first, images[0]) for metric, first in known]
@@ -308,7 +313,7 @@ class GradientEstimator:
         if any(result is None or (too_few and not result.is_linear) for result in results):
             metric_images = self._render_metric_images(index, values, images)
             results = [
-                result if result is not None and result.is_linear else jackknife(metric, metric_images)
+                result if result is not None and result.is_linear else evaluate(metric, metric_images)
                 for metric, result in zip(self._transformed_metrics(metric_images), results, strict=True)
             ]
         adjoints = [_match_replicates(result, len(images)) for result in results if result is not None]

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from ._metric import TargetedMetric
+from ._metric import Draws, TargetedMetric
 from ._metric_image import IDENTITY, ImageTransform, TransformSelector
 
 # Drift is the metric at half of the samples minus the metric at all samples. From 2 standard errors it is
@@ -50,7 +50,10 @@ class Adjoints:
 
 
 def jackknife(
-    metric: TargetedMetric, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
+    metric: TargetedMetric,
+    images: Sequence[torch.Tensor],
+    samples: Sequence[float] | None = None,
+    draws: Sequence[Draws] | None = None,
 ) -> Adjoints:
     """Evaluate a metric at the mean image and at other weighted means of the images, a generalized jackknife.
 
@@ -76,14 +79,16 @@ def jackknife(
     weights = [1.0] * count if samples is None else samples
     fractions = torch.tensor([weight / sum(weights) for weight in weights], dtype=torch.float64)
     stack = torch.stack(tuple(images))
+    if draws is not None and count > 1:
+        return _jackknife_of_draws(metric, stack, fractions, draws)
+    if draws is not None:
+        metric = metric.with_draws(draws[0])
     value, adjoint = metric.value_and_adjoint(_mean(stack, fractions))
     if count == 1:
         return Adjoints(value, None, None, (adjoint,), None, transform=metric.transform)
 
-    roots = fractions.sqrt()
-    directions, step = _directions(tuple(roots.tolist()))
-    weight_changes = roots * directions
-    values, adjoints = _evaluate_at_means(metric, stack, fractions + step * weight_changes)
+    directions, step, coefficients = _steps(fractions)
+    values, adjoints = _evaluate_at_means(metric, stack, fractions + step * directions)
     drift = _second_order(values, value, step).item()
     error = math.sqrt(values.var().item()) / step
     if not metric.transform.denoises and _is_rounding(adjoints - adjoint, adjoint):
@@ -91,15 +96,14 @@ def jackknife(
         return Adjoints(value, error, drift, (adjoint,) * count, None)
 
     bias_adjoint = _second_order(adjoints, adjoint, step)
-    _, half_step_adjoints = _evaluate_at_means(metric, stack, fractions + step / 2 * weight_changes)
+    _, half_step_adjoints = _evaluate_at_means(metric, stack, fractions + step / 2 * directions)
     bias_adjoint = (
         _shrinkage(bias_adjoint, _second_order(half_step_adjoints, adjoint, step / 2)) * bias_adjoint
     )
     curvature = (adjoints + adjoint) / 2 - half_step_adjoints
     is_consistent = _is_consistent(curvature, _mean(stack, fractions))
     removed = bias_adjoint if is_consistent else torch.zeros_like(adjoint)
-    coefficients = (directions / roots).T.to(adjoints)
-    deviations = torch.tensordot(coefficients, (adjoints - adjoints.mean(0)) / step, 1)
+    deviations = torch.tensordot(coefficients.to(adjoints), (adjoints - adjoints.mean(0)) / step, 1)
     single_values, single_adjoints = _evaluate_at_means(metric, stack, torch.eye(count, dtype=torch.float64))
     single_mean = torch.tensordot(fractions.to(single_adjoints), single_adjoints, 1)
     deviations = _larger(deviations, single_adjoints - single_mean)
@@ -118,6 +122,114 @@ def jackknife(
         denoised=None if metric.transform.more_accurate is None else value + value_error,
         transform=metric.transform,
     )
+
+
+def _steps(fractions: torch.Tensor) -> tuple[torch.Tensor, float, torch.Tensor]:
+    """Return the changes of the weights for a step of 1, the step, and what turns steps into deviations."""
+    roots = fractions.sqrt()
+    directions, step = _directions(tuple(roots.tolist()))
+    return roots * directions, step, (directions / roots).T
+
+
+def _jackknife_of_draws(
+    metric: TargetedMetric, images: torch.Tensor, fractions: torch.Tensor, draws: Sequence[Draws]
+) -> Adjoints:
+    """Evaluate a metric that is a mean over draws of noise; each image has a share of the draws.
+
+    Every share is evaluated for itself, at the mean image and at the other weighted means. Backward pass ``i``
+    gets the adjoint image of share ``i``, so that the variance of the propagated gradients contains that of the
+    draws.
+
+    The gradient of a network jumps between any two images, for each draw by itself. The differences between the
+    weighted means contain this noise although it does not depend on the render. The spread over the shares shows
+    how much of the squared differences it is; they are scaled down by it. The bias is treated in the same way. A
+    mean over noise has no thresholds that only single images could show.
+    """
+    shares = [metric.with_draws(share) for share in draws]
+    mean_image = _mean(images, fractions)
+    directions, step, coefficients = _steps(fractions)
+    centre = _Shares.evaluate(shares, fractions, mean_image)
+    value, adjoint = centre.value, centre.adjoint
+    values, changes, noise = [], [], 0.0
+    sums = torch.zeros_like(centre.adjoints)
+    for row in fractions + step * directions:
+        stepped = _Shares.evaluate(shares, fractions, _mean(images, row))
+        change = stepped.adjoints - centre.adjoints
+        values.append(stepped.value)
+        changes.append(centre.mean(change))
+        noise += centre.variance(change)
+        sums += change
+    count = len(images)
+    by_direction = torch.stack(changes)
+    drift = _second_order(torch.tensor(values, dtype=torch.float64), value, step).item()
+    error = math.sqrt(torch.tensor(values).double().var().item() / step**2 + centre.variance(centre.values))
+    if not metric.transform.denoises and _is_rounding(by_direction, adjoint):
+        return Adjoints(value, error, drift, tuple(centre.adjoints), None)
+
+    differences = by_direction - by_direction.mean(0)
+    differences *= math.sqrt(_signal(differences, noise - count * centre.variance(sums / count)))
+    deviations = torch.tensordot(coefficients.to(differences), differences / step, 1)
+    bias_by_share = sums / (step**2 * (count - 1))
+    bias = centre.mean(bias_by_share)
+    bias *= _signal(bias, centre.variance(bias_by_share))
+    value_error, adjoint_error = 0.0, torch.zeros_like(adjoint)
+    if metric.transform is not IDENTITY:
+        merged = metric.with_draws({seed: n for share in draws for seed, n in share.items()})
+        at_centre = merged.value_and_adjoint(mean_image)
+        value_error, adjoint_error = _transform_errors(merged, images, fractions, *at_centre)
+    return Adjoints(
+        value=value,
+        standard_error=math.hypot(error, drift, value_error),
+        bias=drift,
+        per_replicate=tuple(centre.adjoints + deviations),
+        bias_adjoint=bias + adjoint_error,
+        drift=(drift, error),
+        denoised=None if metric.transform.more_accurate is None else value + value_error,
+        transform=metric.transform,
+    )
+
+
+@dataclass(frozen=True)
+class _Shares:
+    """Values ``(shares,)`` and adjoints ``(shares, …)`` of the shares of draws at an image."""
+
+    values: torch.Tensor
+    adjoints: torch.Tensor
+    fractions: torch.Tensor
+
+    @classmethod
+    def evaluate(
+        cls, shares: Sequence[TargetedMetric], fractions: torch.Tensor, image: torch.Tensor
+    ) -> _Shares:
+        """Evaluate the shares one after the other, so that the activations of one are in memory."""
+        values, adjoints = zip(*(share.value_and_adjoint(image) for share in shares), strict=True)
+        return cls(torch.tensor(values, dtype=torch.float64), torch.stack(adjoints), fractions)
+
+    @property
+    def value(self) -> float:
+        """Mean of the values."""
+        return self.mean(self.values).item()
+
+    @property
+    def adjoint(self) -> torch.Tensor:
+        """Mean of the adjoints."""
+        return self.mean(self.adjoints)
+
+    def mean(self, by_share: torch.Tensor) -> torch.Tensor:
+        """Return the weighted mean over the shares."""
+        result: torch.Tensor = torch.tensordot(self.fractions.to(by_share), by_share, 1)
+        return result
+
+    def variance(self, by_share: torch.Tensor) -> float:
+        """Return the variance of the weighted mean over the shares, summed over the elements."""
+        squares = (by_share - self.mean(by_share)).double().square().flatten(1 if by_share.ndim > 1 else 0)
+        return float(self.mean(squares.sum(1) if by_share.ndim > 1 else squares) / (len(by_share) - 1))
+
+
+def _signal(estimate: torch.Tensor, noise: float) -> float:
+    """Return the share of the squared norm of an estimate that is not noise, between 0 and 1."""
+    total = estimate.double().square().sum().item()
+    return min(1.0, max(0.0, 1 - noise / total)) if total else 0.0
 
 
 def _larger(near: torch.Tensor, far: torch.Tensor) -> torch.Tensor:
@@ -271,6 +383,8 @@ def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
     A metric without a derivative counts as non-linear.
     """
     first = images[0]
+    if metric.n_draws:
+        metric = metric.with_draws({0: 1})  # noise is no reason for being linear or not
     darker = torch.lerp(first, first.roll(1, 0), 0.5) / 2
     other = next((image for image in images[1:] if not torch.equal(image, first)), darker)
     adjoint, other_adjoint = (metric.value_and_derivative(image)[1] for image in (first, other))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import torch
 
@@ -17,6 +17,7 @@ from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | tuple[int, ...] | None"
+Draws: TypeAlias = Mapping[int, int]  # the number of draws of each seed
 
 
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
@@ -84,6 +85,26 @@ class TargetedMetric:
             "measure": None if self.measure is None else self.measure.describe(),
             "verdict": self.verdict(value, image),
         }
+
+    @property
+    def n_draws(self) -> int:
+        """Number of draws of noise that the metric is a mean of, 0 if it is none; see ``metrics.Smoothed``."""
+        return int(getattr(self.metric, "n_draws", 0))
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether the metric is a mean over draws of noise."""
+        return self.n_draws > 0
+
+    def with_draws(self, draws: Draws) -> TargetedMetric:
+        """Return the mean over other draws."""
+        return dataclasses.replace(self, metric=cast(Any, self.metric).with_draws(draws))
+
+    def split_draws(self, seeds: Sequence[int], points: int = 1) -> list[Draws] | None:
+        """Split the draws among images with these seeds at each of several points; None without draws."""
+        if not self.n_draws:
+            return None
+        return [{seed: math.ceil(self.n_draws / (points * len(seeds)))} for seed in seeds]
 
     def with_transform(self, transform: ImageTransform) -> TargetedMetric:
         """Return the same metric with another transform."""

@@ -100,12 +100,17 @@ def _halves(
 
 
 class TransformSelector:
-    """Selects the image transform for one call of ``attribute`` with ``denoise=mode``."""
+    """Selects the image transform for one call of ``attribute`` with ``denoise=mode``.
 
-    def __init__(self, mode: Denoise, renderer: Renderer) -> None:
+    A metric that averages over noise of the picture (``smoothed``) hardly changes by a little more noise, and is
+    not denoised unless this is asked for.
+    """
+
+    def __init__(self, mode: Denoise, renderer: Renderer, *, smoothed: bool) -> None:
         if mode not in ("auto", True, False):
             raise SceneCaptumError(f'denoise must be "auto", True or False, not {mode!r}.')
         self.mode = mode
+        self._denoises = not smoothed or mode is True
         self._renderer = renderer
         self._last = IDENTITY
 
@@ -113,6 +118,8 @@ class TransformSelector:
         self, images: Sequence[torch.Tensor], samples: Sequence[float] | None = None
     ) -> ImageTransform:
         """Select by independent images of a scene; for a single image repeat the last selection."""
+        if not self._denoises:
+            return IDENTITY
         if len(images) > 1 or self._last is IDENTITY:
             guides = Capabilities(self._renderer).guides if is_picture(images[0]) else None
             self._last = choose_transform(self.mode, images, samples, guides)

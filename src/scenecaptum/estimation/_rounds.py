@@ -13,7 +13,7 @@ from ..checkpoint import Stopwatch, without_checkpoint
 from ..protocols import Capabilities, Renderer
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
-from ._metric import TargetedMetric
+from ._metric import Draws, TargetedMetric
 from ._metric_image import TransformSelector
 from ._progress import Progress
 from ._replicates import NOISY_PICTURE_RATIO, Budget, render_images
@@ -134,7 +134,8 @@ class Rounds(GradientEstimator):
         self._time = time
         self._phase_start = 0.0  # of the images of this round, then of its backward passes
         self._bias_passes = 0  # additional backward passes for the bias
-        self._image_groups: list[tuple[torch.Tensor, int]] = []  # mean images and their samples per pixel
+        # Mean images, their samples per pixel, and the draws of noise that belong to them.
+        self._image_groups: list[tuple[torch.Tensor, int, Draws]] = []
         self.mean_adjoints: list[torch.Tensor] = []  # what all rounds so far have propagated, for each metric
 
     @property
@@ -202,15 +203,18 @@ class Rounds(GradientEstimator):
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
     ) -> list[Adjoints]:
         spp, n_earlier = self.image_spp or 1, len(self._image_groups)
-        all_images = [*(image for image, _ in self._image_groups), *images]
-        samples = torch.tensor(
-            [*(count for _, count in self._image_groups), *[spp] * len(images)], dtype=torch.float32
-        )
+        new_groups = [(image, spp, draws) for image, draws in zip(images, self._draws(index), strict=True)]
+        groups = [*self._image_groups, *new_groups]
+        all_images = [image for image, _, _ in groups]
+        samples = torch.tensor([count for _, count, _ in groups], dtype=torch.float32)
         fractions = (samples / samples.sum()).to(images[0])
         self.image = torch.tensordot(fractions, torch.stack(all_images), 1)
         counts = samples.tolist()
         metrics = with_image_transform(self.metrics, all_images, self.transform_selector, counts)
-        evaluated = [jackknife(metric, all_images, counts) for metric in metrics]
+        draws = [draws for _, _, draws in groups]
+        evaluated = [
+            jackknife(metric, all_images, counts, draws if metric.n_draws else None) for metric in metrics
+        ]
         # The mean over the images is the bias-corrected adjoint.
         means = [torch.tensordot(fractions, torch.stack(result.per_replicate), 1) for result in evaluated]
         *earlier, latest = (
@@ -224,19 +228,25 @@ class Rounds(GradientEstimator):
             adjoints.append(dataclasses.replace(result, per_replicate=tuple(new - new.mean(0) + own)))
         self.mean_adjoints = means
         self._bias_passes = 0 if all(result.is_linear for result in evaluated) else 1
-        self._merge_images(images, spp)
+        self._merge_images(new_groups)
         self._phase_start = self._time.now()
         return adjoints
 
-    def _merge_images(self, images: Sequence[torch.Tensor], spp: int) -> None:
-        """Merge each new image into the group with the fewest samples."""
-        for image in images:
+    def _draws(self, index: int) -> Sequence[Draws]:
+        """Return the draws of noise that belong to each image of a round, which later rounds keep."""
+        seeds = self.budget.seeds[index]
+        return self.metrics[0].split_draws(seeds) or [{} for _ in seeds]
+
+    def _merge_images(self, new: Sequence[tuple[torch.Tensor, int, Draws]]) -> None:
+        """Merge each new image, with its draws, into the group with the fewest samples."""
+        for image, spp, draws in new:
             if len(self._image_groups) < IMAGE_GROUPS:
-                self._image_groups.append((image, spp))
+                self._image_groups.append((image, spp, draws))
                 continue
             index = min(range(IMAGE_GROUPS), key=lambda i: self._image_groups[i][1])
-            mean, count = self._image_groups[index]
-            self._image_groups[index] = (torch.lerp(mean, image, spp / (count + spp)), count + spp)
+            mean, count, known = self._image_groups[index]
+            merged = torch.lerp(mean, image, spp / (count + spp)), count + spp, {**known, **draws}
+            self._image_groups[index] = merged
 
     def _is_out_of_time(self, finished: int) -> bool:
         if finished < 2:  # required for a standard error

@@ -56,9 +56,8 @@ class Scenes:
         self.spp = spp and math.ceil(spp / count)
         require_memory(renderer, [self.spp], count)
         targeted, self.images = TargetedMetric(metric, target), self._render({})
-        (self.metric,) = with_image_transform(
-            [targeted], list(self.images), TransformSelector(denoise, renderer)
-        )
+        selector = TransformSelector(denoise, renderer, smoothed=targeted.is_smoothed)
+        (self.metric,) = with_image_transform([targeted], list(self.images), selector)
         self.unmodified = self._pseudo_values(self.images)  # what ``measure`` returns for no changes
 
     def _render(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:

@@ -1,0 +1,95 @@
+"""Attribution of the expectation of a metric over noise: error bars include the finite number of draws."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from chance import check_error_bars
+from seeds import seeds, shifted
+from toy import ReplayingToyRenderer
+
+from scenecaptum import IntegratedGradientsScene, VanillaSceneGradient, metrics
+from scenecaptum.estimation import TargetedMetric
+from scenecaptum.estimation._jackknife import jackknife
+
+SIGMA = 0.8
+RUNS = 80
+
+
+def squares(image: torch.Tensor) -> torch.Tensor:
+    return image.square().mean()
+
+
+squares.of_batch = lambda images: images.square().mean((1, 2, 3))  # type: ignore[attr-defined]
+
+
+def exact(renderer: ReplayingToyRenderer) -> tuple[float, torch.Tensor]:
+    """Return value and gradient of the expectation: the square of a factor has the mean ``exp(σ²)``."""
+    x = renderer.inputs["x"].double().requires_grad_()
+    value = math.exp(SIGMA**2) * squares(renderer.matrix.double() @ x)
+    (gradient,) = torch.autograd.grad(value, x)
+    return value.item(), gradient
+
+
+@pytest.mark.parametrize("goal", [{}, {"tolerance": 1e-9, "time_limit": 1e-9}], ids=["one round", "planned"])
+@pytest.mark.parametrize("noise", [0.02, 0.5], ids=["draws dominate", "picture and draws"])
+def test_error_bars_include_the_draws(noise, goal):
+    renderer = ReplayingToyRenderer(noise)
+    metric = metrics.Smoothed(squares, SIGMA, n=32)
+    value, gradient = exact(renderer)
+    method = VanillaSceneGradient(renderer, metric)
+    runs = [method.attribute(seed=seed, spp=64, **goal) for seed in seeds(RUNS)]
+    values = torch.tensor([run.metric_value for run in runs])
+    totals = torch.stack([run["x"].double() for run in runs])
+    for found, truth, bars in (
+        (values, value, torch.tensor([run.metric_standard_error for run in runs])),
+        (totals, gradient, torch.stack([run.standard_error["x"].double() for run in runs])),
+    ):
+        z = (found.mean(0) - truth) / (found.std(0) / math.sqrt(RUNS))
+        assert (z.abs() < 4).all()
+        check_error_bars(found, bars)
+
+
+def test_rounds_of_a_planned_run_have_their_own_draws():
+    renderer = ReplayingToyRenderer(0.5)
+    metric = metrics.Smoothed(squares, 0.5 * SIGMA, n=16)
+    method = VanillaSceneGradient(renderer, metric)
+    runs = [method.attribute(seed=seed, spp=64, tolerance=0.25) for seed in seeds(30)]
+    truth = exact(renderer)[1] * math.exp((0.5 * SIGMA) ** 2 - SIGMA**2)
+    totals = torch.stack([run["x"].double() for run in runs])
+    assert any(len(run.info["planner"]["rounds"]) > 1 for run in runs)
+    z = (totals.mean(0) - truth) / (totals.std(0) / math.sqrt(len(runs)))
+    assert (z.abs() < 4).all()
+    check_error_bars(totals, torch.stack([run.standard_error["x"].double() for run in runs]))
+
+
+def test_several_points_split_the_draws():
+    renderer = ReplayingToyRenderer(0.02)
+    calls: list[int] = []
+
+    def counted(image: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        return squares(image)
+
+    counted.of_batch = lambda images: calls.extend([1] * len(images)) or images.square().mean((1, 2, 3))
+    method = IntegratedGradientsScene(renderer, metrics.Smoothed(counted, SIGMA, n=64))
+    baselines = {"x": torch.zeros(3)}
+    runs = [method.attribute(baselines=baselines, seed=seed, spp=64, n_steps=4) for seed in seeds(40)]
+    # The metric is quadratic: the mean gradient is half of that at the end.
+    truth = (0.5 * exact(renderer)[1] * renderer.inputs["x"]).double()
+    totals = torch.stack([run["x"].double() for run in runs])
+    assert (((totals.mean(0) - truth) / (totals.std(0) / math.sqrt(len(runs)))).abs() < 4).all()
+    check_error_bars(totals, torch.stack([run.standard_error["x"].double() for run in runs]))
+
+
+def test_a_linear_metric_keeps_the_draws_of_each_replicate():
+    images = [torch.rand(4, 4, 3, generator=torch.Generator().manual_seed(seed)) for seed in seeds(4)]
+    metric = TargetedMetric(metrics.Smoothed(torch.mean, SIGMA, n=16))
+    seen = jackknife(metric, images, draws=metric.split_draws(seeds(4)))
+    assert seen.is_linear
+    first, second = seen.per_replicate[:2]
+    assert not torch.equal(first, second)
+    share = metric.with_draws({shifted(1): 4})
+    torch.testing.assert_close(second, share.value_and_adjoint(torch.stack(images).mean(0))[1])
