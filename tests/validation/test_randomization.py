@@ -13,7 +13,7 @@ from toy import ToyRenderer
 from scenecaptum import InputXGradientScene, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.ranks import mean_ranks
-from scenecaptum.validation import randomization_check
+from scenecaptum.validation import RandomizationCheck, randomization_check
 from scenecaptum.validation._randomization import _reset
 
 
@@ -89,6 +89,51 @@ def test_noise_is_not_counted_as_change():
     assert not check.signs_change
 
 
+class OnlyLast(Network):
+    """A network whose first layer does not matter."""
+
+    def forward(self, image):
+        return self.last(image.reshape(8, 6).sum(1)).squeeze() + 0 * self.scale.sum()
+
+
+class OnlyFirst(Network):
+    """A network with a fixed readout."""
+
+    def forward(self, image):
+        return self.first(image.flatten()).tanh().sum() + 0 * self.scale.sum()
+
+
+@pytest.mark.parametrize(("network", "layer"), [(OnlyLast, "last"), (OnlyFirst, "first"), (Deaf, None)])
+def test_the_first_layer_that_matters_is_named(network, layer):
+    check = randomization_check(Lamps(), network(), stages=None, draws=6)
+    assert check.randomized == (0, 1, 2, 3)
+    assert check.first_change == layer, str(check)
+    assert not check.too_noisy
+    expected = f"from {layer} on: with" if layer else "shows no dependence on the learnt weights: with"
+    assert expected in check.verdict
+
+
+def test_a_change_must_last_and_must_not_be_noise():
+    own, same, other = [0.9, 0.95], [0.92, 0.91], [0.1, 0.2]
+
+    def check(*rows, signed=None):
+        magnitudes = torch.tensor([own, *rows])
+        signed = torch.tensor([own] * len(magnitudes)) if signed is None else torch.tensor(signed)
+        layers = ("c", "b", "a")
+        return RandomizationCheck(layers, (0, 1, 2, 3), magnitudes, signed, metric="M", method="V")
+
+    assert check(other, same, other).first_change == "a"
+    assert check(other, other, other).first_change == "c"
+    assert check(other, other, same).first_change is None
+    assert check(same, same, other, signed=[own, same, other, other]).first_change == "b"
+    noisy = [[0.6, 0.7], other, other, other]
+    unclear = check(same, same, same, signed=noisy)
+    assert unclear.signs_change
+    assert unclear.first_change is None, "noise is no evidence"
+    assert unclear.verdict.startswith("too noisy to tell: use smoothing= or more samples")
+    assert "in its ranking, from b on" in check(same, other, other, signed=noisy).verdict
+
+
 def test_layers_are_randomized_from_the_output_on():
     seen = []
 
@@ -125,6 +170,27 @@ def test_weights_without_a_reset_keep_their_scale():
     _reset(layer, 0)
     assert layer.weights.mean().item() == pytest.approx(3, abs=0.05)
     assert layer.weights.std().item() == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize("affine", [True, False])
+def test_statistics_of_batch_normalization_are_reset_with_its_weights(affine):
+    class Normalized(Network):
+        def __init__(self):
+            super().__init__()
+            self.norm = torch.nn.BatchNorm1d(8, affine=affine)
+            self.norm.running_mean += 5
+            self.norm.running_var *= 100
+
+        def forward(self, image):
+            hidden = self.first(image.flatten())[None]
+            mean, variance = self.norm.running_mean, self.norm.running_var
+            statistics.append((mean.mean().item(), variance.mean().item()))
+            return self.last(self.norm.eval()(hidden).tanh()).squeeze() + 0 * self.scale.sum()
+
+    statistics = []
+    check = randomization_check(Lamps(), Normalized(), stages=1, draws=2)
+    assert check.layers == ("norm", "last", "first", "")
+    assert set(statistics) == {(5.0, 100.0), (0.0, 1.0)}
 
 
 def test_ranks_of_ties_are_their_mean():
