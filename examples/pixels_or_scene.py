@@ -5,7 +5,7 @@ pixels of each object rank the objects, and with them the parameters of the scen
 the scene again, and show which order finds the parameters that matter. Prints the areas of the curves, and draws
 them.
 
-    python examples/pixels_or_scene.py [--out out/pixels] [--resolution 64x36] [--spp 512]
+    python examples/pixels_or_scene.py [--out out/pixels] [--resolution 64x36] [--spp 128]
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from scenecaptum.projection import project_pixels
 
 
 def main(
-    folder: Path, resolution: tuple[int, int] = (64, 36), spp: int = 512
+    folder: Path, resolution: tuple[int, int] = (64, 36), spp: int = 128, draws: int = 64
 ) -> validation.DeletionInsertion:
     renderer = SceneRenderer(
         "office", ["reflectance", "emitters"], resolution=resolution, spp=spp, max_depth=6
     )
-    logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube", smoothing=0.3)
+    plain = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube")
+    logit = metrics.Smoothed(plain, sigma=0.3, n=draws)  # the gradient of a plain logit is mostly noise
     found = IntegratedGradientsScene(renderer, logit).attribute(seed=0)
 
     def forward(images: torch.Tensor) -> torch.Tensor:
@@ -57,5 +58,5 @@ def main(
 
 
 if __name__ == "__main__":
-    options = parser(__doc__, resolution="64x36", spp=512, out="out/pixels").parse_args()
+    options = parser(__doc__, resolution="64x36", spp=128, out="out/pixels").parse_args()
     main(options.out, options.resolution, options.spp)

@@ -55,6 +55,7 @@ def test_a_trained_network_differs_from_random_ones():
     check = randomization_check(Lamps(), Network())
     assert check.ranking_changes, str(check)
     assert check.signs_change, str(check)
+    assert check.verdict.startswith("the attribution depends on the learnt weights"), str(check)
     assert check.magnitudes[0].min() > 0.9
     assert check.magnitudes[-1].mean() < 0.7
     assert "the attribution depends on the learnt weights, in its ranking and its signs" in check.verdict
@@ -109,7 +110,11 @@ def test_the_first_layer_that_matters_is_named(network, layer):
     assert check.randomized == (0, 1, 2, 3)
     assert check.first_change == layer, str(check)
     assert not check.too_noisy
-    expected = f"from {layer} on: with" if layer else "shows no dependence on the learnt weights: with"
+    expected = (
+        f"once the layers back to {layer} are randomized: with"
+        if layer
+        else "shows no dependence on the learnt weights: with"
+    )
     assert expected in check.verdict
 
 
@@ -131,7 +136,7 @@ def test_a_change_must_last_and_must_not_be_noise():
     assert unclear.signs_change
     assert unclear.first_change is None, "noise is no evidence"
     assert unclear.verdict.startswith("too noisy to tell: use smoothing= or more samples")
-    assert "in its ranking, from b on" in check(same, other, other, signed=noisy).verdict
+    assert "in its ranking, once the layers back to b are" in check(same, other, other, signed=noisy).verdict
 
 
 def test_layers_are_randomized_from_the_output_on():
@@ -231,9 +236,10 @@ def test_table_and_figure():
 
 
 def test_on_the_shape_classifier(mi, cornell):
-    metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
-    # At few samples, a network's derivative would be too noisy for a verdict.
-    check = randomization_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
+    logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
+    metric = metrics.Smoothed(logit, 0.3, n=16)
+    check = randomization_check(cornell, metric, stages=1, draws=3, spp=64, replicates=4)
     assert len(check.layers) == 9
-    assert check.layers[0] == "model.head"
+    assert check.layers[0] == "metric.model.head"
     assert check.signs_change, str(check)
+    assert check.verdict.startswith("the attribution depends on the learnt weights"), str(check)

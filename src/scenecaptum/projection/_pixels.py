@@ -28,7 +28,7 @@ def project_pixels(
     >>> from scenecaptum import SceneRenderer
     >>> renderer = SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(16, 16), spp=16)
     >>> projected = project_pixels(renderer, torch.ones(16, 16, 3))  # then the sum is the area, here in 3 channels
-    >>> projected["floor.reflectance.value"] == projected.objects["floor"]
+    >>> projected["floor.reflectance.value"] == projected.objects["floor_shape"]
     True
 
     An object gets the sum over the pixels, each weighted by the fraction that the object covers. A parameter gets

@@ -226,6 +226,11 @@ class DeletionInsertion:
         ----------
         name
             One of ``others``.
+
+        Raises
+        ------
+        SceneCaptumError
+            If there is no order of this name.
         """
         if name not in self.others:
             raise SceneCaptumError(

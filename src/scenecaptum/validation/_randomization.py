@@ -271,9 +271,10 @@ class RandomizationCheck:
         """The result in one sentence."""
         changed = [name for name, v in self._reproducible().items() if _first_change(v) is not None]
         if changed:
+            first = self.first_change or "the parameters of the network itself"
             result = (
-                f"the attribution depends on the learnt weights, in its {' and its '.join(changed)}, from "
-                f"{self.first_change or 'the parameters of the network itself'} on"
+                f"the attribution depends on the learnt weights, in its {' and its '.join(changed)}, "
+                f"once the layers back to {first} are randomized"
             )
         elif self.too_noisy:
             result = "too noisy to tell: use smoothing= or more samples"
