@@ -66,3 +66,16 @@ def test_metrics_rank_parameters_each_in_its_own_way(
     assert correlations["UGR", "mean luminance"] == correlations["mean luminance", "UGR"]
     assert (tmp_path / "new" / "specificity.png").is_file()
     assert "desk's contrast" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_the_scene_attribution_competes_with_pixels(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("captum", reason="captum is not installed")
+    curves = load("pixels_or_scene").main(tmp_path / "new", (16, 9), 8, draws=2)
+    assert list(curves.others) == ["Captum's Saliency", "Captum's IntegratedGradients"]
+    assert (tmp_path / "new" / "curves.png").is_file()
+    printed = capsys.readouterr().out
+    assert "of 29 parameters belong to no visible object" in printed
+    assert "lead over it" in printed

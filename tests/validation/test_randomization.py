@@ -13,7 +13,7 @@ from toy import ToyRenderer
 from scenecaptum import InputXGradientScene, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.ranks import mean_ranks
-from scenecaptum.validation import randomization_check
+from scenecaptum.validation import RandomizationCheck, randomization_check
 from scenecaptum.validation._randomization import _reset
 
 
@@ -55,6 +55,7 @@ def test_a_trained_network_differs_from_random_ones():
     check = randomization_check(Lamps(), Network())
     assert check.ranking_changes, str(check)
     assert check.signs_change, str(check)
+    assert check.verdict.startswith("the attribution depends on the learnt weights"), str(check)
     assert check.magnitudes[0].min() > 0.9
     assert check.magnitudes[-1].mean() < 0.7
     assert "the attribution depends on the learnt weights, in its ranking and its signs" in check.verdict
@@ -87,6 +88,55 @@ def test_noise_is_not_counted_as_change():
     assert check.magnitudes[0].mean() < 0.9, "there is too little noise for this test"
     assert not check.ranking_changes
     assert not check.signs_change
+
+
+class OnlyLast(Network):
+    """A network whose first layer does not matter."""
+
+    def forward(self, image):
+        return self.last(image.reshape(8, 6).sum(1)).squeeze() + 0 * self.scale.sum()
+
+
+class OnlyFirst(Network):
+    """A network with a fixed readout."""
+
+    def forward(self, image):
+        return self.first(image.flatten()).tanh().sum() + 0 * self.scale.sum()
+
+
+@pytest.mark.parametrize(("network", "layer"), [(OnlyLast, "last"), (OnlyFirst, "first"), (Deaf, None)])
+def test_the_first_layer_that_matters_is_named(network, layer):
+    check = randomization_check(Lamps(), network(), stages=None, draws=6)
+    assert check.randomized == (0, 1, 2, 3)
+    assert check.first_change == layer, str(check)
+    assert not check.too_noisy
+    expected = (
+        f"once the layers back to {layer} are randomized: with"
+        if layer
+        else "shows no dependence on the learnt weights: with"
+    )
+    assert expected in check.verdict
+
+
+def test_a_change_must_last_and_must_not_be_noise():
+    own, same, other = [0.9, 0.95], [0.92, 0.91], [0.1, 0.2]
+
+    def check(*rows, signed=None):
+        magnitudes = torch.tensor([own, *rows])
+        signed = torch.tensor([own] * len(magnitudes)) if signed is None else torch.tensor(signed)
+        layers = ("c", "b", "a")
+        return RandomizationCheck(layers, (0, 1, 2, 3), magnitudes, signed, metric="M", method="V")
+
+    assert check(other, same, other).first_change == "a"
+    assert check(other, other, other).first_change == "c"
+    assert check(other, other, same).first_change is None
+    assert check(same, same, other, signed=[own, same, other, other]).first_change == "b"
+    noisy = [[0.6, 0.7], other, other, other]
+    unclear = check(same, same, same, signed=noisy)
+    assert unclear.signs_change
+    assert unclear.first_change is None, "noise is no evidence"
+    assert unclear.verdict.startswith("too noisy to tell: use smoothing= or more samples")
+    assert "in its ranking, once the layers back to b are" in check(same, other, other, signed=noisy).verdict
 
 
 def test_layers_are_randomized_from_the_output_on():
@@ -127,6 +177,27 @@ def test_weights_without_a_reset_keep_their_scale():
     assert layer.weights.std().item() == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.parametrize("affine", [True, False])
+def test_statistics_of_batch_normalization_are_reset_with_its_weights(affine):
+    class Normalized(Network):
+        def __init__(self):
+            super().__init__()
+            self.norm = torch.nn.BatchNorm1d(8, affine=affine)
+            self.norm.running_mean += 5
+            self.norm.running_var *= 100
+
+        def forward(self, image):
+            hidden = self.first(image.flatten())[None]
+            mean, variance = self.norm.running_mean, self.norm.running_var
+            statistics.append((mean.mean().item(), variance.mean().item()))
+            return self.last(self.norm.eval()(hidden).tanh()).squeeze() + 0 * self.scale.sum()
+
+    statistics = []
+    check = randomization_check(Lamps(), Normalized(), stages=1, draws=2)
+    assert check.layers == ("norm", "last", "first", "")
+    assert set(statistics) == {(5.0, 100.0), (0.0, 1.0)}
+
+
 def test_ranks_of_ties_are_their_mean():
     assert mean_ranks(torch.tensor([3.0, 1.0, 3.0, 2.0])).tolist() == [3.5, 1.0, 3.5, 2.0]
 
@@ -165,9 +236,10 @@ def test_table_and_figure():
 
 
 def test_on_the_shape_classifier(mi, cornell):
-    metric = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
-    # At few samples, a network's derivative would be too noisy for a verdict.
-    check = randomization_check(cornell, metric, stages=1, draws=3, spp=256, replicates=4)
+    logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
+    metric = metrics.Smoothed(logit, 0.3, n=16)
+    check = randomization_check(cornell, metric, stages=1, draws=3, spp=64, replicates=4)
     assert len(check.layers) == 9
-    assert check.layers[0] == "model.head"
+    assert check.layers[0] == "metric.model.head"
     assert check.signs_change, str(check)
+    assert check.verdict.startswith("the attribution depends on the learnt weights"), str(check)

@@ -1,9 +1,20 @@
 """What each pixel shows, and the projection of attributions from parameters to pixels."""
 
 # What users see; the other names are for the rooms above.
-__all__ = ["SurfaceMap", "TexelMap", "export", "heatmap", "shared_maximum"]
+__all__ = [
+    "ProjectedPixels",
+    "SurfaceMap",
+    "TexelMap",
+    "export",
+    "heatmap",
+    "project_pixels",
+    "shared_maximum",
+]
 
 from ._export import export as export
+from ._pixels import ProjectedPixels as ProjectedPixels
+from ._pixels import project_pixels as project_pixels
+from ._pixels import sum_over_objects as sum_over_objects
 from ._projection import DECADES as DECADES
 from ._projection import DEFAULT_NORM as DEFAULT_NORM
 from ._projection import MapNorm as MapNorm

@@ -9,6 +9,7 @@ __all__ = [
     "GlobalDerivative",
     "Infidelity",
     "Interactions",
+    "OrderCurves",
     "RandomizationCheck",
     "SensitivityComparison",
     "SensitivityIndex",
@@ -39,6 +40,7 @@ from ._faithfulness_result import SensitivityN as SensitivityN
 from ._hessian import hessian_vector_product as hessian_vector_product
 from ._interactions import Interactions as Interactions
 from ._interactions import interactions as interactions
+from ._orders import OrderCurves as OrderCurves
 from ._randomization import RandomizationCheck as RandomizationCheck
 from ._randomization import randomization_check as randomization_check
 from ._scalars import Scalar as Scalar

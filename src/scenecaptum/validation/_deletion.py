@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,19 @@ import torch
 
 from ..attr import Baselines, SceneAttribution
 from ..checkpoint import Folder, with_checkpoint
-from ..errors import whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, mean_and_error, random_generator
+from ..errors import SceneCaptumError, near_misses, whole_number
+from ..estimation import (
+    DEFAULT_REPLICATES,
+    Metric,
+    Stream,
+    Target,
+    mean_and_error,
+    random_generator,
+    student_t,
+)
 from ..protocols import Renderer
 from ..visualization import (
+    LOWERS,
     RAISES,
     SMALL,
     WIDTH,
@@ -30,14 +40,19 @@ from ..visualization import (
     style_axes,
     with_error,
     wrap,
+    wrapped_lines,
 )
 from ._faithfulness import contributions, measure_without
+from ._orders import OrderCurves, Orders, area, importances, order_curves
 from ._scenes import Scenes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
-_NAME_WIDTH, _NOTE_WIDTH = 36, 110
+_NAME_WIDTH, _NOTE_WIDTH, _LEGEND_COLUMNS = 36, 110, 2
+# Okabe and Ito's colours; with a marker each, since curves meet.
+_COLORS = (RAISES, LOWERS, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
 def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and three of its own
@@ -47,6 +62,7 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     target: Target = None,
     *,
     baselines: Baselines = None,
+    orders: Orders | None = None,
     steps: int = 12,
     random_orders: int = 10,
     seed: int = 0,
@@ -54,7 +70,7 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
 ) -> DeletionInsertion:
-    """Compute deletion and insertion curves of a ranking and compare them with random orders.
+    """Compute deletion and insertion curves of a ranking, and compare them with random and with other orders.
 
     Deletion starts from the original scene and sets parameters to their baselines; insertion starts with all
     parameters at their baselines and restores them. Both begin with the most important parameter. All scenes are
@@ -77,6 +93,10 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     baselines
         The values of deleted parameters, as for ``IntegratedGradientsScene``. Parameters that are already at their
         baselines are skipped.
+    orders
+        Other orders to compare with, by name: another attribution, or the importance of parameters or objects, as
+        from ``projection.project_pixels``. Magnitudes count, and what has no number comes last. Parameters of
+        equal importance move together, and the curves are linear in between.
     steps
         Maximum number of steps, each with about the same number of parameters.
     random_orders
@@ -87,13 +107,13 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     Returns
     -------
     DeletionInsertion
-        Both curves and those of the random orders, in the unit of the metric.
+        Both curves and those of the other orders, in the unit of the metric.
 
     Raises
     ------
     SceneCaptumError
-        If the attribution is one of gradients or of groups, or fewer than two parameters differ from their
-        baselines.
+        If the attribution is one of gradients or of groups, an order contains an unknown name, or fewer than two
+        parameters differ from their baselines.
 
     References
     ----------
@@ -104,9 +124,10 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     scenes = Scenes(renderer, metric, target, **options)
     attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 2, **options)
     names = list(deleted)
+    others = {name: importances(name, given, names, renderer) for name, given in (orders or {}).items()}
     moved = np.linspace(0, len(names), min(whole_number("steps", steps), len(names)) + 1).round().astype(int)
     generator = random_generator(seed, Stream.DELETION_ORDERS)
-    orders = whole_number("random_orders", random_orders, 2)
+    random_count = whole_number("random_orders", random_orders, 2)
     known = {frozenset[str](): scenes.unmodified}
 
     def without(subset: Sequence[str]) -> torch.Tensor:
@@ -124,9 +145,12 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
         moved=torch.from_numpy(moved),
         deletion=deletion(names),
         insertion=torch.stack([without(names[count:]) for count in moved]),
-        random=torch.stack([deletion(generator.permutation(names).tolist()) for _ in range(orders)]),
+        random=torch.stack([deletion(generator.permutation(names).tolist()) for _ in range(random_count)]),
         metric=metric_name(attribution),
         method=str(attribution.info["method"]),
+        others={
+            name: order_curves(values, torch.from_numpy(moved), without) for name, values in others.items()
+        },
     )
 
 
@@ -148,6 +172,8 @@ class DeletionInsertion:
         ``(orders, points, replicates)``: deletion in random orders. Reversed, each is an insertion curve.
     metric, method
         Names of the metric and of the attribution method.
+    others
+        The curves of the other orders, by name.
     """
 
     names: tuple[str, ...]
@@ -158,31 +184,60 @@ class DeletionInsertion:
     random: torch.Tensor
     metric: str
     method: str
+    others: Mapping[str, OrderCurves] = field(default_factory=dict)
 
     @cached_property
+    def _own(self) -> OrderCurves:
+        return OrderCurves(self.names, self.moved, self.deletion, self.insertion)
+
+    @property
     def deletion_area(self) -> tuple[float, float]:
         """Mean change of the metric from the original scene over the deletion curve, and its standard error.
 
         Larger is better: the first parameters change the metric most. If the metric falls, this is its original
         value minus the usual area under the curve; a rise counts in the same way.
         """
-        return mean_and_error(self._area(self.deletion, self.moved))
+        return self._own.deletion_area
 
-    @cached_property
+    @property
     def insertion_area(self) -> tuple[float, float]:
         """Mean difference of the metric from the original scene over the insertion curve, and its standard error.
 
         Smaller is better: the first parameters restore most of the metric.
         """
-        return mean_and_error(self._area(self.insertion, self.moved))
+        return self._own.insertion_area
 
     @cached_property
     def random_areas(self) -> torch.Tensor:
         """``(2, orders)``: the deletion and insertion areas of the random orders."""
-        remaining = self.moved[-1] - self.moved.flip(0)
-        deletions = [self._area(curve, self.moved).mean() for curve in self.random]
-        insertions = [self._area(curve.flip(0), remaining).mean() for curve in self.random]
+        original, remaining = self.deletion[0], self.moved[-1] - self.moved.flip(0)
+        deletions = [area(curve, original, self.moved).mean() for curve in self.random]
+        insertions = [area(curve.flip(0), original, remaining).mean() for curve in self.random]
         return torch.stack([torch.stack(deletions), torch.stack(insertions)])
+
+    def lead(self, name: str) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return how much better the ranking is than another order, by deletion and by insertion.
+
+        Each is a difference of areas, positive if the ranking is better, and its standard error. Both orders are
+        rendered with the same seeds, so that the difference has less noise than the areas. The error does not
+        include the noise of the attributions that made the orders.
+
+        Parameters
+        ----------
+        name
+            One of ``others``.
+
+        Raises
+        ------
+        SceneCaptumError
+            If there is no order of this name.
+        """
+        if name not in self.others:
+            raise SceneCaptumError(
+                f"{name!r} is not one of the orders {list(self.others)}.{near_misses(name, self.others)}"
+            )
+        deletion, insertion = self._own.areas - self.others[name].areas
+        return mean_and_error(deletion), mean_and_error(-insertion)
 
     @property
     def verdict(self) -> str:
@@ -190,40 +245,52 @@ class DeletionInsertion:
         deletions, insertions = self.random_areas
         by_deletion = int((self.deletion_area[0] > deletions).sum())
         by_insertion = int((self.insertion_area[0] < insertions).sum())
+        critical = student_t(0.95, self.deletion.shape[1] - 1)
+        comparisons = []
+        for name in self.others:
+            deletion, insertion = (_compared(*lead, critical) for lead in self.lead(name))
+            by = "both" if deletion == insertion else f"deletion and {insertion} by insertion"
+            comparisons.append(f"; compared with {name}, it is {deletion} by {by}")
         return (
             f"the order of {self.method} beats {by_deletion} of {len(deletions)} random orders by deletion and "
-            f"{by_insertion} by insertion"
+            f"{by_insertion} by insertion{''.join(comparisons)}"
         )
-
-    def _area(self, curve: torch.Tensor, moved: torch.Tensor) -> torch.Tensor:
-        """Return the mean distance of a curve from the original scene, in each replicate."""
-        change = curve - self.deletion[0]
-        # The sign of the mean over the replicates: with signs of their own, noise would add to the distance.
-        distance = change * change.mean(1, keepdim=True).sign()
-        return torch.trapezoid(distance, moved.double() / moved[-1], dim=0)
 
     def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
         """Plot deletion and insertion side by side, over the number of moved parameters, into ``figure`` if given.
 
-        Grey lines are random orders; error bars are standard errors of the change.
+        The grey band is the range of the random orders, and the line in it their mean; error bars are standard
+        errors of the change.
         """
-        part: Any = figure or new_figure(WIDTH, 3.6)
+        rows = math.ceil((2 + len(self.others)) / _LEGEND_COLUMNS)
+        part: Any = figure or new_figure(WIDTH, 3.6 + 0.16 * rows)
         left, right = part.subplots(1, 2, sharey=True)
         name = shorten([self.metric], _NAME_WIDTH)[0]
         y = f"change of {name}\nfrom the original scene"
         style_axes(left, "Deletion", x="parameters at their baselines", y=y)
         style_axes(right, "Insertion", x="parameters at their own values")
         moved = self.moved.numpy()
-        style: dict[str, Any] = {"marker": "o", "markersize": 3, "capsize": 2, "label": self.method}
-        panels = ((left, self.deletion, moved), (right, self.insertion, moved[-1] - moved))
-        for ax, curve, random_moved in panels:
-            for index, random in enumerate((self.random - self.deletion[0]).mean(2)):
-                label = None if index else "random orders"
-                ax.plot(random_moved, random, color="0.8", linewidth=0.8, label=label)
-            means, errors = zip(*self._changes(curve), strict=True)
-            ax.errorbar(moved, means, errors, color=RAISES, **style)
+        random = (self.random - self.deletion[0]).mean(2)
+        for ax, random_moved in ((left, moved), (right, moved[-1] - moved)):
+            ax.axhline(0, color="0.75", linewidth=0.8, zorder=0)
+            low, high = random.amin(0), random.amax(0)
+            ax.fill_between(random_moved, low, high, color="0.88", linewidth=0, label="random orders")
+            ax.plot(random_moved, random.mean(0), color="0.6", linewidth=0.8)
+        styles = itertools.cycle(zip(_COLORS, _MARKERS, strict=True))
+        # The ranking on top, but first in the legend.
+        for order, (label, curves) in enumerate({self.method: self._own, **self.others}.items()):
+            color, marker = next(styles)
+            style: dict[str, Any] = {"color": color, "marker": marker, "markersize": 3.5, "capsize": 2}
+            for ax, curve in ((left, curves.deletion), (right, curves.insertion)):
+                means, errors = zip(*self._changes(curve), strict=True)
+                ax.errorbar(
+                    moved, means, errors, label=label, zorder=9 - min(order, 5), linewidth=1.3, **style
+                )
         handles, labels = left.get_legend_handles_labels()
-        part.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=SMALL, frameon=False)
+        legend = {"ncols": _LEGEND_COLUMNS, "fontsize": SMALL, "frameon": False}
+        # Band and curves: matplotlib lists error bars after all others.
+        handles, labels = [*handles[1:], handles[0]], shorten([*labels[1:], labels[0]], _NAME_WIDTH)
+        part.legend(handles, labels, loc="outside upper right", **legend)
         verdict = wrap(self.verdict, _NOTE_WIDTH, indent=0)
         part.supxlabel(verdict, x=0.02, ha="left", fontsize=SMALL, alpha=0.75, parse_math=False)
         return figure_of(part)
@@ -244,7 +311,8 @@ class DeletionInsertion:
             "or with all others at theirs (insertion)"
         )
         lines = grid(("#", "moved", "deletion", "insertion"), rows)
-        return "\n".join([title, "", *lines, "", *_areas(self), self.verdict])
+        verdict = wrapped_lines(self.verdict, _NOTE_WIDTH)
+        return "\n".join([title, "", *lines, "", *self._table_of_areas(), "", *verdict])
 
     __repr__ = __str__
 
@@ -252,13 +320,26 @@ class DeletionInsertion:
         """Return the change from the original scene at each point of a curve, and its standard error."""
         return [mean_and_error(change) for change in curve - self.deletion[0]]
 
+    def _table_of_areas(self) -> list[str]:
+        rows = [["mean change", *_formatted(self._own)]]
+        for name, curves in self.others.items():
+            rows.append([f"of {name}", *_formatted(curves)])
+            rows.append(["  lead over it", *(format_with_error(*lead) for lead in self.lead(name))])
+        means, spreads = self.random_areas.mean(1).tolist(), self.random_areas.std(1).tolist()
+        texts = (
+            "{}, standard deviation {}".format(*with_error(*pair))
+            for pair in zip(means, spreads, strict=True)
+        )
+        rows.append(["of random orders", *texts])
+        return grid(("", "deletion (larger is better)", "insertion (smaller is better)"), rows)
 
-def _areas(curves: DeletionInsertion) -> list[str]:
-    lines = []
-    pairs = zip(("deletion", "insertion"), (curves.deletion_area, curves.insertion_area), strict=True)
-    for (what, area), random in zip(pairs, curves.random_areas, strict=True):
-        mean, spread = with_error(random.mean().item(), random.std().item())
-        better = "larger" if what == "deletion" else "smaller"
-        others = f"random orders {mean}, standard deviation {spread}"
-        lines.append(f"mean change in {what} {format_with_error(*area)}; {others} ({better} is better)")
-    return lines
+
+def _formatted(curves: OrderCurves) -> list[str]:
+    return [format_with_error(*curves.deletion_area), format_with_error(*curves.insertion_area)]
+
+
+def _compared(lead: float, error: float, critical: float) -> str:
+    """Return whether a lead is significant, and for whom."""
+    if abs(lead) <= critical * error:
+        return "equal within the errors"
+    return "better" if lead > 0 else "worse"

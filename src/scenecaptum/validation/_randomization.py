@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MIN_PARAMETERS = 4  # for a meaningful rank correlation
+MIN_CORRELATION = 0.7  # between runs of the unmodified network, for a verdict
 _NAME_WIDTH, _NOTE_WIDTH = 36, 76
 
 
@@ -44,7 +45,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     target: Target = None,
     *,
     method: Any = VanillaSceneGradient,
-    stages: int = 3,
+    stages: int | None = 3,
     draws: int = 4,
     seed: int = 0,
     spp: int | None = None,
@@ -57,6 +58,9 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     for almost any network, so the magnitudes may change less than the signs. Each layer is re-initialised by its
     ``reset_parameters``, or else with normal numbers of the mean and standard deviation of its weights; layers of
     earlier stages stay randomized. The metric itself is not modified.
+
+    The statistics of batch normalization are reset with its weights, to mean 0 and variance 1. Those of the learnt
+    weights do not fit random ones: most units are then always or never active, and the network is nearly linear.
 
     Example
     -------
@@ -76,7 +80,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     method
         The class of the attribution method to check.
     stages
-        Maximum number of stages in which the layers are randomized; 1 for all at once.
+        Maximum number of stages in which the layers are randomized; 1 for all at once, None for layer by layer.
     draws
         Number of random weight initialisations, and of repeats of the unmodified network with other seeds.
     seed, spp, replicates, checkpoint
@@ -98,7 +102,7 @@ def randomization_check(  # noqa: PLR0913 -- the options of every check, and its
     """
     renderer = with_checkpoint(renderer, checkpoint)
     layers = _layers(metric)
-    steps = min(whole_number("stages", stages), len(layers))
+    steps = len(layers) if stages is None else min(whole_number("stages", stages), len(layers))
     ends = [round(len(layers) * stage / steps) for stage in range(steps + 1)]
     count = whole_number("draws", draws, 2)
     # For the reference; and for each draw the weights, the repeat of the unmodified network and every stage.
@@ -149,15 +153,20 @@ def _correlation(a: torch.Tensor, b: torch.Tensor) -> float:
 
 
 def _layers(metric: Metric) -> list[str]:
-    """Return the names of the modules with their own parameters, from the output to the input."""
+    """Return the names of the modules with parameters or statistics of their own, from the output to the input."""
     modules = dict(metric.named_modules()) if isinstance(metric, torch.nn.Module) else {}
-    layers = [name for name, module in modules.items() if any(True for _ in module.parameters(recurse=False))]
+    layers = [name for name, module in modules.items() if _is_learnt(module)]
     if not layers:
         raise SceneCaptumError(
             f"randomization_check needs a metric with parameters to randomize, and {_name(metric)} has none. "
             "Pass a torch.nn.Module that contains the network, for example metrics.ClassLogit(network)."
         )
     return layers[::-1]
+
+
+def _is_learnt(module: torch.nn.Module) -> bool:
+    has_parameters = any(True for _ in module.parameters(recurse=False))
+    return has_parameters or getattr(module, "running_mean", None) is not None
 
 
 def _name(metric: Metric) -> str:
@@ -179,13 +188,16 @@ def _randomized(
         start = end
 
 
-def _reset(layer: torch.nn.Module, seed: int) -> None:
+def _reset(layer: Any, seed: int) -> None:
     reset_parameters = getattr(layer, "reset_parameters", None)
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
         if reset_parameters is not None:
             reset_parameters()
             return
+        if getattr(layer, "running_mean", None) is not None:
+            layer.running_mean.zero_()
+            layer.running_var.fill_(1)
         for weights in layer.parameters(recurse=False):
             spread = weights.std().item() if weights.numel() > 1 else abs(weights.item())
             weights.normal_(weights.mean().item(), spread)
@@ -224,25 +236,52 @@ class RandomizationCheck:
         If the weights made no difference, the probability of this would be 1 in ``(2n choose n)`` for ``n`` draws:
         1 in 70 for 4.
         """
-        return _all_below(self.magnitudes)
+        return _first_change(self.magnitudes) is not None
 
     @property
     def signs_change(self) -> bool:
         """The same for the signed attributions."""
-        return _all_below(self.signed)
+        return _first_change(self.signed) is not None
+
+    @property
+    def too_noisy(self) -> bool:
+        """Whether the attribution of the unmodified network is not reproducible: a mean correlation below 0.7.
+
+        Noise then hides a dependence on the weights. Smooth the metric, or use more samples.
+        """
+        return not (_is_reproducible(self.magnitudes) and _is_reproducible(self.signed))
+
+    @property
+    def first_change(self) -> str | None:
+        """The layer back to which the network is randomized when the attribution begins to differ, or None.
+
+        At this and all later stages, all correlations of the magnitudes, or all of the signed attributions, are
+        below those of the unmodified network. Those that are too noisy do not count.
+        """
+        stages = [_first_change(values) for values in self._reproducible().values()]
+        first = min((stage for stage in stages if stage is not None), default=None)
+        return None if first is None else self.layers[self.randomized[first] - 1]
+
+    def _reproducible(self) -> dict[str, torch.Tensor]:
+        named = {"ranking": self.magnitudes, "signs": self.signed}
+        return {name: values for name, values in named.items() if _is_reproducible(values)}
 
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        checks = (("ranking", self.ranking_changes), ("signs", self.signs_change))
-        changed = [name for name, changes in checks if changes]
-        dependence = (
-            f"the attribution depends on the learnt weights, in its {' and its '.join(changed)}"
-            if changed
-            else "the attribution shows no dependence on the learnt weights"
-        )
+        changed = [name for name, v in self._reproducible().items() if _first_change(v) is not None]
+        if changed:
+            first = self.first_change or "the parameters of the network itself"
+            result = (
+                f"the attribution depends on the learnt weights, in its {' and its '.join(changed)}, "
+                f"once the layers back to {first} are randomized"
+            )
+        elif self.too_noisy:
+            result = "too noisy to tell: use smoothing= or more samples"
+        else:
+            result = "the attribution shows no dependence on the learnt weights"
         return (
-            f"{dependence}: with all {len(self.layers)} layers randomized, the magnitudes have a rank correlation "
+            f"{result}: with all {len(self.layers)} layers randomized, the magnitudes have a rank correlation "
             f"of {_mean_and_range(self.magnitudes[-1])} with those of the unmodified network, against "
             f"{_mean_and_range(self.magnitudes[0])} for the unmodified network with other seeds; signed "
             f"attributions {_mean_and_range(self.signed[-1])} against {_mean_and_range(self.signed[0])}"
@@ -283,8 +322,15 @@ class RandomizationCheck:
     __repr__ = __str__
 
 
-def _all_below(correlations: torch.Tensor) -> bool:
-    return bool(correlations[-1].max() < correlations[0].min())
+def _first_change(correlations: torch.Tensor) -> int | None:
+    """Return the first stage from which on all correlations are below all of stage 0; None if the last is not."""
+    below = (correlations.max(1).values < correlations[0].min()).tolist()
+    unchanged = [stage for stage, is_below in enumerate(below) if not is_below]  # stage 0 is one
+    return None if unchanged[-1] == len(below) - 1 else unchanged[-1] + 1
+
+
+def _is_reproducible(correlations: torch.Tensor) -> bool:
+    return bool(correlations[0].mean() >= MIN_CORRELATION)
 
 
 def _mean_and_range(values: torch.Tensor) -> str:
