@@ -7,12 +7,10 @@ import math
 import pytest
 import torch
 from chance import check_error_bars
-from seeds import seeds, shifted
+from seeds import seeds
 from toy import ReplayingToyRenderer
 
 from scenecaptum import IntegratedGradientsScene, VanillaSceneGradient, metrics
-from scenecaptum.estimation import TargetedMetric
-from scenecaptum.estimation._jackknife import jackknife
 
 SIGMA = 0.8
 RUNS = 80
@@ -82,14 +80,3 @@ def test_several_points_split_the_draws():
     totals = torch.stack([run["x"].double() for run in runs])
     assert (((totals.mean(0) - truth) / (totals.std(0) / math.sqrt(len(runs)))).abs() < 4).all()
     check_error_bars(totals, torch.stack([run.standard_error["x"].double() for run in runs]))
-
-
-def test_a_linear_metric_keeps_the_draws_of_each_replicate():
-    images = [torch.rand(4, 4, 3, generator=torch.Generator().manual_seed(seed)) for seed in seeds(4)]
-    metric = TargetedMetric(metrics.Smoothed(torch.mean, SIGMA, n=16))
-    seen = jackknife(metric, images, draws=metric.split_draws(seeds(4)))
-    assert seen.is_linear
-    first, second = seen.per_replicate[:2]
-    assert not torch.equal(first, second)
-    share = metric.with_draws({shifted(1): 4})
-    torch.testing.assert_close(second, share.value_and_adjoint(torch.stack(images).mean(0))[1])
