@@ -112,6 +112,20 @@ def test_noise_biases_a_non_linear_metric_without_the_jackknife():
     assert jackknifed.bias.upper_limit < expected / 2
 
 
+def test_the_bias_of_smoothing_is_that_of_the_expectation():
+    renderer = Bounces(noise_seen=0.0)
+    trade = measure(renderer, cubes, vary={"smoothing": [0.1, 0.4]}, reference_spp=10**6, runs=20)
+    own, weak, strong = trade.rows
+    assert [row.setting.smoothing for row in trade.rows] == [None, 0.1, 0.4]
+    assert not own.bias.significant
+    # The cube of a log-normal factor with mean 1 has the mean exp(3 σ²).
+    for row in (weak, strong):
+        bias = math.exp(3 * row.setting.smoothing**2) - 1
+        assert abs(z_of(row.bias.value, row.bias.error, bias)) < 4
+        parts = math.hypot(row.spread * math.sqrt(1 - 1 / trade.runs), row.bias.value)
+        assert row.relative_error.value == pytest.approx(parts, rel=0.1)
+
+
 def test_samples_of_the_image_and_of_the_gradient_are_separate():
     renderer = Bounces()
     vary = {"primal_spp": [4, 64], "gradient_spp": [4, 64]}
@@ -331,6 +345,7 @@ def test_table_and_figure_show_every_setting(trade):
         ({"vary": {"max_depth": [-2]}}, "max_depth must be a whole number"),
         ({"vary": {"resolution": [64]}}, "resolution must be"),
         ({"vary": {"integrator": ["path"]}}, "prb.*'path'"),
+        ({"vary": {"smoothing": [0]}}, "smoothing must be a positive number"),
         ({"runs": 1}, "runs must be a whole number of at least 2"),
         ({"reference_spp": 1}, "reference_spp"),
         ({"seed": -1}, "seed"),

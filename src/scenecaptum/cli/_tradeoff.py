@@ -36,8 +36,8 @@ def add(commands: Any) -> None:
         action="append",
         type=_varied,
         metavar="OPTION=VALUES",
-        help=f"option to vary and its values, separated by commas: {', '.join(KEYS)} (only prb); may be repeated "
-        "(default: all options)",
+        help=f"option to vary and its values, separated by commas: {', '.join(KEYS)} (only prb; "
+        "smoothing is the strength of noise of the picture); may be repeated (default: all but smoothing)",
     )
     parser.add_argument(
         "--reference-spp",
@@ -108,10 +108,12 @@ def _merge(pairs: list[tuple[str, list[Any]]]) -> dict[str, list[Any]]:
 def _value(key: str, text: str) -> Any:
     if key == "resolution":
         return _arguments.resolution(text)
-    try:
-        return int(text)
-    except ValueError:
-        return text
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            continue
+    return text
 
 
 def _json(result: Tradeoff, tolerance: float) -> str:

@@ -24,12 +24,20 @@ from ..estimation import (
     input_values,
     require_memory,
 )
+from ..metrics import Smoothed
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau, spearman
 from ..visualization import metric_name
 from ._result import TOP, Measured, Reference, Tradeoff
 from ._settings import Setting, default_values, own_setting, reference_setting, settings_of
-from ._statistics import Estimate, kendall_of_resolved, relative_bias, relative_error, top_agreement
+from ._statistics import (
+    Estimate,
+    kendall_of_resolved,
+    relative_bias,
+    relative_error,
+    relative_spread,
+    top_agreement,
+)
 
 RUNS = 8
 
@@ -73,9 +81,11 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
         As for ``VanillaSceneGradient``; the renderer must have ``spp``.
     vary
         Options and the values to try: ``"spp"`` (of both primal and gradient), ``"primal_spp"``,
-        ``"gradient_spp"``, ``"max_depth"``, ``"resolution"``, ``"replicates"`` and ``"integrator"`` (only
-        ``"prb"``, Mitsuba's own). By default all options that the renderer supports, the resolution only with
-        ``metric_for``. An empty mapping measures only the renderer's own setting.
+        ``"gradient_spp"``, ``"max_depth"``, ``"resolution"``, ``"replicates"``, ``"integrator"`` (only
+        ``"prb"``, Mitsuba's own) and ``"smoothing"`` (the ``sigma`` of ``metrics.Smoothed``, compared with the
+        gradient of the metric without smoothing). By default all options that the renderer supports except for
+        smoothing, the resolution only with ``metric_for``. An empty mapping measures only the renderer's own
+        setting.
     metric_for
         Creates the metric for a renderer of another resolution, if the metric depends on it:
         ``lambda renderer: metrics.UnifiedGlareRating(renderer.camera)``.
@@ -156,6 +166,8 @@ class SettingRunner:
     def run(self, setting: Setting, seed: int, *, show_progress: bool = False) -> SceneAttribution:
         """Attribute once at a setting."""
         renderer, metric = self._renderer_and_metric(setting)
+        if setting.smoothing is not None:
+            metric = Smoothed(metric, setting.smoothing)
         if setting.gradient_spp != setting.primal_spp:
             renderer = SplitSamples(renderer, setting)
         attribution: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
@@ -279,6 +291,7 @@ class ReferenceGradient:
             # The median, since the first run of a setting may include kernel compilation.
             seconds=statistics.median_low(run.info["seconds"] for run in runs),
             relative_error=relative_error(deviations, self.size),
+            spread=relative_spread(deviations, self.size),
             bias=relative_bias(deviations, self.noise, self.size),
             spearman=agreement(lambda s: spearman(s, self.saliency)),
             kendall=agreement(lambda s: kendall_tau(s, self.saliency)),

@@ -46,6 +46,7 @@ _STYLES = {
     "resolution": ("resolution", "D", "#CC79A7", (-6, -10)),
     "replicates": ("replicates", "P", "#E69F00", (0, -13)),
     "integrator": ("integrator", "X", "#000000", (-6, 5)),
+    "smoothing": ("smoothing", "h", "#F0E442", (6, 5)),
 }
 
 
@@ -63,6 +64,8 @@ class Measured:
         Median time of one attribution.
     relative_error
         Root mean square over the runs of ``‖g − g_ref‖ / ‖g_ref‖``.
+    spread
+        Standard deviation over the runs, ``√(E ‖g − mean(g)‖²) / ‖g_ref‖``.
     bias
         ``‖mean(g) − g_ref‖ / ‖g_ref‖``, corrected for the noise of both.
     spearman, kendall
@@ -77,6 +80,7 @@ class Measured:
     setting: Setting
     seconds: float
     relative_error: Estimate
+    spread: float
     bias: Bias
     spearman: Estimate
     kendall: Estimate
@@ -222,9 +226,11 @@ class Tradeoff:
                 "resolution": "x".join(map(str, setting.resolution or ())),
                 "replicates": setting.replicates,
                 "integrator": setting.integrator,
+                "smoothing": setting.smoothing,
                 "runs": self.runs,
                 "seconds": row.seconds,
                 **_value_and_error("relative_error", row.relative_error),
+                "spread": row.spread,
                 **_value_and_error("bias", row.bias),
                 "bias_z": row.bias.z,
                 **_value_and_error("spearman", row.spearman),
@@ -242,6 +248,7 @@ class Tradeoff:
                 f"  {row.varied.replace('_', ' ')} {row.value_text}" if row.varied else row.value_text,
                 rounded(row.seconds),
                 _percent(*row.relative_error),
+                _percent_of(row.spread),
                 _percent(row.bias.value, row.bias.error)
                 if row.bias.significant
                 else f"≤ {_percent_of(row.bias.upper_limit)}",
@@ -251,7 +258,9 @@ class Tradeoff:
             )
             for row in self.rows
         ]
-        lines = grid(("", "seconds", "error", "bias", "Spearman", "Kendall", "top 5"), cells, right=True)
+        lines = grid(
+            ("", "seconds", "error", "spread", "bias", "Spearman", "Kendall", "top 5"), cells, right=True
+        )
         front = self.front
         marks = ["", *("  *" if row in front else "" for row in self.rows)]
         reference = self.reference

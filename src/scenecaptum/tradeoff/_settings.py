@@ -13,7 +13,16 @@ from ..estimation import DEFAULT_REPLICATES
 from ..protocols import Capabilities, Renderer
 from ..rendering import STOCK_INTEGRATORS
 
-KEYS = ("spp", "primal_spp", "gradient_spp", "max_depth", "resolution", "replicates", "integrator")
+KEYS = (
+    "spp",
+    "primal_spp",
+    "gradient_spp",
+    "max_depth",
+    "resolution",
+    "replicates",
+    "integrator",
+    "smoothing",
+)
 
 # Options that require renderer.replace().
 _RENDERER_OPTIONS = ("max_depth", "resolution", "integrator")
@@ -31,6 +40,8 @@ class Setting:
         Minimum number of replicates; with 1 the bias of a non-linear metric is not corrected.
     max_depth, resolution, integrator
         Options of the renderer; None if unknown.
+    smoothing
+        The ``sigma`` of noise of the picture over which the metric is averaged; None for the metric itself.
     """
 
     primal_spp: int
@@ -39,6 +50,7 @@ class Setting:
     max_depth: int | None = None
     resolution: tuple[int, int] | None = None
     integrator: str | None = None
+    smoothing: float | None = None
 
     @property
     def pixels(self) -> int:
@@ -67,6 +79,8 @@ class Setting:
             words.append("1 replicate")
         if self.integrator in STOCK_INTEGRATORS:
             words.append(str(self.integrator))
+        if self.smoothing is not None:
+            words.append(f"smoothing {self.smoothing:g}")
         return ", ".join(words)
 
     def changed(self, key: str, value: Any) -> Setting:
@@ -160,4 +174,8 @@ def _check_value(key: str, value: Any) -> Any:
         if not isinstance(value, Sequence) or len(value) != 2:
             raise SceneCaptumError(f"resolution must be (width, height) in pixels, not {value!r}.")
         return whole_number("the width", value[0]), whole_number("the height", value[1])
+    if key == "smoothing":
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise SceneCaptumError(f"smoothing must be a positive number, the sigma of noise, not {value!r}.")
+        return float(value)
     return -1 if key == "max_depth" and value == -1 else whole_number(key, value)

@@ -53,6 +53,11 @@ def relative_error(deviations: torch.Tensor, size: float) -> Estimate:
     return Estimate(root / size, squares.error / (2 * root * size) if root else 0.0)
 
 
+def relative_spread(deviations: torch.Tensor, size: float) -> float:
+    """Return the standard deviation of ``(runs, P)`` vectors, of all elements together, relative to ``size``."""
+    return math.sqrt(deviations.var(0).sum().item()) / size
+
+
 def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size: float) -> Bias:
     """Return the norm of the mean of ``(runs, P)`` deviations, corrected for noise and relative to ``size``.
 
