@@ -77,9 +77,10 @@ class VanillaSceneGradient(GradientMethod):
             Total samples per pixel, split over the replicates; the renderer's by default. The backward passes use
             as many again, with their own seeds. With a goal, the samples of the first round.
         picture_spp
-            Samples per pixel of the metric image, for non-linear metrics. By default twice ``spp``, or four times
-            if the image is denoised, because they are cheaper than those of a backward pass. With a goal, those of
-            the first round; later rounds use the same ratio.
+            Samples per pixel of the metric image, for non-linear metrics. By default twice ``spp``, four times
+            if the image is denoised, and 16 times for a smoothed metric, because they are cheaper than those of a
+            backward pass. With a goal, those of the first round; later rounds use the same ratio. With a time
+            limit, a small pilot chooses the ratio for a smoothed metric, and the number of draws.
         replicates
             Minimum number of independent replicates, whose variance gives the standard errors. With 1 there are no
             errors, and no correction of the bias that image noise causes in a non-linear metric.

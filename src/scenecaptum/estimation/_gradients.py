@@ -20,6 +20,7 @@ from ._progress import Progress
 from ._replicates import (
     NOISY_PICTURE_RATIO,
     PICTURE_RATIO,
+    SMOOTHED_PICTURE_RATIO,
     Budget,
     ReplicateStatistics,
     channel_totals,
@@ -334,10 +335,7 @@ class GradientEstimator:
         self.image_spp = spp
         if spp is None or self.n_points > 1 or all(is_linear(metric, images) for metric in self.metrics):
             return images
-        ratio = self.budget.picture_ratio
-        if ratio is None:
-            ratio = NOISY_PICTURE_RATIO if self.transform_selector.select(images).denoises else PICTURE_RATIO
-        more = math.ceil((ratio - 1) * spp)
+        more = math.ceil((self._choose_ratio(images) - 1) * spp)
         if more == 0:
             return images
         self.image_spp = spp + more
@@ -345,6 +343,14 @@ class GradientEstimator:
         added = render_images(self.renderer, values, seeds, more)
         self.extra_spp += more * len(images)
         return [torch.lerp(image, new, more / (spp + more)) for image, new in zip(images, added, strict=True)]
+
+    def _choose_ratio(self, images: Sequence[torch.Tensor]) -> float:
+        """Return the samples of the metric image per sample of the backward pass."""
+        if self.budget.picture_ratio is not None:
+            return self.budget.picture_ratio
+        if self.metrics[0].is_smoothed:
+            return SMOOTHED_PICTURE_RATIO
+        return NOISY_PICTURE_RATIO if self.transform_selector.select(images).denoises else PICTURE_RATIO
 
     def _min_metric_spp(self, index: int) -> int:
         """Return the minimum samples per pixel for a non-linear metric at one of several points."""
@@ -447,7 +453,7 @@ def _add_replicate(
 
     They are freed before the next backward pass needs the memory.
     """
-    gradients = [_vjp(graph, leaves, result.adjoints.per_replicate[number], point) for result in results]
+    gradients = [vjp(graph, leaves, result.adjoints.per_replicate[number], point) for result in results]
     # Finite totals show that all elements are finite.
     totals = [{name: channel_totals(gradient) for name, gradient in by_name.items()} for by_name in gradients]
     for by_name, own_totals in zip(gradients, totals, strict=True):
@@ -459,9 +465,10 @@ def _add_replicate(
             result.statistics[name].add(gradient, own_totals[name])
 
 
-def _vjp(
+def vjp(
     graph: torch.Tensor, leaves: dict[str, torch.Tensor], adjoint: torch.Tensor, point: Point
 ) -> dict[str, torch.Tensor]:
+    """Return the gradients of ``⟨adjoint, image⟩`` times the factors of the point."""
     # Of a scalar: torch loads sympy for the first gradient of any other tensor, which takes half a second.
     product = (graph * adjoint).sum()
     gradients = torch.autograd.grad(product, list(leaves.values()), retain_graph=True, allow_unused=True)
@@ -480,7 +487,7 @@ def _bias(
         return None
     if adjoints.bias_adjoint is None:
         return {}
-    bias = _vjp(graph, leaves, adjoints.bias_adjoint, point)
+    bias = vjp(graph, leaves, adjoints.bias_adjoint, point)
     for name, gradient in bias.items():
         _check_gradient(name, gradient)
     return bias

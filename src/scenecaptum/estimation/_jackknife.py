@@ -22,6 +22,8 @@ _CONSISTENT_BIAS = 3.0  # standard errors from 0
 _MIN_EXPONENT = 0.2  # of the decay of the bias with the number of samples
 # Step from the denoised to the noisy image; small, because the two differ much in single bright pixels.
 _PROBE_STEP = 0.03
+# Differences between images are evaluated on one of so many draws of a smoothed metric, but at least on these.
+_PART_OF_DRAWS, _MIN_DRAWS = 4, 4
 _BIAS_SIGMAS = 2.0  # a bias of which only the magnitude is known counts as this many standard errors
 
 
@@ -42,6 +44,8 @@ class Adjoints:
     # The difference is part of the standard error.
     denoised: float | None = None
     transform: ImageTransform = IDENTITY  # from the render to the metric image
+    # The part of ``per_replicate`` that is due to the draws of noise of each replicate, for a smoothed metric.
+    draw_noise: torch.Tensor | None = None
 
     @property
     def is_linear(self) -> bool:
@@ -136,9 +140,9 @@ def _jackknife_of_draws(
 ) -> Adjoints:
     """Evaluate a metric that is a mean over draws of noise; each image has a share of the draws.
 
-    Every share is evaluated for itself, at the mean image and at the other weighted means. Backward pass ``i``
-    gets the adjoint image of share ``i``, so that the variance of the propagated gradients contains that of the
-    draws.
+    Every share is evaluated for itself at the mean image. Backward pass ``i`` gets the adjoint image of share
+    ``i``, so that the variance of the propagated gradients contains that of the draws. The effect of the noise of
+    the images is estimated from a part of each share, at the mean image and at the other weighted means.
 
     The gradient of a network jumps between any two images, for each draw by itself. The differences between the
     weighted means contain this noise although it does not depend on the render. The spread over the shares shows
@@ -150,25 +154,29 @@ def _jackknife_of_draws(
     directions, step, coefficients = _steps(fractions)
     centre = _Shares.evaluate(shares, fractions, mean_image)
     value, adjoint = centre.value, centre.adjoint
+    draw_noise = centre.adjoints - adjoint
+    parts = [metric.with_draws(_part(share)) for share in draws]
+    start = _Shares.evaluate(parts, fractions, mean_image)
     values, changes, noise = [], [], 0.0
     sums = torch.zeros_like(centre.adjoints)
     for row in fractions + step * directions:
-        stepped = _Shares.evaluate(shares, fractions, _mean(images, row))
-        change = stepped.adjoints - centre.adjoints
-        values.append(stepped.value)
+        stepped = _Shares.evaluate(parts, fractions, _mean(images, row))
+        change = stepped.adjoints - start.adjoints
+        values.append(stepped.value - start.value)
         changes.append(centre.mean(change))
         noise += centre.variance(change)
         sums += change
     count = len(images)
     by_direction = torch.stack(changes)
-    drift = _second_order(torch.tensor(values, dtype=torch.float64), value, step).item()
-    error = math.sqrt(torch.tensor(values).double().var().item() / step**2 + centre.variance(centre.values))
+    differences = torch.tensor(values, dtype=torch.float64)
+    drift = _second_order(differences, 0.0, step).item()
+    error = math.sqrt(differences.var().item() / step**2 + centre.variance(centre.values))
     if not metric.transform.denoises and _is_rounding(by_direction, adjoint):
-        return Adjoints(value, error, drift, tuple(centre.adjoints), None)
+        return Adjoints(value, error, drift, tuple(centre.adjoints), None, draw_noise=draw_noise)
 
-    differences = by_direction - by_direction.mean(0)
-    differences *= math.sqrt(_signal(differences, noise - count * centre.variance(sums / count)))
-    deviations = torch.tensordot(coefficients.to(differences), differences / step, 1)
+    by_direction -= by_direction.mean(0)
+    by_direction *= math.sqrt(_signal(by_direction, noise - count * centre.variance(sums / count)))
+    deviations = torch.tensordot(coefficients.to(by_direction), by_direction / step, 1)
     bias_by_share = sums / (step**2 * (count - 1))
     bias = centre.mean(bias_by_share)
     bias *= _signal(bias, centre.variance(bias_by_share))
@@ -186,6 +194,7 @@ def _jackknife_of_draws(
         drift=(drift, error),
         denoised=None if metric.transform.more_accurate is None else value + value_error,
         transform=metric.transform,
+        draw_noise=draw_noise,
     )
 
 
@@ -224,6 +233,11 @@ class _Shares:
         """Return the variance of the weighted mean over the shares, summed over the elements."""
         squares = (by_share - self.mean(by_share)).double().square().flatten(1 if by_share.ndim > 1 else 0)
         return float(self.mean(squares.sum(1) if by_share.ndim > 1 else squares) / (len(by_share) - 1))
+
+
+def _part(share: Draws) -> Draws:
+    """Return a part of the draws of a share, enough for differences between images."""
+    return {seed: min(count, max(_MIN_DRAWS, count // _PART_OF_DRAWS)) for seed, count in share.items()}
 
 
 def _signal(estimate: torch.Tensor, noise: float) -> float:
@@ -383,8 +397,7 @@ def is_linear(metric: TargetedMetric, images: Sequence[torch.Tensor]) -> bool:
     A metric without a derivative counts as non-linear.
     """
     first = images[0]
-    if metric.n_draws:
-        metric = metric.with_draws({0: 1})  # noise is no reason for being linear or not
+    metric = metric.with_few_draws()  # noise is no reason for being linear or not
     darker = torch.lerp(first, first.roll(1, 0), 0.5) / 2
     other = next((image for image in images[1:] if not torch.equal(image, first)), darker)
     adjoint, other_adjoint = (metric.value_and_derivative(image)[1] for image in (first, other))

@@ -100,6 +100,10 @@ class TargetedMetric:
         """Return the mean over other draws."""
         return dataclasses.replace(self, metric=cast(Any, self.metric).with_draws(draws))
 
+    def with_few_draws(self) -> TargetedMetric:
+        """Return the mean over two draws of a smoothed metric, to compile or to time it; otherwise the metric."""
+        return self.with_draws({0: 2}) if self.is_smoothed else self
+
     def split_draws(self, seeds: Sequence[int], points: int = 1) -> list[Draws] | None:
         """Split the draws among images with these seeds at each of several points; None without draws."""
         if not self.n_draws:

@@ -15,9 +15,10 @@ from ._goal import Assessment, Compared, Goal, assess, totals
 from ._gradients import GradientSum, Point, require_memory
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
+from ._mix import Mix, Pilot
 from ._progress import Progress
 from ._replicates import Budget, Sampling
-from ._rounds import ReplicateTime, Rounds, RoundSum, TimeLimit
+from ._rounds import IMAGE_GROUPS, ReplicateTime, Rounds, RoundSum, TimeLimit
 from ._seeds import Stream, derived_seeds
 from ._simultaneous import LEVEL, simultaneous_quantile
 
@@ -173,6 +174,8 @@ class Planner:
             return self.replicates, self.first_spp
         self.prepare()
         self.rounds.warm_up(self.point, 1)
+        if self.metrics[0].is_smoothed:
+            self.rounds.use_mix(self._measure_mix())
         self._time_replicate(1)
         if self.first_spp * self.replicate_time.shortest < MAX_TIMING_FRACTION * limit:
             self._time_replicate(self.first_spp)
@@ -185,7 +188,22 @@ class Planner:
     def _time_replicate(self, spp: int) -> None:
         start = self.time.now()
         self.rounds.warm_up(self.point, spp)
-        self.replicate_time.record(spp, self.time.now() - start)
+        mix = self.rounds.mix
+        draws = 0.0 if mix is None else mix.seconds_per_draw * mix.draws_of(spp)
+        self.replicate_time.record(spp, self.time.now() - start + draws)
+
+    def _measure_mix(self) -> Mix:
+        """Return the mix of samples with which the time is spent best; the checkpoint stores it."""
+        images = self.replicates + IMAGE_GROUPS
+        pilot = Pilot(
+            self.renderer, self.metrics, self.rounds.transform_selector, self.first_spp, self.seed, images
+        )
+
+        def measure() -> tuple[int, ...]:
+            return Mix.best(*pilot.measure(self.point, self.compared)).to_integers()
+
+        measured = self.time.decide("mix", measure)
+        return Mix.from_integers(*measured or ())
 
     def _decide(self, what: str, decide: Callable[[], tuple[int, int] | None]) -> tuple[int, int] | None:
         """Decide on the size of a round; decisions that depend on the clock are stored in the checkpoint."""
@@ -278,6 +296,7 @@ class Planner:
                 {"replicates": replicates, "spp_per_replicate": spp, "seconds": seconds}
                 for replicates, spp, seconds in rounds
             ],
+            "mix": None if self.rounds.mix is None else dataclasses.asdict(self.rounds.mix),
             "setup_seconds": self.setup_seconds,
             "stopped": self.stopped(interrupted=interrupted),
             "against": self.changes[number],

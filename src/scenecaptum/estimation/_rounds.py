@@ -15,8 +15,9 @@ from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
 from ._metric import Draws, TargetedMetric
 from ._metric_image import TransformSelector
+from ._mix import Mix
 from ._progress import Progress
-from ._replicates import NOISY_PICTURE_RATIO, Budget, render_images
+from ._replicates import NOISY_PICTURE_RATIO, SMOOTHED_PICTURE_RATIO, Budget, render_images
 
 MIN_SAMPLE_TIME_FRACTION = 0.5  # of a replicate's time that is spent on its samples
 MAX_EXTRAPOLATION = 4  # do not extrapolate beyond 4× the largest timed spp
@@ -132,6 +133,7 @@ class Rounds(GradientEstimator):
         super().__init__(renderer, metrics, Budget((), (), (), picture_ratio), transform_selector, bar)
         self._seed = seed
         self._time = time
+        self.mix: Mix | None = None  # of the samples, if a pilot has chosen it
         self._phase_start = 0.0  # of the images of this round, then of its backward passes
         self._bias_passes = 0  # additional backward passes for the bias
         # Mean images, their samples per pixel, and the draws of noise that belong to them.
@@ -158,7 +160,7 @@ class Rounds(GradientEstimator):
             added = render_images(renderer, point.values, [self._seed ^ 2], more) if more else []
             self.transform_selector.select([graph.detach(), *added])  # may render guides
         for metric in self.metrics:
-            _, adjoint = metric.value_and_adjoint(graph)
+            _, adjoint = metric.with_few_draws().value_and_adjoint(graph)
             torch.autograd.grad(graph, list(leaves.values()), adjoint, retain_graph=True, allow_unused=True)
 
     def add_round(self, point: Point, replicates: int, spp: int) -> tuple[list[PointGradient], bool]:
@@ -197,7 +199,13 @@ class Rounds(GradientEstimator):
     @property
     def _ratio(self) -> float:
         """Maximum number of primal samples per sample of a backward pass."""
-        return self.budget.picture_ratio or NOISY_PICTURE_RATIO
+        known = self.budget.picture_ratio
+        return known or (SMOOTHED_PICTURE_RATIO if self.metrics[0].is_smoothed else NOISY_PICTURE_RATIO)
+
+    def use_mix(self, mix: Mix) -> None:
+        """Use a mix in all rounds, except for a number of picture samples that the user has given."""
+        self.mix = dataclasses.replace(mix, picture=self.budget.picture_ratio or mix.picture)
+        self.budget = dataclasses.replace(self.budget, picture_ratio=self.mix.picture)
 
     def _evaluate_metrics(
         self, index: int, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]
@@ -234,7 +242,9 @@ class Rounds(GradientEstimator):
 
     def _draws(self, index: int) -> Sequence[Draws]:
         """Return the draws of noise that belong to each image of a round, which later rounds keep."""
-        seeds = self.budget.seeds[index]
+        seeds, spp = self.budget.seeds[index], self.budget.spp[index]
+        if self.mix is not None:
+            return [{seed: self.mix.draws_of(spp or 1)} for seed in seeds]
         return self.metrics[0].split_draws(seeds) or [{} for _ in seeds]
 
     def _merge_images(self, new: Sequence[tuple[torch.Tensor, int, Draws]]) -> None:

@@ -32,6 +32,7 @@ class Stream(IntEnum):
     OPTIMIZATION = 17
     PARAMETER_NOISE = 18
     EXPLANATION = 19
+    PILOT = 20
 
 
 def random_generator(seed: int, stream: Stream, *path: int) -> np.random.Generator:

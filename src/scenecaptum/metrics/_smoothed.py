@@ -39,7 +39,8 @@ class Smoothed(torch.nn.Module):
         Strength of the noise, see ``noise``.
     n
         Number of draws, even: each is used with both signs. Attribution methods split them among their replicates,
-        so that standard errors include the error of a finite number of draws.
+        so that standard errors include the error of a finite number of draws. With ``time_limit=`` they choose the
+        number themselves.
     noise
         ``"lognormal"``: each pixel is multiplied by ``exp(σ z − σ² / 2)`` with a standard normal ``z``, which
         keeps hues, black pixels and the mean. ``"gaussian"``: ``σ z`` is added to each channel of the sRGB
