@@ -249,7 +249,12 @@ class Script:
         def update(values: Mapping[str, Any]) -> None:
             for name, value in values.items():
                 kind = type(params[name])
-                params[name] = dr.unravel(kind, value.array) if dr.depth_v(kind) > 1 else kind(value.array)
+                if dr.is_tensor_v(kind):  # a texture
+                    params[name] = kind(value)
+                else:
+                    params[name] = (
+                        dr.unravel(kind, value.array) if dr.depth_v(kind) > 1 else kind(value.array)
+                    )
             params.update()
 
         @dr.wrap(source="torch", target="drjit")

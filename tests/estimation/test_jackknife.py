@@ -11,7 +11,8 @@ from seeds import seeds, shifted
 from toy import ToyRenderer, log_mean
 
 from scenecaptum.estimation import TargetedMetric
-from scenecaptum.estimation._jackknife import _directions, _shrinkage, jackknife
+from scenecaptum.estimation._jackknife import _shrinkage, jackknife
+from scenecaptum.estimation._weighted_means import orthogonal_directions
 
 SHARES = [[1.0] * 2, [1.0] * 8, [1.0] * 13, [8.0, 8.0, 4.0, 2.0, 1.0], [16.0] * 4 + [3.0] * 12]
 
@@ -33,7 +34,7 @@ def kinked(image: torch.Tensor) -> torch.Tensor:
 def test_weighted_means_have_the_covariance_of_the_mean_and_no_negative_weights(samples):
     shares = torch.tensor(samples, dtype=torch.float64) / sum(samples)
     roots = shares.sqrt()
-    directions, step = _directions(tuple(roots.tolist()))
+    directions, step = orthogonal_directions(tuple(roots.tolist()))
     projection = torch.eye(len(roots), dtype=torch.float64) - roots[:, None] * roots
     torch.testing.assert_close(directions.T @ directions, projection)
     torch.testing.assert_close(directions.sum(0), torch.zeros_like(roots))
@@ -62,7 +63,7 @@ def test_bias_is_trusted_for_smooth_metrics_and_not_for_jumps():
 
     def trust(metric) -> float:
         stack, roots = torch.stack(images), torch.full((8,), 8**-0.5, dtype=torch.float64)
-        directions, step = _directions(tuple(roots.tolist()))
+        directions, step = orthogonal_directions(tuple(roots.tolist()))
         _, centre = TargetedMetric(metric).value_and_adjoint(stack.mean(0))
 
         def bias(step: float) -> torch.Tensor:

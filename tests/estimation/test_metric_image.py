@@ -16,7 +16,9 @@ from scenecaptum import Camera, FeatureAblationScene, VanillaSceneGradient, metr
 from scenecaptum.denoising import denoise, straight_through
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.estimation import ImageTransform, TargetedMetric, choose_transform, student_t
-from scenecaptum.estimation._jackknife import _denoiser_bias, is_linear, jackknife
+from scenecaptum.estimation._jackknife import jackknife
+from scenecaptum.estimation._linearity import is_linear
+from scenecaptum.estimation._transform_errors import denoiser_bias
 
 SIZE = 32
 CAMERA = Camera.perspective(SIZE, SIZE, fov_x=60)
@@ -118,7 +120,7 @@ def test_the_bias_of_a_denoiser_is_part_of_the_error():
             for k, share in enumerate(shares.tolist())
         ]
         _, adjoint = metric.value_and_adjoint(images[0])
-        found.append(_denoiser_bias(metric, torch.stack(images), shares, adjoint)[0])
+        found.append(denoiser_bias(metric, torch.stack(images), shares, adjoint)[0])
         seen = jackknife(metric, images, [640 * share for share in shares.tolist()])
         held += abs(seen.value - truth.square().mean().item()) <= student_t(0.95, 4) * seen.standard_error
     # The metric is a square: its error is exactly the second-order term.

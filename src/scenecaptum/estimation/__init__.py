@@ -5,6 +5,7 @@ Renderers and metrics are known only by what they do (``protocols``). Nothing he
 
 __all__: list[str] = []
 
+from ._adjoints import Adjoints as Adjoints
 from ._comparison import differences as differences
 from ._goal import DEFAULT_SHARE as DEFAULT_SHARE
 from ._goal import Compared as Compared
@@ -25,7 +26,6 @@ from ._heavy_tails import MIN_REPLICATES as MIN_REPLICATES
 from ._heavy_tails import has_dominating_replicate as has_dominating_replicate
 from ._heavy_tails import rows_of_median as rows_of_median
 from ._image_info import describe_picture as describe_picture
-from ._jackknife import Adjoints as Adjoints
 from ._jackknife import jackknife as jackknife
 from ._jackknife import with_image_transform as with_image_transform
 from ._metric import Metric as Metric

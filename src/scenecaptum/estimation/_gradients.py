@@ -13,7 +13,9 @@ import torch
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, check_gradient, check_image, error_context
 from ..protocols import Capabilities, Renderer
-from ._jackknife import Adjoints, adjoints_if_linear, is_linear, jackknife, with_image_transform
+from ._adjoints import Adjoints
+from ._jackknife import adjoints_if_linear, jackknife, with_image_transform
+from ._linearity import is_linear
 from ._metric import TargetedMetric
 from ._metric_image import TransformSelector
 from ._progress import Progress

@@ -11,8 +11,10 @@ import torch
 
 from ..checkpoint import Stopwatch, without_checkpoint
 from ..protocols import Capabilities, Renderer
+from ._adjoints import Adjoints
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
-from ._jackknife import Adjoints, is_linear, jackknife, with_image_transform
+from ._jackknife import jackknife, with_image_transform
+from ._linearity import is_linear
 from ._metric import Draws, TargetedMetric
 from ._metric_image import TransformSelector
 from ._mix import Mix

@@ -1,0 +1,35 @@
+"""The metric's value and adjoint images, with what is known of their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ._metric_image import IDENTITY, ImageTransform
+
+
+@dataclass(frozen=True)
+class Adjoints:
+    """The metric's value and adjoint images, estimated from the primal images."""
+
+    value: float  # of the metric at the mean image
+    standard_error: float | None  # estimated by the jackknife; includes the bias; None for a single replicate
+    bias: float | None  # the remaining one, due to the finite number of samples; None for a single replicate
+    per_replicate: tuple[torch.Tensor, ...]  # the adjoint image for each backward pass
+    # Of the adjoint, due to the finite number of samples or to the denoiser; None for a linear metric.
+    bias_adjoint: torch.Tensor | None
+    # The metric at half of the samples minus that at all samples, on average, and the standard error without the
+    # bias; None for a linear metric or a single replicate.
+    drift: tuple[float, float] | None = None
+    # The metric at the denoised image, if that is estimated to be more accurate but denoising was switched off.
+    # The difference is part of the standard error.
+    denoised: float | None = None
+    transform: ImageTransform = IDENTITY  # from the render to the metric image
+    # The part of ``per_replicate`` that is due to the draws of noise of each replicate, for a smoothed metric.
+    draw_noise: torch.Tensor | None = None
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the metric was found to be linear."""
+        return self.bias is not None and self.bias_adjoint is None
