@@ -20,7 +20,7 @@ from ._measure import Measure
 NoiseKind: TypeAlias = "Literal['lognormal', 'gaussian']"
 OfBatch: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 
-DEFAULT_DRAWS = 128
+DEFAULT_DRAWS = 256
 
 _BATCH = 8  # noisy pictures that are in memory at the same time
 
