@@ -4,6 +4,7 @@
 __all__ = [
     "Band",
     "ClassLogit",
+    "ClassProbability",
     "ContrastRatio",
     "DaylightGlareIndex",
     "DaylightGlareProbability",
@@ -26,6 +27,7 @@ __all__ = [
 ]
 
 from ._class_logit import ClassLogit as ClassLogit
+from ._class_probability import ClassProbability as ClassProbability
 from ._comparison import MeanSquaredError as MeanSquaredError
 from ._comparison import StructuralSimilarity as StructuralSimilarity
 from ._contrast import ContrastRatio as ContrastRatio
