@@ -8,6 +8,7 @@ __all__ = [
     "ContrastRatio",
     "DaylightGlareIndex",
     "DaylightGlareProbability",
+    "EmbeddingDistance",
     "GlareRating",
     "GlareSource",
     "LuminancePercentile",
@@ -33,6 +34,7 @@ from ._comparison import StructuralSimilarity as StructuralSimilarity
 from ._contrast import ContrastRatio as ContrastRatio
 from ._dgi import DaylightGlareIndex as DaylightGlareIndex
 from ._dgp import DaylightGlareProbability as DaylightGlareProbability
+from ._embedding import EmbeddingDistance as EmbeddingDistance
 from ._glare import GlareRating as GlareRating
 from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
