@@ -15,6 +15,7 @@ __all__ = [
     "MeanLuminance",
     "MeanSquaredError",
     "Measure",
+    "PerCamera",
     "PerceptualDistance",
     "ResizeCropNormalize",
     "ShapeClassifier",
@@ -43,6 +44,7 @@ from ._luminance_map import plot_luminance as plot_luminance
 from ._measure import Band as Band
 from ._measure import Measure as Measure
 from ._named import NamedMetric as NamedMetric
+from ._per_camera import PerCamera as PerCamera
 from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
