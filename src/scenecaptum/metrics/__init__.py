@@ -18,6 +18,7 @@ __all__ = [
     "PerCamera",
     "PerceptualDistance",
     "ResizeCropNormalize",
+    "SegmentationScore",
     "ShapeClassifier",
     "Smoothed",
     "StructuralSimilarity",
@@ -49,6 +50,7 @@ from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
 from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
+from ._segmentation import SegmentationScore as SegmentationScore
 from ._shape_classifier import ShapeClassifier as ShapeClassifier
 from ._smoothed import Smoothed as Smoothed
 from ._sources import GlareSource as GlareSource
