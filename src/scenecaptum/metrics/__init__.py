@@ -8,6 +8,7 @@ __all__ = [
     "ContrastRatio",
     "DaylightGlareIndex",
     "DaylightGlareProbability",
+    "DetectionScore",
     "EmbeddingDistance",
     "GlareRating",
     "GlareSource",
@@ -34,6 +35,7 @@ from ._class_probability import ClassProbability as ClassProbability
 from ._comparison import MeanSquaredError as MeanSquaredError
 from ._comparison import StructuralSimilarity as StructuralSimilarity
 from ._contrast import ContrastRatio as ContrastRatio
+from ._detection import DetectionScore as DetectionScore
 from ._dgi import DaylightGlareIndex as DaylightGlareIndex
 from ._dgp import DaylightGlareProbability as DaylightGlareProbability
 from ._embedding import EmbeddingDistance as EmbeddingDistance

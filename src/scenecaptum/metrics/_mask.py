@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from ..errors import SceneCaptumError
@@ -24,11 +26,11 @@ def check_mask(mask: torch.Tensor) -> torch.Tensor:
     return mask.detach().clone()
 
 
-def check_mask_fits(mask: torch.Tensor, images: torch.Tensor) -> None:
-    """Raise if a mask does not have the size of the images ``(N, H, W, 3)``."""
-    if mask.shape != images.shape[1:3]:
+def check_mask_fits(shape: Sequence[int], images: torch.Tensor) -> None:
+    """Raise if a mask of this shape does not have the size of the images ``(N, H, W, 3)``."""
+    if tuple(shape) != tuple(images.shape[1:3]):
         raise SceneCaptumError(
-            f"mask has shape {tuple(mask.shape)}; the image is {tuple(images.shape[1:3])} (height, width)."
+            f"mask has shape {tuple(shape)}; the image is {tuple(images.shape[1:3])} (height, width)."
         )
 
 

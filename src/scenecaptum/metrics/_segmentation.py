@@ -88,7 +88,7 @@ class SegmentationScore(NetworkMetric):
 
     def of_batch(self, images: torch.Tensor) -> torch.Tensor:
         """Return the scores of images ``(N, H, W, 3)`` without smoothing: ``(N,)``, or ``(N, classes)``."""
-        check_mask_fits(self.mask, images)
+        check_mask_fits(self.mask.shape, images)
         logits = self.logits(images)
         scores = logits if self.score == "logit" else logits.log_softmax(1)
         weight = self._weight(images, logits)
