@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
-from chance import allowed
+from chance import allowed, check_error_bars
 from seeds import seeds, shifted
 from toy import ReplayingToyRenderer
 
-from scenecaptum import SceneCaptumError, VanillaSceneGradient
+from scenecaptum import SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import mean_effects
 
 TARGETS = [0, 1, 2]
@@ -20,6 +21,10 @@ def quarters(image: torch.Tensor) -> torch.Tensor:
     """Return the means of three rows and, as the last element, their mean."""
     rows = image[:3].mean((1, 2))
     return torch.cat([rows, rows.mean()[None]])
+
+
+def squares(image: torch.Tensor) -> torch.Tensor:
+    return image.square().mean()
 
 
 def results(noise: float, seed: int, targets: list[int]):
@@ -54,6 +59,26 @@ def test_noise_is_the_part_of_the_spread_that_renders_cause():
     excess = torch.tensor([run.spread**2 - run.noise**2 - clean.spread**2 for run in runs])
     assert abs(excess.mean()) < allowed(len(runs)) * excess.std() / math.sqrt(len(runs))
     assert torch.tensor([run.noise for run in runs]).mean() > 0.2 * clean.spread
+
+
+class Pair(ReplayingToyRenderer):
+    """A stack of the picture and its half: two cameras with the same noise."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> torch.Tensor:
+        image = super().__call__(*arguments, **options)
+        return torch.stack([image, 0.5 * image])
+
+
+def test_error_bars_include_the_draws_that_cameras_share():
+    metric = metrics.PerCamera(metrics.Smoothed(squares, 0.8, n=16))
+    method = VanillaSceneGradient(Pair(0.1), metric)
+    runs = [mean_effects(method.attribute(target=[0, 1], seed=seed, spp=64)).rows[0] for seed in seeds(60)]
+    means = torch.tensor([[run.mean] for run in runs], dtype=torch.float64)
+    check_error_bars(means, torch.tensor([[run.mean_error] for run in runs], dtype=torch.float64))
+    x = Pair().inputs["x"].double().requires_grad_()
+    (slope,) = torch.autograd.grad(squares(Pair().matrix.double() @ x), x)
+    truth = math.exp(0.8**2) * slope.sum() * (1 + 0.25) / 2
+    assert abs(means.mean() - truth) < allowed(len(runs)) * means.std() / math.sqrt(len(runs))
 
 
 def test_results_with_other_seeds_are_independent():
