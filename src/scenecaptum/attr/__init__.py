@@ -9,6 +9,8 @@ __all__ = [
     "GradientShapScene",
     "InputXGradientScene",
     "IntegratedGradientsScene",
+    "MeanEffect",
+    "MeanEffects",
     "OcclusionScene",
     "Ranked",
     "SceneAttribution",
@@ -16,6 +18,7 @@ __all__ = [
     "SmoothGradScene",
     "Source",
     "VanillaSceneGradient",
+    "mean_effects",
 ]
 
 from ._attribution import SceneAttribution as SceneAttribution
@@ -32,6 +35,9 @@ from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._groups import GROUPS as GROUPS
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene
 from ._integrated_gradients import IntegratedGradientsScene as IntegratedGradientsScene
+from ._mean_effects import MeanEffect as MeanEffect
+from ._mean_effects import MeanEffects as MeanEffects
+from ._mean_effects import mean_effects as mean_effects
 from ._method import AttributionInterrupted as AttributionInterrupted
 from ._method import GradientMethod as GradientMethod
 from ._method import NamedMethod as NamedMethod

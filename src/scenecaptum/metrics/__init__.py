@@ -4,17 +4,22 @@
 __all__ = [
     "Band",
     "ClassLogit",
+    "ClassProbability",
     "ContrastRatio",
     "DaylightGlareIndex",
     "DaylightGlareProbability",
+    "DetectionScore",
+    "EmbeddingDistance",
     "GlareRating",
     "GlareSource",
     "LuminancePercentile",
     "MeanLuminance",
     "MeanSquaredError",
     "Measure",
+    "PerCamera",
     "PerceptualDistance",
     "ResizeCropNormalize",
+    "SegmentationScore",
     "ShapeClassifier",
     "Smoothed",
     "StructuralSimilarity",
@@ -26,11 +31,14 @@ __all__ = [
 ]
 
 from ._class_logit import ClassLogit as ClassLogit
+from ._class_probability import ClassProbability as ClassProbability
 from ._comparison import MeanSquaredError as MeanSquaredError
 from ._comparison import StructuralSimilarity as StructuralSimilarity
 from ._contrast import ContrastRatio as ContrastRatio
+from ._detection import DetectionScore as DetectionScore
 from ._dgi import DaylightGlareIndex as DaylightGlareIndex
 from ._dgp import DaylightGlareProbability as DaylightGlareProbability
+from ._embedding import EmbeddingDistance as EmbeddingDistance
 from ._glare import GlareRating as GlareRating
 from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
@@ -39,10 +47,12 @@ from ._luminance_map import plot_luminance as plot_luminance
 from ._measure import Band as Band
 from ._measure import Measure as Measure
 from ._named import NamedMetric as NamedMetric
+from ._per_camera import PerCamera as PerCamera
 from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance
 from ._position_index import position_index as position_index
 from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
+from ._segmentation import SegmentationScore as SegmentationScore
 from ._shape_classifier import ShapeClassifier as ShapeClassifier
 from ._smoothed import Smoothed as Smoothed
 from ._sources import GlareSource as GlareSource

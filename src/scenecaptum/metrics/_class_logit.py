@@ -1,23 +1,19 @@
-"""Logits of image classifiers."""
+"""Logits of image classifiers, and their differences."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
-from ..errors import SceneCaptumError, near_misses, whole_number
-from ..visualization import rounded
-from ._frozen import run_frozen
-from ._measure import Measure
-from ._noise import PictureNoise, smoothed_measure, without_smoothing
-from ._picture import check_exposure, srgb_picture
-from ._preprocessing import ResizeCropNormalize, own_preprocessing
+from ._classes import class_name, named_class
+from ._classifier import ClassifierMetric
+from ._margins import differences, resolve_against
+from ._network import Model, Transform
 
 
-class ClassLogit(torch.nn.Module):
+class ClassLogit(ClassifierMetric):
     """Logit of a classifier for one class: ``model(transform(sRGB(exposure · L)))[target]``.
 
     Example
@@ -38,6 +34,10 @@ class ClassLogit(torch.nn.Module):
         Differentiable preprocessing from an sRGB picture ``(1, 3, H, W)`` in [0, 1] to the model's input; for a
         torchvision model ``weights.transforms()``. By default the model's own ``preprocess`` if it has one,
         otherwise ImageNet's ``ResizeCropNormalize()``.
+    against
+        Index or name of another class, for the difference of the two logits: why this class and not that one.
+        ``"best"``: the margin, the logit minus the largest logit of the other classes, unless one of the
+        ``classes`` has the name ``"best"``. None: the logit itself.
     exposure
         Factor on radiance before it is clipped at white and encoded as sRGB. Above white the derivative is 0.
     classes
@@ -47,36 +47,37 @@ class ClassLogit(torch.nn.Module):
         noise of a render does not dominate; 0.3 is a good choice. None: the logit itself. ``Smoothed`` has more
         settings, and says what is averaged.
 
+    Attributes
+    ----------
+    against
+        The index of the other class, ``"best"``, or None.
+
     Raises
     ------
     SceneCaptumError
-        If the target is not one of the classes, or the model does not return ``(1, classes)``. From
-        ``forward``, if radiance is negative or not finite.
+        If the target is not one of the classes or is the class ``against``, or the model does not return
+        ``(1, classes)``. From ``forward``, if radiance is negative or not finite.
 
     Notes
     -----
     Unlike a softmax output, a logit does not depend on the scores of other classes, and its derivative does not
-    vanish by saturation.
+    vanish by saturation. A difference of logits is the logarithm of the ratio of the two probabilities; what all
+    logits depend on, such as the brightness of the picture, cancels in it.
     """
 
     def __init__(
         self,
-        model: Callable[[torch.Tensor], torch.Tensor],
+        model: Model,
         target: int | str | None = None,
-        transform: Callable[[torch.Tensor], torch.Tensor] | None = None,
+        transform: Transform | None = None,
         *,
+        against: int | str | None = None,
         exposure: float = 1.0,
         classes: Sequence[str] | None = None,
         smoothing: float | None = None,
     ) -> None:
-        super().__init__()
-        own = getattr(model, "classes", None)
-        self.classes = tuple(classes if classes is not None else own if isinstance(own, list | tuple) else ())
-        self.target = self._index(target)
-        self.exposure = check_exposure(exposure)
-        self.transform = transform or own_preprocessing(model, ResizeCropNormalize())
-        self.model = model
-        self.noise = None if smoothing is None else PictureNoise.create(smoothing)
+        super().__init__(model, target, transform, exposure, classes, smoothing)
+        self.against = resolve_against(against, self.target, self.classes)
 
     @classmethod
     def pretrained(
@@ -85,6 +86,7 @@ class ClassLogit(torch.nn.Module):
         weights: Any = "DEFAULT",
         target: int | str | None = None,
         *,
+        against: int | str | None = None,
         exposure: float = 1.0,
         smoothing: float | None = None,
     ) -> ClassLogit:
@@ -96,7 +98,7 @@ class ClassLogit(torch.nn.Module):
             Name of the model in torchvision, such as ``"resnet50"``.
         weights
             A member of its weights enumeration, such as ``ResNet50_Weights.IMAGENET1K_V2``, or its name.
-        target
+        target, against
             As in ``ClassLogit``; the class names are the weights' ``meta["categories"]``.
         exposure, smoothing
             As in ``ClassLogit``.
@@ -109,112 +111,32 @@ class ClassLogit(torch.nn.Module):
         from ._torchvision import load_pretrained
 
         model, chosen = load_pretrained(name, weights)
-        classes = chosen.meta.get("categories")
         return cls(
-            model, target, chosen.transforms(), exposure=exposure, classes=classes, smoothing=smoothing
+            model,
+            target,
+            chosen.transforms(),
+            against=against,
+            exposure=exposure,
+            classes=chosen.meta.get("categories"),
+            smoothing=smoothing,
         )
 
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the logit of an ``(H, W, 3)`` image, a 0-d tensor; without a target all, ``(classes,)``."""
-        return self.of_batch(image[None])[0] if self.noise is None else self.noise.mean(self.of_batch, image)
+    def values(self, logits: torch.Tensor) -> torch.Tensor:
+        """Return the logits, or their differences, ``(N, classes)``."""
+        return differences(logits, self.against, self.model)
 
-    def of_batch(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the logits of images ``(N, H, W, 3)`` without smoothing: ``(N,)``, or ``(N, classes)``."""
-        logits = self._logits(images)
-        if self.target is None:
-            return logits
-        if self.target >= logits.shape[1]:
-            raise SceneCaptumError(
-                f"target={self.target} is not a class of {type(self.model).__name__}: it has {logits.shape[1]} "
-                f"classes, 0 to {logits.shape[1] - 1}."
-            )
-        return logits[:, self.target]
-
-    @property
-    def n_draws(self) -> int:
-        """Number of draws of noise over which the logit is averaged, 0 without smoothing."""
-        return 0 if self.noise is None else self.noise.n
-
-    def with_draws(self, draws: Mapping[int, int]) -> ClassLogit:
-        """Return the same metric with other draws of noise: a number of them for each seed, rounded up to even."""
-        other = copy.copy(self)
-        other.noise = None if self.noise is None else self.noise.with_draws(draws)
-        return other
-
-    def _logits(self, images: torch.Tensor) -> torch.Tensor:
-        logits = run_frozen(self.model, self.transform(srgb_picture(images, self.exposure)))
-        if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != len(images):
-            raise SceneCaptumError(_not_logits(self.model, logits))
-        return logits
-
-    def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
-        """Return what an element of the output measures."""
-        index = target[0] if isinstance(target, tuple) else target
-        measure = Measure(f"logit of {self._class_name(index)}")
-        return measure if self.noise is None else smoothed_measure(measure)
-
-    @property
-    def measure(self) -> Measure:
-        """Name of the logit."""
-        return self.measure_of(self.target)
-
-    def verdict(self, image: torch.Tensor, target: int | tuple[int, ...] | None = None) -> str:
-        """Return the probability of the class (softmax) and, if another is more likely, which.
-
-        ``image`` is an ``(H, W, 3)`` linear-radiance image, ``target`` the class if the metric has none itself.
-        """
-        index = self.target if self.target is not None else target[0] if isinstance(target, tuple) else target
-        with torch.no_grad():
-            logits = self._logits(image[None])[0].double()
-        if index is None:
-            return ""
-        text = self._probabilities(logits.softmax(0), index)
-        return text if self.noise is None else without_smoothing(logits[index].item(), text)
-
-    def _probabilities(self, probabilities: torch.Tensor, index: int) -> str:
-        """Return the probability of a class and, if another is more likely, which."""
-        text = f"probability {_probability(probabilities[index].item())} of {self._class_name(index)}"
-        best = int(probabilities.argmax())
-        if best == index:
-            return text
-        return f"{text}; {_probability(probabilities[best].item())} of {self._class_name(best)}"
-
-    def _class_name(self, index: int | None) -> str:
-        return f"class {index}" if index is None or index >= len(self.classes) else self.classes[index]
-
-    def _index(self, target: int | str | None) -> int | None:
-        if target is None:
-            return None
-        if not isinstance(target, str):
-            return whole_number("target", target, 0, len(self.classes) - 1 if self.classes else None)
-        if target in self.classes:
-            return self.classes.index(target)
-        known = (
-            f"It has {len(self.classes)} classes.{near_misses(target, self.classes)}"
-            if self.classes
-            else "Give the names of its classes with classes=, or the class's index."
-        )
-        raise SceneCaptumError(f"The model has no class called {target!r}. {known}")
+    def class_measure(self, index: int | None) -> str:
+        """Return the name of the logit of a class, or of its difference."""
+        name = class_name(index, self.classes)
+        if self.against is None:
+            return f"logit of {name}"
+        if self.against == "best":
+            return f"margin of {name} over the best other class"
+        return f"logit of {name} minus that of {class_name(self.against, self.classes)}"
 
     def extra_repr(self) -> str:
-        """Show the class and the exposure."""
-        name = f" ({self.classes[self.target]})" if self.target is not None and self.classes else ""
-        smoothing = "" if self.noise is None else f", smoothing={self.noise.sigma:g}"
-        return f"target={self.target}{name}, exposure={self.exposure:g}{smoothing}"
-
-
-def _not_logits(model: object, output: Any) -> str:
-    name = type(model).__name__
-    got = f"shape {tuple(output.shape)}" if isinstance(output, torch.Tensor) else f"a {type(output).__name__}"
-    fix = (
-        "Pass a function that returns its logits, for example lambda x: model(x).logits."
-        if not isinstance(output, torch.Tensor)
-        else "Reduce it to one row of logits, for example with lambda x: model(x).mean((2, 3))."
-        if output.ndim == 4
-        else "Pass a function that returns one row of logits."
-    )
-    return f"A classifier must return logits of shape (1, classes); {name} returned {got}. {fix}"
-
-
-def _probability(share: float) -> str:
-    return "above 0.99" if share > 0.99 else rounded(share, 2)
+        """Show the classes and the settings."""
+        if self.against is None:
+            return super().extra_repr()
+        other = "best" if self.against == "best" else named_class(self.against, self.classes)
+        return f"{super().extra_repr()}, against={other}"

@@ -9,20 +9,21 @@ from typing import Any
 import torch
 
 
-def run_frozen(model: Callable[[torch.Tensor], Any], x: torch.Tensor) -> Any:
+def run_frozen(model: Callable[..., Any], x: torch.Tensor | list[torch.Tensor]) -> Any:
     """Return ``model(x)`` in evaluation mode and with detached parameters; gradients propagate to ``x`` only.
 
     The model's training mode and running statistics and its parameters' ``requires_grad`` and ``grad`` do not
-    change. ``x`` is cast to the dtype of the parameters.
+    change. ``x``, a tensor or a list of them, is cast to the dtype of the parameters.
     """
     if not isinstance(model, torch.nn.Module):
         return model(x)
     parameters = {name: parameter.detach() for name, parameter in model.named_parameters()}
-    precision = next((p.dtype for p in parameters.values() if p.is_floating_point()), x.dtype)
+    precision = next((p.dtype for p in parameters.values() if p.is_floating_point()), None)
+    cast = [one.to(precision) for one in x] if isinstance(x, list) else x.to(precision)
     with _evaluation_mode(model):
         if isinstance(model, torch.jit.ScriptModule):  # not supported by functional_call
-            return model(x.to(precision))
-        return torch.func.functional_call(model, parameters, (x.to(precision),))
+            return model(cast)
+        return torch.func.functional_call(model, parameters, (cast,))
 
 
 @contextmanager

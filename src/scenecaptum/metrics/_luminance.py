@@ -49,7 +49,8 @@ class MeanLuminance(torch.nn.Module):
         Luminous efficacy in lm/W that converts radiance to luminance: 179 as in Radiance; 1 for the mean in the
         unit of the render.
     mask
-        ``(H, W)``, the pixels to average over (bool, or non-negative weights); all of them by default.
+        ``(H, W)``, the pixels to average over (bool, or non-negative weights), such as
+        ``renderer.mask("desk")``; all of them by default.
 
     Raises
     ------

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..errors import SceneCaptumError, near_misses
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,31 @@ class SurfaceMap:
 
     def shown(self, names: Collection[str]) -> NDArray[np.float32]:
         """Return the fraction of each pixel covered by objects that use any of these parameters, ``(H, W)``."""
-        uses = np.array([any(name in names for name in used) for used in self.parameters])
-        fraction = self.fraction * uses[self.object_index]
+        return self._covered_by([any(name in names for name in used) for used in self.parameters])
+
+    def mask(self, objects: str | Collection[str]) -> NDArray[np.float32]:
+        """Return the fraction of each pixel covered by objects, by name or glob, ``(H, W)``.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a name matches no object.
+        """
+        patterns = [objects] if isinstance(objects, str) else list(objects)
+        matched = {name for pattern in patterns for name in self._matching(pattern)}
+        return self._covered_by([name in matched for name in self.objects])
+
+    def _matching(self, pattern: str) -> list[str]:
+        exact = [name for name in self.objects if name == pattern]
+        matched = exact or [name for name in self.objects if fnmatchcase(name, pattern)]
+        if not matched:
+            raise SceneCaptumError(
+                f"The scene has no object {pattern!r}.{near_misses(pattern, self.objects)} "
+                "renderer.surfaces.objects lists all."
+            )
+        return matched
+
+    def _covered_by(self, chosen: Sequence[bool]) -> NDArray[np.float32]:
+        fraction = self.fraction * np.array(chosen)[self.object_index]
         covered = np.bincount(self.pixel, weights=fraction, minlength=self.shape[0] * self.shape[1])
         return covered.reshape(self.shape).astype(np.float32)

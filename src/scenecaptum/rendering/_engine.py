@@ -130,9 +130,11 @@ class Engine:
         With ``importance_sampling``, pixels are sampled in proportion to the adjoint. Otherwise the samples are
         those of the primal with the same seed, so that the result is the derivative of that very image.
         """
+        adjoint = adjoint.detach().float()
+        if not adjoint.any():  # such as that of a camera that the metric's target leaves out
+            return tuple(torch.zeros_like(values[name]) for name in tracked)
         values = self._live.snapshot(values)
         routes = self._find_routes(values, tracked)
-        adjoint = adjoint.detach().float()
         gradients: dict[str, torch.Tensor] = {}
         if importance_sampling and self._importance_maps.film:
             for group in self._importance_maps.groups(values, routes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
@@ -445,6 +445,36 @@ class SceneRenderer(torch.nn.Module):
     def surfaces(self) -> SurfaceMap | None:
         """The objects that each pixel shows; None for a list of sensors."""
         return self._surface_map(())
+
+    def mask(self, objects: str | Collection[str]) -> torch.Tensor:
+        """Return the fraction of each pixel that shows these objects, for metrics with a ``mask``.
+
+        Example
+        -------
+        >>> from scenecaptum import metrics
+        >>> renderer = SceneRenderer("cornell-box", resolution=(32, 32), spp=4)
+        >>> of_the_boxes = metrics.MeanLuminance(mask=renderer.mask("*_box_shape"))
+        >>> of_the_boxes(renderer()).shape
+        torch.Size([])
+
+        Parameters
+        ----------
+        objects
+            Name of an object, a glob over names such as ``"chair*"``, or several of these.
+
+        Returns
+        -------
+        Tensor
+            ``(H, W)``, from 0 to 1; ``(cameras, H, W)`` for a list of sensors.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a name matches no object of the scene.
+        """
+        maps = [view.surface_map((), False) for view in self._views]
+        masks = torch.stack([torch.from_numpy(surfaces.mask(objects)) for surfaces in maps]).to(self._device)
+        return masks if self._stacked else masks[0]
 
     def surfaces_with_texels(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
         """Return ``surfaces`` with the texels that each pixel shows, of the named parameters, or of all inputs.

@@ -1,0 +1,46 @@
+"""Classes of a network by index or by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..errors import SceneCaptumError, near_misses, whole_number
+
+
+def class_names(model: object, classes: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names of the classes: those given, or the model's own, or none."""
+    own = getattr(model, "classes", None)
+    return tuple(classes if classes is not None else own if isinstance(own, list | tuple) else ())
+
+
+def class_index(target: int | str, classes: Sequence[str], setting: str = "target") -> int:
+    """Return the index of a class that is given by its index or its name; raise if there is none."""
+    if not isinstance(target, str):
+        return whole_number(setting, target, 0, len(classes) - 1 if classes else None)
+    if target in classes:
+        return classes.index(target)
+    known = (
+        f"It has {len(classes)} classes.{near_misses(target, classes)}"
+        if classes
+        else "Give the names of its classes with classes=, or the class's index."
+    )
+    raise SceneCaptumError(f"The model has no class called {target!r}. {known}")
+
+
+def class_name(index: int | None, classes: Sequence[str]) -> str:
+    """Return the name of a class, or ``class 3`` without names."""
+    return f"class {index}" if index is None or index >= len(classes) else classes[index]
+
+
+def named_class(index: int | None, classes: Sequence[str]) -> str:
+    """Return an index with the name of the class, for ``extra_repr``."""
+    return f"{index} ({classes[index]})" if index is not None and classes else f"{index}"
+
+
+def check_class(index: int, count: int, model: object, setting: str = "target") -> None:
+    """Raise if the output of a model with so many classes has no such class."""
+    if index >= count:
+        raise SceneCaptumError(
+            f"{setting}={index} is not a class of {type(model).__name__}: it has {count} classes, 0 to "
+            f"{count - 1}."
+        )

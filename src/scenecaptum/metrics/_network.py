@@ -1,0 +1,79 @@
+"""What all metrics of a network's output share: the picture, a call without side effects, and smoothing."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias, TypeVar
+
+import torch
+
+from ._frozen import run_frozen
+from ._measure import Measure
+from ._noise import PictureNoise, smoothed_measure
+from ._picture import check_exposure, srgb_picture
+from ._preprocessing import own_preprocessing
+
+Model: TypeAlias = Callable[[torch.Tensor], Any]
+Transform: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
+
+M = TypeVar("M", bound="NetworkMetric")
+
+
+class NetworkMetric(torch.nn.Module, ABC):
+    """A metric of ``model(transform(sRGB(exposure · L)))``, or its mean over noise of the picture.
+
+    A subclass defines ``of_batch``, from images ``(N, H, W, 3)`` to one value, or one vector, for each.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        transform: Transform | None,
+        default_transform: torch.nn.Module,
+        exposure: float,
+        smoothing: float | None,
+    ) -> None:
+        super().__init__()
+        self.exposure = check_exposure(exposure)
+        self.transform = transform or own_preprocessing(model, default_transform)
+        self.model = model
+        self.noise = None if smoothing is None else PictureNoise.create(smoothing)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the value of an ``(H, W, 3)`` image, a 0-d tensor, or its vector of values."""
+        return self.of_batch(image[None])[0] if self.noise is None else self.noise.mean(self.of_batch, image)
+
+    @abstractmethod
+    def of_batch(self, images: torch.Tensor) -> torch.Tensor:
+        """Return the values of images ``(N, H, W, 3)`` without smoothing."""
+
+    @property
+    def n_draws(self) -> int:
+        """Number of draws of noise over which the value is averaged, 0 without smoothing."""
+        return 0 if self.noise is None else self.noise.n
+
+    def with_draws(self: M, draws: Mapping[int, int]) -> M:
+        """Return the same metric with other draws of noise: a number of them for each seed, rounded up to even."""
+        other = copy.copy(self)
+        other.noise = None if self.noise is None else self.noise.with_draws(draws)
+        return other
+
+    def pictures(self, images: torch.Tensor) -> torch.Tensor:
+        """Return what the network gets for images ``(N, H, W, 3)``."""
+        return self.transform(srgb_picture(images, self.exposure))
+
+    def output(self, images: torch.Tensor) -> Any:
+        """Return what the network returns for images ``(N, H, W, 3)``."""
+        return run_frozen(self.model, self.pictures(images))
+
+    def named_measure(self, name: str, **details: Any) -> Measure:
+        """Return a measure with this name, which says whether it is smoothed."""
+        measure = Measure(name, **details)
+        return measure if self.noise is None else smoothed_measure(measure)
+
+    def settings(self) -> str:
+        """Return the settings of every network metric for ``extra_repr``."""
+        smoothing = "" if self.noise is None else f", smoothing={self.noise.sigma:g}"
+        return f"exposure={self.exposure:g}{smoothing}"
