@@ -320,29 +320,26 @@ def filters(options: argparse.Namespace) -> None:
     long = torch.stack(
         [
             effects(
-                reference.attribute(seed=10_000 + seed, spp=4 * spp, picture_spp=16 * picture, denoise=False)
+                reference.attribute(
+                    seed=10_000 + seed, spp=4 * spp, picture_spp=LONGER * picture, denoise=False
+                )
             )
             for seed in range(REFERENCE_RUNS)
         ]
     )
     truth = long.mean(0)
     own = float((long.var(0).sum() / len(long)).sqrt() / truth.norm())
-    print(f"the plain logit of pictures with {16 * picture} spp is known to {100 * own:.0f} %", flush=True)
+    print(
+        f"the plain logit of pictures with {LONGER * picture} spp is known to {100 * own:.0f} %", flush=True
+    )
     candidates: list[tuple[str, torch.nn.Module]] = [("plain", plain)]
-    candidates += [(f"smoothing {s:g}", metrics.Smoothed(plain, s)) for s in (0.05, 0.1, 0.2, 0.3, 0.6)]
-    for radius in (1, 2, 4):
-        candidates += [
-            (
-                f"filter {2 * radius + 1}×{2 * radius + 1}, width {width:g}",
-                Filtered(plain, renderer, radius, width),
-            )
-            for width in (0.05, 0.3)
-        ]
-    for radius in (1, 2):
-        filtered = Filtered(plain, renderer, radius, 0.05)
-        candidates.append(
-            (f"filter {2 * radius + 1}×{2 * radius + 1}, smoothing 0.3", metrics.Smoothed(filtered, 0.3))
-        )
+    candidates += [(f"smoothing {s:g}", metrics.Smoothed(plain, s)) for s in (0.1, 0.2, 0.3, 0.6)]
+    for radius, width in ((1, 0.05), (2, 0.05), (2, 0.3), (4, 0.05)):
+        side = 2 * radius + 1
+        filtered = Filtered(plain, renderer, radius, width)
+        candidates.append((f"filter {side}×{side}, width {width:g}", filtered))
+    both = metrics.Smoothed(Filtered(plain, renderer, 2, 0.05), 0.1)
+    candidates.append(("filter 5×5, width 0.05, and smoothing 0.1", both))
     for name, metric in candidates:
         gradient = VanillaSceneGradient(renderer, metric)
 

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 from chance import check_error_bars
-from seeds import seeds
+from seeds import seeds, shifted
 from toy import ReplayingToyRenderer
 
 from scenecaptum import IntegratedGradientsScene, VanillaSceneGradient, metrics
@@ -80,3 +80,19 @@ def test_several_points_split_the_draws():
     totals = torch.stack([run["x"].double() for run in runs])
     assert (((totals.mean(0) - truth) / (totals.std(0) / math.sqrt(len(runs)))).abs() < 4).all()
     check_error_bars(totals, torch.stack([run.standard_error["x"].double() for run in runs]))
+
+
+def test_large_errors_come_with_the_advice_of_the_metric():
+    def advised(image: torch.Tensor) -> torch.Tensor:
+        return squares(image)
+
+    advised.advice = "ask in another way"  # type: ignore[attr-defined]
+    for noise, is_told in ((5.0, True), (0.001, False)):
+        found = VanillaSceneGradient(ReplayingToyRenderer(noise), advised).attribute(seed=shifted(0), spp=16)
+        assert ("ask in another way" in str(found)) is is_told
+
+
+def test_a_network_advises_smoothing_until_it_is_smoothed():
+    network = metrics.ShapeClassifier.pretrained()
+    assert "smoothing=0.3" in (metrics.ClassLogit(network, "cube").advice or "")
+    assert metrics.ClassLogit(network, "cube", smoothing=0.3).advice is None

@@ -84,6 +84,7 @@ class TargetedMetric:
             "metric": self.name,
             "measure": None if self.measure is None else self.measure.describe(),
             "verdict": self.verdict(value, image),
+            "advice": getattr(self.metric, "advice", None),
         }
 
     @property

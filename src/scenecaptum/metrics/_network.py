@@ -60,6 +60,15 @@ class NetworkMetric(torch.nn.Module, ABC):
         other.noise = None if self.noise is None else self.noise.with_draws(draws)
         return other
 
+    @property
+    def advice(self) -> str | None:
+        """What helps if the errors of an attribution are large."""
+        if self.noise is not None:
+            return None
+        return (
+            "the gradient of a network at a noisy image is rough; smoothing=0.3 gives one with smaller errors"
+        )
+
     def pictures(self, images: torch.Tensor) -> torch.Tensor:
         """Return what the network gets for images ``(N, H, W, 3)``."""
         return self.transform(srgb_picture(images, self.exposure))

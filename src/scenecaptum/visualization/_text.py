@@ -11,6 +11,7 @@ from ._layout import group_by_text
 from ._numbers import format_with_error, rounded, shorten, with_error
 
 _MAX_CAUTIONS = 5
+_LARGE_ERROR = 0.3  # of the norm of all effects
 _ROUNDING = 1e-6  # relative to the explained difference
 METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
 
@@ -88,7 +89,7 @@ def sampling_notes(attribution: Attribution) -> list[str]:
     picture = attribution.info.get("picture") or {}
     if picture.get("denoised"):
         notes.append("denoised image" + ("" if picture.get("spp") is None else f" of {picture['spp']} spp"))
-    notes += noise_notes(attribution)
+    notes += noise_notes(attribution) + _advice(attribution)
     if attribution.covariance is None:
         notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
     return notes
@@ -98,6 +99,15 @@ def noise_notes(attribution: Attribution) -> list[str]:
     """Return a caution if the metric image is too noisy for the metric."""
     caution = (attribution.info.get("picture") or {}).get("caution")
     return [f"caution: {caution}"] if caution else []
+
+
+def _advice(attribution: Attribution) -> list[str]:
+    """Return what the metric advises against large errors, if the effects have them."""
+    advice, errors = attribution.info.get("advice"), attribution.saliency_error()
+    if not advice or not errors:
+        return []
+    are_large = math.hypot(*errors.values()) > _LARGE_ERROR * math.hypot(*attribution.saliency().values())
+    return [str(advice)] if are_large else []
 
 
 def convergence_notes(attribution: Attribution) -> list[str]:
