@@ -34,6 +34,8 @@ from scenecaptum.tradeoff._statistics import Bias, relative_bias
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
 DEPTH, SPP, REPLICATES = 6, 64, 4
 SAMPLES, DEPTHS, LONGEST = (16, 64, 256), (2, 4, 6), 12
+LOGIT = "smoothed class logit"
+PICTURES = 20  # samples of the picture for each sample of a backward pass, for the logit; the default ratio
 BEGIN, END = "<!-- ranking stability: begin -->", "<!-- ranking stability: end -->"
 
 # Bias from a noisy image: resolution, samples per pixel, and runs of each.
@@ -65,12 +67,13 @@ def load(scene: str, width: int) -> tuple[SceneRenderer, dict[str, Metric]]:
     return renderer, {
         "mean luminance": metrics.MeanLuminance(),
         "UGR": metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5),
-        "class logit": sphere_logit(0.4 / mean),
+        LOGIT: sphere_logit(0.4 / mean),
     }
 
 
 def sphere_logit(exposure: float) -> Metric:
-    return metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "sphere", exposure=exposure)
+    network = metrics.ShapeClassifier.pretrained()
+    return metrics.ClassLogit(network, "sphere", exposure=exposure, smoothing=0.3)
 
 
 # ------------------------------------------------------------------------------------------------ the three tables
@@ -78,12 +81,13 @@ def sphere_logit(exposure: float) -> Metric:
 
 def by_samples(room: str, scene: str, name: str, options: argparse.Namespace) -> list[Row]:
     renderer, chosen = load(scene, options.width)
-    settings = [setting(renderer, spp) for spp in SAMPLES]
+    pictures = PICTURES if name == LOGIT else 1
+    settings = [setting(renderer, spp, pictures=pictures) for spp in SAMPLES]
     best = setting(renderer, options.reference, replicates=4 * REPLICATES)
     rows, reference = compare(renderer, chosen[name], settings, best, options.runs)
     known = f"{100 * reference.relative_error:.1f} %, {reference.kendall_of_halves:.2f}"
     return [
-        [room, name, str(row.setting.primal_spp), *agreement(row), known if row is rows[0] else ""]
+        [room, name, str(row.setting.gradient_spp), *agreement(row), known if row is rows[0] else ""]
         for row in rows
     ]
 
@@ -109,11 +113,20 @@ def compare(
 
 
 def setting(
-    renderer: SceneRenderer, spp: int, *, depth: int | None = None, replicates: int = REPLICATES
+    renderer: SceneRenderer,
+    spp: int,
+    *,
+    depth: int | None = None,
+    replicates: int = REPLICATES,
+    pictures: int = 1,
 ) -> Setting:
     own = own_setting(renderer)
     return dataclasses.replace(
-        own, primal_spp=spp, gradient_spp=spp, replicates=replicates, max_depth=depth or own.max_depth
+        own,
+        primal_spp=pictures * spp,
+        gradient_spp=spp,
+        replicates=replicates,
+        max_depth=depth or own.max_depth,
     )
 
 
@@ -164,7 +177,7 @@ def noisy_metrics() -> dict[str, Metric]:
         "share of pixels over 0.15, a sigmoid": lambda image: torch.sigmoid(
             (metrics.luminance(image) - 0.15) / 0.03
         ).mean(),
-        "class logit (network)": sphere_logit(1.0),
+        "smoothed class logit (network)": sphere_logit(1.0),
     }
 
 
@@ -198,7 +211,8 @@ def document(found: dict[str, list[Row]], options: argparse.Namespace) -> str:
         (
             f"**Samples**, at depth {DEPTH}, in rooms at {size}, against an independent reference of "
             f"{options.reference} spp: all differentiable parameters of materials, {options.runs} runs of each "
-            f"setting with {REPLICATES} replicates.",
+            f"setting with {REPLICATES} replicates. The picture of the logit has {PICTURES} times the samples, "
+            "the default for smoothed metrics.",
             ["room", "metric", "spp", *agreements, "reference"],
             samples,
         ),
@@ -224,7 +238,7 @@ def cases(options: argparse.Namespace) -> dict[str, Callable[[], list[Row]]]:
     """Return the measurements by name, room by room."""
     found: dict[str, Callable[[], list[Row]]] = {}
     for room, scene in rooms().items():
-        for name in ("mean luminance", "UGR", "class logit"):
+        for name in ("mean luminance", "UGR", LOGIT):
             found[f"samples {room} {name}"] = partial(by_samples, room, scene, name, options)
         found[f"depth {room}"] = partial(by_depth, room, scene, options)
     return found | {f"noisy {name}": partial(noisy, name) for name in noisy_metrics()}

@@ -77,7 +77,13 @@ def traded() -> tradeoff.Tradeoff:
     one, bias = tradeoff.Estimate(0.9, 0.01), tradeoff.Bias(0.0, 0.01, 0.1)
     rows = [
         tradeoff.Measured(
-            varied, tradeoff.Setting(spp, spp), spp / 16, tradeoff.Estimate(1 / spp, 0.01), bias, *4 * [one]
+            varied,
+            tradeoff.Setting(spp, spp),
+            spp / 16,
+            tradeoff.Estimate(1 / spp, 0.01),
+            0.5 / spp,
+            bias,
+            *4 * [one],
         )
         for varied, spp in (("", 16), ("spp", 64))
     ]
