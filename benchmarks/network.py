@@ -315,7 +315,7 @@ class Filtered(torch.nn.Module):
 def filters(options: argparse.Namespace) -> None:
     """Print bias and spread of smoothing and of filters, with the same samples."""
     renderer, plain = office(options), plain_logit()
-    spp, picture = renderer.spp, 20 * renderer.spp
+    spp, picture = renderer.spp, 16 * renderer.spp
     reference = VanillaSceneGradient(renderer, plain)
     long = torch.stack(
         [

@@ -35,7 +35,7 @@ SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "
 DEPTH, SPP, REPLICATES = 6, 64, 4
 SAMPLES, DEPTHS, LONGEST = (16, 64, 256), (2, 4, 6), 12
 LOGIT = "smoothed class logit"
-PICTURES = 20  # samples of the picture for each sample of a backward pass, for the logit; the default ratio
+PICTURES = 16  # samples of the picture for each sample of a backward pass, for the logit; the default ratio
 BEGIN, END = "<!-- ranking stability: begin -->", "<!-- ranking stability: end -->"
 
 # Bias from a noisy image: resolution, samples per pixel, and runs of each.

@@ -78,7 +78,7 @@ class VanillaSceneGradient(GradientMethod):
             as many again, with their own seeds. With a goal, the samples of the first round.
         picture_spp
             Samples per pixel of the metric image, for non-linear metrics. By default twice ``spp``, four times
-            if the image is denoised, and 20 times for a smoothed metric, because they are cheaper than those of a
+            if the image is denoised, and 16 times for a smoothed metric, because they are cheaper than those of a
             backward pass. With a goal, those of the first round; later rounds use the same ratio. With a time
             limit, a small pilot chooses the ratio for a smoothed metric, and the number of draws.
         replicates

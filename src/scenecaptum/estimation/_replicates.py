@@ -23,7 +23,7 @@ DEFAULT_REPLICATES = 8
 PICTURE_RATIO = 2.0
 NOISY_PICTURE_RATIO = 4.0
 # The gradient of a network still depends strongly on the picture, measured by benchmarks/network.py.
-SMOOTHED_PICTURE_RATIO = 20.0
+SMOOTHED_PICTURE_RATIO = 16.0
 
 
 # Elements of a texture that are processed at once: few enough for the processor's cache, and for torch not to
