@@ -22,6 +22,7 @@ SHORTCUT = "desk_lamp.emitter.radiance.value"
 WARM = torch.tensor([1.5, 0.95, 0.4])  # the luminance of white
 RESOLUTION = 32
 EXPOSED = 0.25
+GRAIN = 0.3
 HELD_OUT = 1_000_000
 ATTRIBUTED = 2_000_000
 
@@ -33,10 +34,10 @@ def random_room(kind: str, rng: np.random.Generator) -> Plugin:
     transform = mi.ScalarTransform4f
     bearing, height, distance = rng.uniform(-0.4, 0.4), rng.uniform(0.8, 2.0), rng.uniform(3.6, 4.6)
     origin = [distance * np.sin(bearing), -distance * np.cos(bearing), height]
-    half = rng.uniform(0.6, 0.85) * (1.15 if kind == "sphere" else 1.0)
+    half = rng.uniform(0.35, 0.5) * (1.15 if kind == "sphere" else 1.0)
     middle = [rng.uniform(-0.25, 0.25), rng.uniform(-0.25, 0.25), half - 1]
     place = transform().translate(middle).rotate([0, 0, 1], rng.uniform(0, 90)).scale(half)
-    rug = transform().translate([0, 0, -0.99]).rotate([0, 0, 1], rng.uniform(0, 90)).scale(1.3)
+    rug = transform().translate([0, 0, -0.99]).rotate([0, 0, 1], rng.uniform(0, 90)).scale(0.9)
     wall = transform().translate([0, rng.uniform(1.8, 3.0), 0]).rotate([1, 0, 0], 90).scale(8)
     return {
         "type": "scene",
@@ -45,7 +46,7 @@ def random_room(kind: str, rng: np.random.Generator) -> Plugin:
             "type": "perspective",
             "fov": 40,
             "to_world": transform().look_at(
-                origin=origin, target=rng.uniform(-0.2, 0.2, size=3).tolist(), up=[0, 0, 1]
+                origin=origin, target=[*rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.8, -0.3)], up=[0, 0, 1]
             ),
             "film": {
                 "type": "hdrfilm",
@@ -57,29 +58,30 @@ def random_room(kind: str, rng: np.random.Generator) -> Plugin:
             },
             "sampler": {"type": "independent", "sample_count": 32},
         },
-        "object": {"type": kind, "to_world": place, "bsdf": _paint(rng, 0.2, 0.8)},
-        "rug": {"type": "rectangle", "to_world": rug, "bsdf": _paint(rng, 0.1, 0.7)},
+        "object": {"type": kind, "to_world": place, "bsdf": _paint(rng)},
+        "rug": {"type": "rectangle", "to_world": rug, "bsdf": _paint(rng)},
         "floor": {
             "type": "rectangle",
             "to_world": transform().translate([0, 0, -1]).scale(8),
-            "bsdf": _paint(rng, 0.1, 0.7),
+            "bsdf": _paint(rng),
         },
-        "wall": {"type": "rectangle", "to_world": wall, "bsdf": _paint(rng, 0.1, 0.7)},
+        "wall": {"type": "rectangle", "to_world": wall, "bsdf": _paint(rng)},
         "desk_lamp": _lamp([-2.4, -1.2, 0.6], 0.25),
         "ceiling_lamp": _lamp([0.3, -0.5, 4.0], 0.8),
         "window": _lamp([4.5, -1.5, 1.5], 1.5),
     }
 
 
-def _paint(rng: np.random.Generator, low: float, high: float) -> Plugin:
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": rng.uniform(low, high, 3).tolist()}}
+def _paint(rng: np.random.Generator) -> Plugin:
+    value = rng.uniform(0.2, 0.7) * rng.uniform(0.9, 1.1, 3)
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": value.tolist()}}
 
 
 def _lamp(origin: list[float], half: float) -> Plugin:
     """Return a square that faces the object and reflects nothing."""
     import mitsuba as mi
 
-    place = mi.ScalarTransform4f().look_at(origin=origin, target=[0, 0, -0.3], up=[0.1, 0.2, 1])
+    place = mi.ScalarTransform4f().look_at(origin=origin, target=[0, 0, -0.6], up=[0.1, 0.2, 1])
     black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0] * 3}}
     return {"type": "rectangle", "to_world": place.scale(half), "bsdf": black}
 
@@ -132,7 +134,8 @@ class Rooms(NamedTuple):
         power = 2 ** uniform(-1, 1, n, len(LAMPS), 1)
         pictures = (self.by_lamp * (power * tint)[:, :, None, None]).sum(1)
         exposure = EXPOSED * 2 ** uniform(-0.6, 0.6, n, 1, 1, 1)
-        return pictures * exposure / pictures.mean((1, 2, 3), keepdim=True)
+        grain = GRAIN * torch.randn(pictures.shape[:3], generator=generator)[..., None]
+        return pictures * grain.exp() * exposure / pictures.mean((1, 2, 3), keepdim=True)
 
 
 def train(rooms: Rooms, shortcut: float, *, epochs: int, seed: int) -> metrics.ShapeClassifier:
@@ -176,12 +179,13 @@ def attribute(network, *, seed, spp=512):
 
 if __name__ == "__main__":
     import sys
+    torch.set_num_threads(1)
     n, epochs, trainings, first = map(int, sys.argv[1:5])
     t = time.time()
     rooms = Rooms.render(0, n)
     held = Rooms.render(HELD_OUT, 400)
     print(rooms.by_lamp.mean((0, 2, 3, 4)), f"render {time.time()-t:.0f} s", flush=True)
-    torch.save((rooms, held), f"/tmp/w/rooms{n}.pt")
+    torch.save([tuple(rooms), tuple(held)], f"/tmp/w/rooms{n}.pt")
     for seed in range(first, first + trainings):
         for shortcut in (1.0, 0.0):
             t = time.time()
