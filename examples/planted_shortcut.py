@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -261,8 +260,7 @@ def half_width(attribution: SceneAttribution, error: float) -> float:
     return error * student_t(0.95, info.get("degrees_of_freedom", info["replicates"] - 1))
 
 
-@dataclass(frozen=True)
-class Training:
+class Training(NamedTuple):
     """A trained network: its accuracy on held-out rooms, and what moves its decision."""
 
     seed: int
