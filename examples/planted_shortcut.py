@@ -294,7 +294,9 @@ class Training(NamedTuple):
         )
 
 
-def run(rooms: Rooms, held_out: Rooms, *, seed: int, shortcut: bool, epochs: int, spp: int) -> Training:
+def run(
+    rooms: Rooms, held_out: Rooms, *, seed: int, shortcut: bool, epochs: int, spp: int, steps: int
+) -> Training:
     """Train a network, and attribute its decision in a room of its own."""
     network = train(rooms, shortcut=shortcut, epochs=epochs, seed=seed)
     renderer, grey_room = cube_under_a_warm_lamp(seed, spp)
@@ -307,7 +309,7 @@ def run(rooms: Rooms, held_out: Rooms, *, seed: int, shortcut: bool, epochs: int
         shortcut,
         accuracy(network, held_out, shortcut=True, seed=seed),
         accuracy(network, held_out, shortcut=False, seed=seed),
-        method.attribute(baselines=grey_room, n_steps=16, seed=seed),
+        method.attribute(baselines=grey_room, n_steps=steps, seed=seed),
         Finding.of(gradient).rank,
         renderer(grey_room, seed=seed),
     )
@@ -334,9 +336,9 @@ def plot_pictures(rooms: Rooms, pair: tuple[Training, Training], columns: int = 
     for label, (name, image) in enumerate(ends.items()):
         shown = pictures[rooms.labels == label][:columns]
         for ax, picture in zip(axes[label], shown, strict=False):
-            ax.imshow(picture)
+            ax.imshow(picture.numpy())
         axes[label, 0].set_ylabel(CLASSES[label], fontsize=11)
-        axes[label, -1].imshow(srgb(image * EXPOSED / image.mean()))
+        axes[label, -1].imshow(srgb(image * EXPOSED / image.mean()).numpy())
         axes[label, -1].set_title(name, fontsize=9)
     for ax in axes.flat:
         ax.set(xticks=[], yticks=[])
@@ -429,13 +431,24 @@ def main(
     rooms: int = 1600,
     epochs: int = 25,
     spp: int = 1024,
+    steps: int = 16,
 ) -> list[Training]:
     training_rooms, held_out = Rooms.render(0, rooms), Rooms.render(HELD_OUT, max(40, rooms // 4))
     print(HEADER)
     done = []
     for seed in range(first_seed, first_seed + trainings):
         for shortcut in (True, False):
-            done.append(run(training_rooms, held_out, seed=seed, shortcut=shortcut, epochs=epochs, spp=spp))
+            done.append(
+                run(
+                    training_rooms,
+                    held_out,
+                    seed=seed,
+                    shortcut=shortcut,
+                    epochs=epochs,
+                    spp=spp,
+                    steps=steps,
+                )
+            )
             print(done[-1], flush=True)
     print("\nThe lamp is first, and its 95 % interval leaves out 0:")
     for shortcut in (True, False):

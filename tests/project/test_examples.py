@@ -97,7 +97,7 @@ def test_a_planted_shortcut_is_found(
     mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], single_thread: None
 ) -> None:
     planted, clean = load("planted_shortcut").main(
-        tmp_path / "new", trainings=1, first_seed=shifted(0), rooms=160, epochs=20, spp=256
+        tmp_path / "new", trainings=1, first_seed=shifted(0), rooms=120, epochs=24, spp=256, steps=8
     )
     assert planted.shortcut
     assert not clean.shortcut
