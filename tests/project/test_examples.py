@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+import torch
 from chance import allowed
+from seeds import shifted
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZE = (32, 18)
@@ -79,3 +82,27 @@ def test_the_scene_attribution_competes_with_pixels(
     printed = capsys.readouterr().out
     assert "of 29 parameters belong to no visible object" in printed
     assert "lead over it" in printed
+
+
+@pytest.fixture
+def single_thread() -> Iterator[None]:
+    """Threads of a network this small mostly wait for each other."""
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(count)
+
+
+def test_a_planted_shortcut_is_found(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], single_thread: None
+) -> None:
+    planted, clean = load("planted_shortcut").main(
+        tmp_path / "new", trainings=1, first_seed=shifted(0), rooms=120, epochs=24, spp=256, steps=8
+    )
+    assert planted.shortcut
+    assert not clean.shortcut
+    assert planted.accuracy_with > planted.accuracy_without + 0.1, "it has learned the shortcut"
+    assert planted.finding.is_first_and_clear, planted.attribution
+    assert abs(clean.finding.effect) < planted.finding.effect / 3, clean.attribution
+    assert "1 of 1 with the shortcut" in capsys.readouterr().out
+    assert (tmp_path / "new" / "trainings.png").is_file()
