@@ -9,7 +9,7 @@ import torch
 from networks import UNCHANGED, WHITE, gradient, logits_of, ordinary, small_network
 
 from scenecaptum import SceneCaptumError
-from scenecaptum.metrics import ClassLogit, ClassProbability
+from scenecaptum.metrics import ClassLogit, ClassProbability, Smoothed
 
 VALUES = [1.0, 4.0, 2.5]
 
@@ -126,6 +126,6 @@ def test_a_smoothed_probability_is_the_mean_of_probabilities():
     smoothed = ClassProbability(small_network(), 1, UNCHANGED, smoothing=0.3)
     plain = ClassProbability(small_network(), 1, UNCHANGED)
     torch.testing.assert_close(smoothed(image), smoothed.noise.mean(plain.of_batch, image))
-    assert smoothed.n_draws == 64
+    assert smoothed.n_draws == Smoothed(torch.mean).n_draws
     assert smoothed.measure.name == "smoothed probability of class 1"
     assert torch.autograd.gradcheck(smoothed, (ordinary(4, 5).requires_grad_(),), fast_mode=True)
