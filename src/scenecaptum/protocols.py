@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
@@ -79,6 +79,11 @@ class Capabilities:
         "The interval of each input over which effects are compared; by default its bounds."
     )
     labels = _Offer[Mapping[str, str]]("Readable names of the inputs.")
+    step_changes = _Offer[Callable[..., dict[str, torch.Tensor]]](
+        "Changes of the gradients of poses if the steps of their differences are doubled."
+    )
+    touching = _Offer[Callable[[str], list[str]]]("The objects near to one that a pose moves.")
+    vectors = _Offer[Collection[str]]("The inputs that are vectors in space, compared by their lengths.")
     info = _Offer[Mapping[str, Any]]("How it renders, for the ``info`` of results.")
     name = _Offer[str]("The name of the scene.")
     spp = _Offer[int]("Samples per pixel where none are asked for.")

@@ -15,12 +15,13 @@ import torch
 from ..errors import SceneCaptumError
 from ..estimation import Adjoints, GradientSum, scaled
 from ..projection import SurfaceMap
-from ..protocols import Capabilities, Renderer, Scale
+from ..protocols import Capabilities, Renderer, ResultKind, Scale
 from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
 from ._ranges import extents
+from ._steps import StepErrors, step_errors
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
 
@@ -42,8 +43,8 @@ class SceneAttribution(AttributionData):
         Standard errors of the same shapes, or None with fewer than two replicates. They combine the standard error
         over the replicates with ``bias`` and ``quadrature_error``.
     bias
-        Estimated first-order bias of each gradient, due to the noise of the metric image (for non-linear metrics)
-        and to its denoising. None with fewer than two replicates.
+        Estimated first-order bias of each gradient, due to the noise of the metric image (for non-linear metrics),
+        to its denoising, and to the steps of the finite differences of poses. None with fewer than two replicates.
     quadrature_error
         For path integrals, a ``(C,)`` tensor for each parameter: the quadrature error of its channel totals,
         estimated from the same points. None for other methods.
@@ -289,9 +290,17 @@ def make_attribution(
     bias = (
         None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
+    steps = StepErrors()
+    if has_errors and bias is not None and info.get("spp") and info.get("quantity") == ResultKind.GRADIENT:
+        adjoint = torch.stack(adjoints.per_replicate).mean(0)
+        mean = {name: scaled(value, scale) for name, value in gradients.mean.items()}
+        steps = step_errors(renderer, mean, values, adjoint, info["spp"], info["seed"])
+        bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
-        standard_error={n: _error(gradients, n) for n in names} if has_errors else None,
+        standard_error={n: _error(gradients, n, None if bias is None else bias[n]) for n in names}
+        if has_errors
+        else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
         bias=bias,
@@ -308,6 +317,8 @@ def make_attribution(
             "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
             "seen_through": seen_through(renderer, surfaces, names),
+            "jumps": steps.jumps,
+            "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **(Capabilities(renderer).info or {}),
             "versions": versions(),
@@ -342,12 +353,10 @@ def seen_through(renderer: Renderer, surfaces: SurfaceMap | None, names: Iterabl
     return [] if behind is None else sorted(hidden & behind.visible_parameters())
 
 
-def _error(gradients: GradientSum, name: str) -> torch.Tensor:
-    """Return the elementwise standard error, including the bias."""
-    error = gradients.error(name)
-    if gradients.bias is not None and gradients.bias[name].any():
-        error = error.hypot(gradients.bias[name])
-    return scaled(error, 1 / gradients.weight)
+def _error(gradients: GradientSum, name: str, bias: torch.Tensor | None) -> torch.Tensor:
+    """Return the elementwise standard error of a gradient, including its bias."""
+    error = scaled(gradients.error(name), 1 / gradients.weight)
+    return error if bias is None or not bias.any() else error.hypot(bias)
 
 
 def versions() -> dict[str, str]:

@@ -15,6 +15,8 @@ from ..protocols import ResultKind, Scale
 
 Tensors = Mapping[str, torch.Tensor]
 
+CLEARLY_TURNED = 3.0  # standard errors from which the direction of a vector is known
+
 _MAX_NUMBERS = 16  # of a value in a summary: a 4 × 4 transform
 
 
@@ -129,16 +131,29 @@ class AttributionData(Mapping[str, torch.Tensor]):
             return {name: self.extents[name] for name in self}
         return {name: self.parameter_values[name].reshape(-1) for name in self}
 
+    def weights(self, scale: Scale | None = None) -> dict[str, torch.Tensor]:
+        """Return a ``(C,)`` tensor for each parameter: its effect is the sum of its channels times these.
+
+        They are the ``factors``, and of a vector in space those in the direction of its largest effect.
+        """
+        factors = self.factors(scale)
+        for name in self.vectors & factors.keys():
+            factors[name] = factors[name] * _direction(channel_totals(self[name]) * factors[name])
+        return factors
+
     def effects(self, scale: Scale | None = None) -> dict[str, float]:
         """Return the signed effect of each parameter in the metric's unit: one number, all channels together.
 
         To first order, ``scale="range"`` is the change of the metric over the parameter's range (for a radiance
         from off to its value), ``"value"`` that per relative change of its value, and ``"unit"`` that per unit.
-        A texture changes by the same amount in all texels.
+        A texture changes by the same amount in all texels. A vector in space (a translation, a rotation) changes
+        in the direction with the largest effect, which is positive.
         """
         factors = self.factors(scale)
         return {
-            name: (channel_totals(value).double() @ factors[name].double()).item()
+            name: self._length(name, factors[name])[0]
+            if name in self.vectors
+            else (channel_totals(value).double() @ factors[name].double()).item()
             for name, value in self.items()
         }
 
@@ -147,7 +162,32 @@ class AttributionData(Mapping[str, torch.Tensor]):
         if self.covariance is None:
             return None
         factors = {name: factor.double() for name, factor in self.factors(scale).items()}
-        return {name: _error_along(factors[name], self.covariance[name]) for name in self}
+        return {
+            name: self._length(name, factors[name])[1]
+            if name in self.vectors
+            else _error_along(factors[name], self.covariance[name])
+            for name in self
+        }
+
+    @property
+    def vectors(self) -> frozenset[str]:
+        """The parameters that are vectors in space."""
+        return frozenset(self.info.get("vectors", ()))
+
+    def _length(self, name: str, factors: torch.Tensor) -> tuple[float, float]:
+        """Return the length of a vector, without what noise adds to it on average, and its standard error.
+
+        Where noise may have turned the vector, the error is that of all directions.
+        """
+        vector = channel_totals(self[name]).double() * factors.double()
+        if self.covariance is None:
+            return vector.norm().item(), 0.0
+        covariance = self.covariance[name].double() * factors.double()[:, None] * factors.double()
+        noise = covariance.diagonal().sum()
+        length = (vector.square().sum() - noise).clamp_min(0).sqrt().item()
+        if length**2 < CLEARLY_TURNED**2 * noise:
+            return length, noise.sqrt().item()
+        return length, _norm_error(vector, covariance)
 
     def saliency(self, scale: Scale | None = None) -> dict[str, float]:
         """Return each parameter's magnitude, by which it is ranked: that of its effect.
@@ -157,7 +197,11 @@ class AttributionData(Mapping[str, torch.Tensor]):
         constant colour.
         """
         if self.ranks_by_norm(scale):
-            return {name: channel_totals(value).double().norm().item() for name, value in self.items()}
+            effects = self.effects(scale)
+            return {
+                name: effects[name] if name in self.vectors else channel_totals(value).double().norm().item()
+                for name, value in self.items()
+            }
         return {name: abs(effect) for name, effect in self.effects(scale).items()}
 
     def saliency_error(self, scale: Scale | None = None) -> dict[str, float] | None:
@@ -167,17 +211,27 @@ class AttributionData(Mapping[str, torch.Tensor]):
         """
         if self.covariance is None or not self.ranks_by_norm(scale):
             return self.effects_error(scale)
-        return {name: _norm_error(channel_totals(self[name]), self.covariance[name]) for name in self}
+        errors = self.effects_error(scale) or {}
+        return {
+            name: errors[name]
+            if name in self.vectors
+            else _norm_error(channel_totals(self[name]), self.covariance[name])
+            for name in self
+        }
 
     def ranks_by_norm(self, scale: Scale | None = None) -> bool:
         """Whether parameters are ranked by the norm over their channels, which have no common unit."""
         return self.kind.is_gradient_per_unit and self.scale_or_default(scale) == "unit"
 
     def ranking(self, top: int | None = None, *, scale: Scale | None = None) -> list[Ranked]:
-        """Return the parameters by descending saliency, all or the first ``top``; scales as for ``effects``."""
+        """Return the parameters by descending saliency, all or the first ``top``; scales as for ``effects``.
+
+        Poses without a derivative, ``info["jumps"]``, are left out.
+        """
         effects, effect_errors = self.effects(scale), self.effects_error(scale)
         saliency, errors = self.saliency(scale), self.saliency_error(scale)
-        order = sorted(self, key=lambda name: -saliency[name])
+        jumps = self.info.get("jumps", {})
+        order = sorted((name for name in self if name not in jumps), key=lambda name: -saliency[name])
         return [
             Ranked(
                 rank=rank,
@@ -243,6 +297,12 @@ def summarize(values: Tensors) -> dict[str, torch.Tensor]:
     """Return small values as they are, means over the texels of textures, and nothing for long vectors."""
     means = {n: v.reshape(-1, v.shape[-1]).mean(0) if v.ndim > 1 else v for n, v in values.items()}
     return {n: value.detach().clone() for n, value in means.items() if 0 < value.numel() <= _MAX_NUMBERS}
+
+
+def _direction(vector: torch.Tensor) -> torch.Tensor:
+    """Return the unit vector of a direction; 0 for no direction."""
+    norm = vector.norm()
+    return vector / norm if norm > 0 else vector
 
 
 def _norm_error(total: torch.Tensor, covariance: torch.Tensor) -> float:

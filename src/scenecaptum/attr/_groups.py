@@ -149,7 +149,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
 
     Gradients are summed over the ranges of the members where these are known: they have no common unit.
     """
-    kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), attribution.factors()
+    kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), attribution.weights()
 
     def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:
         return torch.stack([channel_totals(tensors[name]) @ factors[name] for name in names]).sum()

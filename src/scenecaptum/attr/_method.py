@@ -181,7 +181,7 @@ class Run:
             self.metrics,
             self.transform_selector,
             point,
-            Compared(factors, self.members),
+            Compared(factors, self.members, frozenset(Capabilities(self.renderer).vectors or ())),
             goal,
             dataclasses.replace(self.settings, spp=first_spp),
             against=against,

@@ -121,6 +121,7 @@ class Compared:
         None  # ``(C,)`` of each parameter: an effect is the sum of its channels times these
     )
     members: Mapping[str, tuple[str, ...]] | None = None  # of each group
+    vectors: frozenset[str] = frozenset()  # the parameters whose effect is the length of a vector
 
 
 def assess(
@@ -172,8 +173,10 @@ def totals(
         bias = zeros if gradients.bias is None else scale * channel_totals(gradients.bias[name]).double()
         vectors[name] = (total, deviations, bias)
         if compared.factors is not None:
-            factors = compared.factors[name].double()[:, None]
-            vectors[name] = (total @ factors, deviations @ factors, bias @ factors)
+            factors = compared.factors[name].double()
+            # From channels to effects.
+            change = factors.diag() if name in compared.vectors else factors[:, None]
+            vectors[name] = (total @ change, deviations @ change, bias @ change)
     # 0 means that the pilot has found no path: nothing is known.
     counts = {name: count for name, count in effective_samples.items() if count > 0}
     if compared.members is not None:

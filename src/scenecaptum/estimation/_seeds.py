@@ -33,6 +33,7 @@ class Stream(IntEnum):
     PARAMETER_NOISE = 18
     EXPLANATION = 19
     PILOT = 20
+    STEP_CHANGES = 21
 
 
 def random_generator(seed: int, stream: Stream, *path: int) -> np.random.Generator:

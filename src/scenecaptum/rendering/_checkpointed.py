@@ -45,6 +45,15 @@ class CheckpointedEngine:
         """Return the Jacobian–vector product."""
         return self._take("derivative image", arguments, lambda: (self.engine.jvp(*arguments),))[0]
 
+    def step_changes(self, values: Values, names: Sequence[str], *arguments: Any) -> dict[str, torch.Tensor]:
+        """Return the changes of the gradients of poses with doubled steps."""
+        changes = self._take(
+            "step changes",
+            (values, tuple(names), *arguments),
+            lambda: tuple(self.engine.step_changes(values, names, *arguments).values()),
+        )
+        return dict(zip(names, changes, strict=True))
+
     def _take(
         self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]
     ) -> tuple[torch.Tensor, ...]:

@@ -44,6 +44,8 @@ RELATIVE_STEP = 0.05  # relative to the value, for parameters without a natural 
 # random numbers remove most of its noise.
 DIFFERENCE_SPP_DIVISOR = 4
 
+MOVES = "it moves visibility, which path replay does not differentiate"
+
 # Scale factors of emitters that Mitsuba does not track, each with that of the same emitter's other light. The
 # image is linear in them.
 EMITTER_SCALES = {"sky_scale": "sun_scale", "sun_scale": "sky_scale"}
@@ -58,6 +60,9 @@ class FiniteDifference:
 
     points: tuple[tuple[torch.Tensor, torch.Tensor], ...]  # shift from the value, weight of the image there
     off: tuple[str, ...] = ()  # other parameters that are set to 0 in all of these renders
+    # Whether each element is shifted by itself. The channels of a colour are shifted together, because each
+    # channel of the image depends only on its own.
+    by_element: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,6 +132,8 @@ def low_roughness_names(routes: Routes) -> list[str]:
 
 
 def _finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDifference:
+    if parameter.moves:
+        return pose_difference(parameter, value)
     if parameter.kind == "emitters" and parameter.role in EMITTER_SCALES:
         # Mitsuba divides its samples between sky and sun by brightness: the other would add noise and cost
         # samples.
@@ -138,6 +145,12 @@ def _finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDiffe
         return FiniteDifference(((step, 1 / (2 * step)), (-step, -1 / (2 * step))))
     upwards = value + 2 * step <= high
     return FiniteDifference(_one_sided(torch.where(upwards, step, -step)))
+
+
+def pose_difference(parameter: Parameter, value: torch.Tensor, factor: float = 1.0) -> FiniteDifference:
+    """Return the central difference over the range of a pose, or over ``factor`` times that."""
+    step = torch.full_like(value, factor * (parameter.range.high - parameter.range.low) / 2)
+    return FiniteDifference(((step, 1 / (2 * step)), (-step, -1 / (2 * step))), by_element=True)
 
 
 def _one_sided(h: torch.Tensor) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
@@ -198,6 +211,8 @@ def _sibling(parameter: Parameter, role: str, values: Values) -> torch.Tensor | 
 
 def _reason_against_replay(parameter: Parameter, values: Values) -> str | None:
     """Return why path replay is wrong for a parameter at its value, or None where it is correct."""
+    if parameter.moves:
+        return MOVES
     if len(parameter.shape) > 1:
         return None
     if parameter.plugin == "SmoothDielectric" and parameter.role == "eta":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import operator
 import weakref
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, reduce
 from typing import Any
 
@@ -24,18 +24,21 @@ from ._bridge import evaluate
 from ._chunks import Chunk, chunks
 from ._derivative_routes import (
     DIFFERENCE_SPP_DIVISOR,
+    FiniteDifference,
     Routes,
     derivative_routes,
+    pose_difference,
     replayed_names,
     uncorrected_routes,
 )
+from ._dr_arrays import flat, owned
 from ._frozen import make_kernels
 from ._importance_maps import ImportanceMaps, Maps, ReplayGroup
 from ._live_scene import LiveScene, Values
 from ._moved_materials import MovedParameter, batches, move
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
-from ._state import Snapshot, flat, owned
+from ._state import Snapshot
 from .integrators.light_tracing import LightPaths
 from .integrators.path_differences import MovedMaterials, working_arrays
 
@@ -149,10 +152,7 @@ class Engine:
                 gradients[name] = torch.zeros_like(values[name])
             elif name not in gradients and route.difference is not None:
                 fewer = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
-                quotient = self._difference_quotient(name, routes, values, seed, fewer)
-                product = (adjoint * quotient).sum((0, 1))
-                # Each channel of the image depends only on the same channel of a colour.
-                gradients[name] = product if values[name].ndim else product.sum()
+                gradients[name] = self._difference_vjp(name, route.difference, values, adjoint, seed, fewer)
         return tuple(gradients[name].to(values[name]) for name in tracked)
 
     def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
@@ -166,8 +166,12 @@ class Engine:
         if replayed:
             image = image + self._replay_forward(values, routes, replayed, seed, spp)
         for name in [name for name in routes if name not in replayed]:
-            quotient = self._difference_quotient(name, routes, values, seed, spp)
-            image = image + (quotient * tangents[name]).to(image)
+            difference = routes[name].difference
+            assert difference is not None
+            tangent = tangents[name].reshape(-1) if difference.by_element else tangents[name][None]
+            quotients = self._difference_quotients(name, difference, values, seed, spp)
+            for quotient, element in zip(quotients, tangent, strict=True):
+                image = image + (quotient * element).to(image)
         return image
 
     def _find_routes(self, values: Snapshot, tracked: Iterable[str]) -> Routes:
@@ -182,19 +186,63 @@ class Engine:
             self._latest_routes = values, routes
         return routes
 
-    def _difference_quotient(
-        self, name: str, routes: Routes, values: Snapshot, seed: int, spp: int
+    def _difference_vjp(
+        self,
+        name: str,
+        difference: FiniteDifference,
+        values: Snapshot,
+        adjoint: torch.Tensor,
+        seed: int,
+        spp: int,
     ) -> torch.Tensor:
-        """Return the derivative image per unit of a scalar or colour by a finite difference, float64."""
-        difference = routes[name].difference
-        assert difference is not None
+        """Return the gradient of ``⟨adjoint, image⟩`` by a finite difference."""
+        quotients = self._difference_quotients(name, difference, values, seed, spp)
+        products = [(adjoint * quotient).sum((0, 1)) for quotient in quotients]
+        if difference.by_element:
+            return torch.stack([product.sum() for product in products]).reshape(values[name].shape)
+        # Each channel of the image depends only on the same channel of a colour.
+        return products[0] if values[name].ndim else products[0].sum()
+
+    def step_changes(
+        self, values: Values, names: Iterable[str], adjoint: torch.Tensor, seed: int, spp: int
+    ) -> dict[str, torch.Tensor]:
+        """Return for each pose by how much its gradient changes if the step of its difference is doubled."""
+        values = self._live.snapshot(values)
+        changes = {}
+        for name in names:
+            own, double = (
+                pose_difference(self._parameters[name], values[name], factor) for factor in (1.0, 2.0)
+            )
+            products = [
+                self._difference_vjp(name, difference, values, adjoint, seed, spp)
+                for difference in (own, double)
+            ]
+            changes[name] = products[1] - products[0]
+        return changes
+
+    def _difference_quotients(
+        self, name: str, difference: FiniteDifference, values: Snapshot, seed: int, spp: int
+    ) -> Iterator[torch.Tensor]:
+        """Yield the derivative images per unit by a finite difference, float64.
+
+        There is one for a scalar or colour, or one for each element.
+        """
         value = values[name]
         off = {other: torch.zeros_like(self._live.original[other]) for other in difference.off}
-        quotient: torch.Tensor = _sum(
-            self.primal(values.replace({**off, name: value + shift}), seed, spp).double() * weight
-            for shift, weight in difference.points
+        ones = torch.ones_like(value)
+        units = (
+            torch.eye(value.numel()).reshape(-1, *value.shape).to(value) if difference.by_element else [ones]
         )
-        return quotient
+        for unit in units:
+            moved = [
+                (value + unit * shift, weight.reshape(-1)[0] if difference.by_element else weight)
+                for shift, weight in difference.points
+            ]
+            quotient: torch.Tensor = _sum(
+                self.primal(values.replace({**off, name: point}), seed, spp).double() * weight
+                for point, weight in moved
+            )
+            yield quotient
 
     def _replay_all_pixels(
         self, values: Snapshot, routes: Routes, adjoint: torch.Tensor, seed: int, spp: int

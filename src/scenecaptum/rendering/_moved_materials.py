@@ -15,8 +15,8 @@ import torch
 from ..scene import SceneGraph, SceneParameters, children
 from ..scene.dielectric import SmoothDielectric
 from ._derivative_routes import FiniteDifference
+from ._dr_arrays import owned
 from ._registry import bsdf_index, index_table
-from ._state import owned
 from .integrators.path_differences import MAX_MATERIALS, POINTS, MovedMaterials
 
 # Mitsuba's plugins whose textures are arguments under the names that ``mi.traverse`` reports.
@@ -76,7 +76,7 @@ def movable_materials(
     """
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
     found = {}
-    for name in names:
+    for name in [name for name in names if name in nodes]:
         material, role = graph.role(nodes[name], name.rsplit(".", 1)[-1])
         if parameters[name].shape or not isinstance(material, mi.BSDF) or not can_be_moved(material, role):
             continue

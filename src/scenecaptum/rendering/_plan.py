@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import torch
 from ..backend import activate
 from ..errors import SceneCaptumError
 from ..scene import SceneGraph, SceneParameters
-from ..visualization import STYLE, group_by_text, html_cells, terminal_width, wrap
+from ..visualization import STYLE, group_by_text, html_cells, pluralize, terminal_width, wrap
 from ._derivative_routes import derivative_routes, low_roughness_names
 from ._integrators import INTEGRATORS, IntegratorKind, choose_integrator
 from ._memory import format_bytes
@@ -138,7 +139,7 @@ def make_plan(
         reasons["lights hidden from the camera"] = "as set by the scene's integrator"
     reasons |= _unused_integrator(own)
 
-    left_out = sum(not p.problem for p in parameters.values()) - len(inputs)
+    left_out = sum(not p.problem and not p.moves for n, p in parameters.items() if n not in inputs)
     reasons[f"{len(inputs)} inputs tracked"] = f"{left_out} other differentiable parameters are not tracked"
     routes = derivative_routes(parameters, values, inputs)
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
@@ -148,9 +149,14 @@ def make_plan(
         moved = movable_materials(graph, parameters, dict(differences)) if integrator.path_differences else {}
         if moved:
             reasons[f"{len(moved)} of them by differences of paths"] = "one pass for all together, see below"
-        if count := len(differences) - len(moved):
+        poses = [name for name, _ in differences if parameters[name].moves]
+        if count := len(differences) - len(moved) - len(poses):
             reasons[f"{count} of them by differences of renders"] = (
                 "two or three more renders each, see below"
+            )
+        if count := sum(math.prod(parameters[name].shape) for name in poses):
+            reasons[f"{count} numbers of {pluralize(len(poses), 'pose')} by differences of renders"] = (
+                "two more renders for each number"
             )
     if count := len(low_roughness_names(routes)):
         reasons[f"{count} of them by light tracing"] = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import traceback
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
@@ -20,19 +20,24 @@ from ..finite import NotFiniteError
 from ..projection import SurfaceMap
 from ..scene import (
     OPEN_MARGIN,
+    Objects,
     SceneGraph,
     SceneLike,
     SceneParameters,
     Selection,
     XmlParameters,
+    camera_parameters,
     check_scale,
     choose_ranges,
     discover,
+    find_objects,
     format_parameters,
     hashable_source,
     load_scene,
+    pose_parameters,
     scene_name,
     select,
+    touching,
 )
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
@@ -64,8 +69,8 @@ class SceneRenderer(torch.nn.Module):
         A path to a Mitsuba XML file, the name of a bundled scene, a Mitsuba dict, or an ``mi.Scene``.
     inputs
         The parameters to differentiate: a kind (``"materials"``, ``"reflectance"``, ``"roughness"``, ``"ior"``,
-        ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"all"``), a glob over parameter names, an
-        exact name, or a list of these.
+        ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"poses"``, ``"camera"``, or ``"all"`` but the
+        last two), a glob over parameter names, an exact name, or a list of these.
     resolution
         ``(width, height)`` in pixels; the scene's own by default.
     spp
@@ -80,7 +85,11 @@ class SceneRenderer(torch.nn.Module):
         Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
     ranges
         Intervals ``(low, high)`` over which results compare the effects of parameters, by name, glob or kind, in
-        place of those in ``parameters_table()``: ``{"wall.reflectance.*": (0.3, 0.8)}``.
+        place of those in ``parameters_table()``: ``{"wall.reflectance.*": (0.3, 0.8)}``. The derivative with
+        respect to a pose is a mean over its range.
+    objects
+        Names or globs of shapes that move as one, by the name of the object: ``{"lamp": ["lamp_*", "bulb"]}``.
+        Other shapes are grouped by the first word of their names.
 
     Attributes
     ----------
@@ -116,6 +125,7 @@ class SceneRenderer(torch.nn.Module):
         sensor: int | str | list[int | str] = 0,
         parameters: XmlParameters | None = None,
         ranges: Mapping[str, tuple[float, float]] | None = None,
+        objects: Objects | None = None,
     ) -> None:
         super().__init__()
         with exclusively(_variant_of(scene)) as mi:
@@ -124,8 +134,8 @@ class SceneRenderer(torch.nn.Module):
             self.checkpoint: Checkpoint | None = None
             self._granted_memory = 0  # bytes that were found to be available
             try:
-                size = self._load(scene, parameters, inputs, sensor, resolution, spp)
-                self._ranges = choose_ranges(self._table, self._names, ranges or {})
+                size = self._load(scene, parameters, sensor, resolution, spp)
+                self._find_parameters(inputs, ranges, objects)
                 self._prepare(size, self._plan_for(max_depth))
             except SceneCaptumError as error:
                 # Free the scene now: freed together with the error, it could go while another thread renders.
@@ -137,32 +147,50 @@ class SceneRenderer(torch.nn.Module):
         self,
         scene: SceneLike,
         parameters: XmlParameters | None,
-        inputs: Selection,
         sensor: int | str | list[int | str],
         resolution: tuple[int, int] | None,
         spp: int | None,
     ) -> tuple[int, int]:
-        """Load the scene with its parameters and sensors; return the resolution."""
-        from ._state import SceneState  # which needs an active variant
-
+        """Load the scene with its sensors; return the resolution."""
         self.name = scene_name(scene)
         loaded = load_scene(scene, parameters)
         self._placeholders = format_parameters(parameters)
         self._source = digest((hashable_source(scene), self._placeholders))
         check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
-        self._table = discover(self._graph)
-        self._names = select(self._table, inputs)
         self._stacked = isinstance(sensor, list)
         chosen = sensor if isinstance(sensor, list) else [sensor]
         self._sensors = [choose_sensor(loaded, which, resolution) for which in chosen]
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
-        writable = {name: p for name, p in self._table.items() if not p.problem}
-        shapes = {name: p.shape for name, p in writable.items()}
-        self._state = SceneState(loaded, shapes, [name for name, p in writable.items() if not p.is_used])
-        self._state.enable_lobes([name for name, p in writable.items() if p.plugin.startswith("Principled")])
         return size
+
+    def _find_parameters(
+        self, inputs: Selection, ranges: Mapping[str, tuple[float, float]] | None, objects: Objects | None
+    ) -> None:
+        """List the parameters of the scene and what can be moved, and select the inputs."""
+        from ._poses import Poses, moving_camera, moving_objects  # which need an active variant
+        from ._state import SceneState
+
+        found = find_objects(self._graph, objects)
+        camera = moving_camera(self._sensors)
+        in_scene = discover(self._graph)
+        moving = [*found, camera.object]
+        self._objects = {one.name: one for one in moving}
+        table = SceneParameters(
+            [*in_scene.values(), *pose_parameters(found), *camera_parameters(camera.object)]
+        )
+        self._names = select(table, inputs)
+        self._ranges = choose_ranges(table, self._names, ranges or {})
+        self._table = table.with_ranges(self._ranges)
+        writable = {name: p for name, p in in_scene.items() if not p.problem}
+        self._state = SceneState(
+            self._graph.scene,
+            {name: p.shape for name, p in writable.items()},
+            [name for name, p in writable.items() if not p.is_used],
+            Poses([*moving_objects(self._graph.scene, found), camera]),
+        )
+        self._state.enable_lobes([name for name, p in writable.items() if p.plugin.startswith("Principled")])
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
@@ -271,6 +299,9 @@ class SceneRenderer(torch.nn.Module):
             "depths": (plan.max_depth, plan.rr_depth),
             "hide_emitters": plan.hide_emitters,
             "resolution": self.resolution,
+            "poses": {
+                n: (self._ranges[n], self._table[n].shapes) for n in self._names if self._table[n].moves
+            },
         }
         with self._views[0].live.with_values({}):
             scene = scene_contents(self._graph.scene)
@@ -381,6 +412,11 @@ class SceneRenderer(torch.nn.Module):
     def labels(self) -> dict[str, str]:
         """A readable name for each input."""
         return {name: self._table[name].label for name in self._names}
+
+    @property
+    def vectors(self) -> tuple[str, ...]:
+        """The inputs that are vectors in space: translations and rotations."""
+        return tuple(name for name in self._names if self._table[name].moves and self._table[name].shape)
 
     @property
     def camera(self) -> Camera:
@@ -702,6 +738,45 @@ class SceneRenderer(torch.nn.Module):
             name: variance**2 / fourths[name] if fourths[name] else 0.0
             for name, variance in variances.items()
         }
+
+    def step_changes(
+        self,
+        values: Mapping[str, torch.Tensor],
+        adjoint: torch.Tensor,
+        *,
+        seeds: Sequence[int],
+        spp: int,
+    ) -> dict[str, torch.Tensor]:
+        """Return by how much the gradient of each pose changes if the step of its difference is doubled.
+
+        Parameters
+        ----------
+        values
+            The differentiated parameters and their values.
+        adjoint
+            The derivative of a metric with respect to the image.
+        seeds, spp
+            The seed of each replicate, and the samples per pixel of each.
+
+        Returns
+        -------
+        dict
+            ``(replicates, …)`` tensors by the names of the poses among ``values``, with the shapes of the poses.
+        """
+        names = [name for name in values if self._table[name].moves]
+        engine = self._views[0].engine
+        by_seed = [engine.step_changes(values, names, adjoint, seed, spp) for seed in seeds]
+        return {name: torch.stack([changes[name] for changes in by_seed]) for name in names}
+
+    def touching(self, name: str) -> list[str]:
+        """Return the objects whose bounds touch those of the object that a pose moves, as far as it moves."""
+        parameter = self._table[name]
+        mover = self._objects[parameter.owners[0]]
+        reach = parameter.range.high - parameter.range.low
+        if parameter.role != "translation" and mover.box is not None:
+            # Radians, or parts of the size: at the far end of the object.
+            reach *= float(np.linalg.norm(mover.box[1] - mover.box[0])) / 2
+        return touching(self._objects.values(), mover, reach)
 
     def as_captum(
         self,

@@ -10,6 +10,8 @@ import mitsuba as mi
 import torch
 
 from ..images import LUMINANCE_WEIGHTS
+from ._dr_arrays import flat, owned
+from ._poses import Poses
 
 
 class Snapshot(dict[str, torch.Tensor]):
@@ -29,16 +31,18 @@ class SceneState:
     ``shapes`` are those of the writable parameters in torch. A parameter may be a number here but a colour in the
     scene, where a material uses it as a number: then it reads as the mean of the channels, or as the luminance of
     a bitmap, as in Mitsuba, and is written to all channels. Those in ``unused``, which no image depends on, are
-    never written: a plain number among them would be another literal in the kernels.
+    never written: a plain number among them would be another literal in the kernels. ``poses`` are written by
+    moving their objects.
     """
 
     def __init__(
-        self, scene: Any, shapes: Mapping[str, tuple[int, ...]], unused: Collection[str] = ()
+        self, scene: Any, shapes: Mapping[str, tuple[int, ...]], unused: Collection[str], poses: Poses
     ) -> None:
         self._params = mi.traverse(scene)
         self._params.properties = {n: p for n, p in self._params.properties.items() if n in shapes}
         self._shapes = shapes
         self._unused = frozenset(unused)
+        self._poses = poses
         self._types = {name: type(self._params[name]) for name in shapes}
         self._monochrome = {
             name
@@ -47,7 +51,7 @@ class SceneState:
         }
         self._snapshot: dict[str, Any] = {}
         self.leaves: dict[str, Any] = {}
-        self.original = {name: self._to_torch(name, self._params[name]) for name in shapes}
+        self.original = {name: self._to_torch(name, self._params[name]) for name in shapes} | poses.original
         self._current = dict(self.original)
         self._latest = Snapshot(self.original)
 
@@ -69,7 +73,9 @@ class SceneState:
     def refresh_originals(self) -> None:
         """Read the scene's own values again, because its owner may have changed them."""
         self._snapshot = {name: kind(self._params[name]) for name, kind in self._types.items()}
+        self._poses.remember()
         found = {name: self._to_torch(name, value) for name, value in self._snapshot.items()}
+        found |= self._poses.original
         # Caches are kept as long as this is the same dictionary.
         if any(not torch.equal(value, self.original[name]) for name, value in found.items()):
             self.original = found
@@ -114,6 +120,8 @@ class SceneState:
         for name, array in zip(pending, arrays, strict=True):
             # The scene's value is unknown until the update has succeeded.
             self._current.pop(name, None)
+            if name in self._poses:
+                continue
             value = _from_tensor(self._leaf_type(name), array)
             if name in tracked:
                 dr.enable_grad(value)
@@ -123,6 +131,7 @@ class SceneState:
             self._params[name] = self._in_scene(name, value)
         if pending:
             self._params.update()
+        self._poses.write(pending, {**self.original, **self._current, **pending})
         self._current.update(pending)
         self.leaves = leaves
         self.forget_gradients()
@@ -153,6 +162,8 @@ class SceneState:
             if n in self.leaves or not self._is_current(n, self.original[n])
         }
         self._assign(changed)
+        moved = [name for name in self._poses if not self._is_current(name, self.original[name])]
+        self._poses.write(moved, self.original)
         self._current = dict(self.original)
         self._snapshot = {}
 
@@ -202,27 +213,6 @@ def _equal(left: torch.Tensor, right: torch.Tensor) -> bool:
 
 def _memory(tensor: torch.Tensor) -> tuple[Any, ...]:
     return tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype
-
-
-def flat(value: Any) -> Any:
-    """Return a Dr.Jit scalar, colour or tensor as a tensor of its shape in torch."""
-    if isinstance(value, float):
-        return mi.TensorXf(mi.Float(value), shape=())
-    if dr.is_tensor_v(value):
-        return value
-    if dr.depth_v(value) > 1:
-        return mi.TensorXf(dr.ravel(value), shape=(dr.size_v(value),))
-    width = dr.width(value)
-    return mi.TensorXf(value, shape=() if width == 1 else (width,))
-
-
-def owned(value: Any) -> Any:
-    """Copy into Dr.Jit's own memory, because a frozen function would keep reading borrowed memory."""
-    array = value.array if dr.is_tensor_v(value) else value
-    # Dr.Jit cannot optimize away the addition of an opaque zero.
-    copied = array + dr.opaque(type(array), 0)
-    dr.eval(copied)
-    return type(value)(copied, shape=value.shape) if dr.is_tensor_v(value) else copied
 
 
 def _from_tensor(kind: type, tensor: Any) -> Any:

@@ -62,7 +62,7 @@ def trace_surfaces(
         fraction=np.concatenate([part.fraction for part in parts]),
         objects=objects,
         parameters=_shown_parameters(
-            graph, parameters, [*(below for _, _, below in shapes), graph.background()]
+            graph, parameters, [*((name, below) for name, _, below in shapes), ("", graph.background())]
         ),
         texels={
             texture.name: _concatenated([part.texels[i] for part in parts], offsets)
@@ -231,10 +231,15 @@ def _object_of_shape(shapes: list[Any]) -> Indices:
 
 
 def _shown_parameters(
-    graph: SceneGraph, parameters: SceneParameters, nodes_by_object: list[set[Any]]
+    graph: SceneGraph, parameters: SceneParameters, objects: list[tuple[str, set[Any]]]
 ) -> tuple[tuple[str, ...], ...]:
+    """Return the parameters of each object, given with its name and the nodes that it depends on."""
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
+    poses = {name: p.shapes for name, p in parameters.items() if p.moves and not p.problem}
     return tuple(
-        tuple(name for name, node in nodes.items() if node in below and not parameters[name].problem)
-        for below in nodes_by_object
+        (
+            *(name for name, node in nodes.items() if node in below and not parameters[name].problem),
+            *(name for name, shapes in poses.items() if shape in shapes),
+        )
+        for shape, below in objects
     )

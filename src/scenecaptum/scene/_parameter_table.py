@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,9 @@ from ..visualization import (
 from ._bounds import Bounds
 
 SURFACE_KINDS = ("reflectance", "roughness", "ior", "opacity", "surface")
+POSES, CAMERA = "poses", "camera"
+# Kinds that move something. Each of their numbers takes renders of its own.
+MOVING_KINDS = (POSES, CAMERA)
 
 _COLUMNS = ("name", "kind", "shape", "bounds", "owner", "status")
 _MIN_NAME_WIDTH, _OWNER_WIDTH = 30, 12
@@ -38,12 +42,12 @@ class Parameter:
     Attributes
     ----------
     name
-        Its ``mi.traverse`` key under ``optimize=False``, used everywhere.
+        Its ``mi.traverse`` key under ``optimize=False``, used everywhere; poses have names of their own.
     label
         A readable name for tables and figures.
     kind
         ``"reflectance"``, ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"`` (any other property of a
-        material), ``"emitters"``, ``"media"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
+        material), ``"emitters"``, ``"media"``, ``"poses"``, ``"geometry"``, ``"camera"`` or ``"scene"``.
     plugin
         The Mitsuba class of the material, emitter, medium, shape or sensor that uses it.
     role
@@ -66,6 +70,8 @@ class Parameter:
         Whether any shape uses its material; True for what is not part of a material.
     lobe_weight
         Whether it weighs a lobe that is skipped where the weight is at a bound.
+    shapes
+        The shapes that it moves, for a pose.
     fault
         Why the scene's own value is invalid (not finite or physically impossible), or None.
     problem
@@ -87,9 +93,15 @@ class Parameter:
     specular_inside: bool = False
     is_used: bool = True
     lobe_weight: bool = False
+    shapes: tuple[str, ...] = ()
     fault: str | None = None
     problem: str | None = None
     caution: str | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves an object, a light or the camera, and can be set."""
+        return self.kind in MOVING_KINDS and self.plugin == "Pose"
 
     @property
     def is_texture(self) -> bool:
@@ -109,6 +121,13 @@ class SceneParameters(Mapping[str, Parameter]):
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._by_name = {parameter.name: parameter for parameter in parameters}
+
+    def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> SceneParameters:
+        """Return the parameters with other ranges of some of them."""
+        return SceneParameters(
+            dataclasses.replace(p, range=Bounds(*ranges[p.name])) if p.name in ranges else p
+            for p in self.values()
+        )
 
     def __getitem__(self, name: str) -> Parameter:
         try:

@@ -12,7 +12,19 @@ from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
 
 Selection: TypeAlias = "str | Sequence[str]"
 
-KINDS = ("materials", "reflectance", "roughness", "ior", "opacity", "textures", "emitters", "media", "all")
+KINDS = (
+    "materials",
+    "reflectance",
+    "roughness",
+    "ior",
+    "opacity",
+    "textures",
+    "emitters",
+    "media",
+    "poses",
+    "camera",
+    "all",
+)
 
 
 def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
@@ -23,9 +35,9 @@ def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
     parameters
         The scene's parameters.
     inputs
-        A kind (``"materials"``, ``"reflectance"``, …, ``"all"``), a glob (``"*.reflectance.*"``), an exact
-        name, or a list of these. Kinds and globs skip parameters that cannot be differentiated, and parameters
-        whose values are not finite or physically impossible.
+        A kind (``"materials"``, ``"reflectance"``, …; ``"all"`` leaves out poses and camera), a glob
+        (``"*.reflectance.*"``), an exact name, or a list of these. Kinds and globs skip parameters that cannot be
+        differentiated, and parameters whose values are not finite or physically impossible.
 
     Raises
     ------
@@ -60,7 +72,8 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
 def is_of_kind(parameter: Parameter, kind: str) -> bool:
     """Whether a parameter belongs to a kind of ``inputs``."""
     if kind == "all":
-        return True
+        # Each number of a pose takes renders of its own, so poses are only differentiated on request.
+        return not parameter.moves
     if kind == "materials":
         return parameter.kind in SURFACE_KINDS
     return parameter.is_texture if kind == "textures" else parameter.kind == kind

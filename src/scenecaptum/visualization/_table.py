@@ -16,6 +16,7 @@ from ._text import (
     axis_label,
     caution_groups,
     convergence_notes,
+    jump_notes,
     method_name,
     metric_line,
     pack,
@@ -140,12 +141,20 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         else _effects(attribution, shown),
         _gradients(shown),
     )
-    channels = ": R, G, B" if any(len(row.total) == 3 for row in shown) else ""
+    vectors = attribution.info.get("vectors", ())
+    colors = any(len(row.total) == 3 and row.name not in vectors for row in shown)
+    axes = [
+        *(["R, G, B"] if colors else []),
+        *(["x, y, z"] if any(row.name in vectors for row in shown) else []),
+    ]
+    channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
+    if any(row.name in vectors for row in shown):
+        notes.append("of a translation or rotation in the direction with the largest effect")
     notes += ["Σ totals over the texels, vertices or faces"] if textures else []
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})")
@@ -154,6 +163,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         notes.append(
             f"?  {reason} ({'all parameters' if all_of_them else pluralize(len(names), 'parameter')})"
         )
+    notes += jump_notes(attribution)
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
         heading=[*filter(None, heading), *sampling_notes(attribution), *convergence_notes(attribution)],

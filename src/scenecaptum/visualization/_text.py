@@ -101,6 +101,14 @@ def noise_notes(attribution: Attribution) -> list[str]:
     return [f"caution: {caution}"] if caution else []
 
 
+def jump_notes(attribution: Attribution) -> list[str]:
+    """Return a note on each pose that has no derivative and is not ranked."""
+    return [
+        f"–  {attribution.labels.get(name, name)} is not ranked: {reason}"
+        for name, reason in attribution.info.get("jumps", {}).items()
+    ]
+
+
 def _advice(attribution: Attribution) -> list[str]:
     """Return what the metric advises against large errors, if the effects have them."""
     advice, errors = attribution.info.get("advice"), attribution.saliency_error()

@@ -1,0 +1,76 @@
+"""Errors from the steps of the finite differences of poses, and jumps that have no derivative."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+
+from ..estimation import Stream, derived_seeds
+from ..protocols import Capabilities, Renderer
+
+Tensors = Mapping[str, torch.Tensor]
+
+REPLICATES = 8
+DIFFERENCE_SPP_DIVISOR = 4  # samples of a difference, as in the backward passes of the renderer
+SIGNIFICANT = 4.5  # standard errors: 0.3 % by chance, Student with 7 degrees of freedom
+# A gradient that changes by more than this part of itself where its step is doubled is not near its limit. Across
+# a jump it halves.
+LARGEST_CHANGE = 0.3
+
+
+@dataclass(frozen=True)
+class StepErrors:
+    """What doubling the steps says about the gradients of poses.
+
+    Attributes
+    ----------
+    truncation
+        Estimated errors of the gradients, due to their steps.
+    jumps
+        The poses without a derivative, each with the reason.
+    """
+
+    truncation: dict[str, torch.Tensor] = field(default_factory=dict)
+    jumps: dict[str, str] = field(default_factory=dict)
+
+
+def step_errors(
+    renderer: Renderer, gradients: Tensors, values: Tensors, adjoint: torch.Tensor, spp: int, seed: int
+) -> StepErrors:
+    """Compare the gradients of poses with those at twice the step.
+
+    The mean of a smooth derivative over ``±h`` differs from its value in the middle by ``c h²``, and over ``±2h``
+    by ``4 c h²``: the error is a third of the change. ``adjoint`` and ``gradients`` are those of the result.
+    """
+    measure = Capabilities(renderer).step_changes
+    if measure is None:
+        return StepErrors()
+    seeds = derived_seeds(seed, Stream.STEP_CHANGES, REPLICATES)
+    samples = max(1, math.ceil(spp / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))
+    found = StepErrors()
+    for name, changes in measure(values, adjoint, seeds=seeds, spp=samples).items():
+        change = changes.double().mean(0)
+        noise = changes.double().var(0) / len(changes)
+        found.truncation[name] = ((change.square() - noise).clamp_min(0).sqrt() / 3).to(gradients[name])
+        gradient = gradients[name].double()
+        larger = torch.maximum(gradient.abs(), (gradient + change).abs())
+        is_far = (change.abs() > SIGNIFICANT * noise.sqrt()) & (change.abs() > LARGEST_CHANGE * larger)
+        # What hardly matters beside the other directions does not make the whole pose a jump.
+        is_far &= change.abs() > LARGEST_CHANGE * gradient.norm() / 2
+        if is_far.any():
+            found.jumps[name] = _reason(renderer, name, is_far)
+    return found
+
+
+def _reason(renderer: Renderer, name: str, is_far: torch.Tensor) -> str:
+    axes = (
+        ""
+        if not is_far.ndim
+        else " along " + ", ".join(a for a, far in zip("xyz", is_far.tolist(), strict=True) if far)
+    )
+    near = (Capabilities(renderer).touching or (lambda _: []))(name)
+    cause = f": it touches {', '.join(near[:3])}" if near else ""
+    return f"the effect jumps or bends{axes} within the range{cause}; no derivative"

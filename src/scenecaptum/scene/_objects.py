@@ -1,0 +1,269 @@
+"""What can be moved in a scene: objects of one or more shapes, lights, and the camera."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ..backend import activate
+from ..errors import SceneCaptumError, near_misses
+from ._graph import SceneGraph
+
+Objects: TypeAlias = "Mapping[str, str | Sequence[str]]"
+
+_ALL = ("translation", "rotation", "scale")
+# By class name, what of a light's pose changes its light.
+_LIGHTS = {
+    "PointLight": ("translation",),
+    "SpotLight": ("translation", "rotation"),
+    "Projector": ("translation", "rotation"),
+    "DirectionalEmitter": ("rotation",),
+    "EnvironmentMapEmitter": ("rotation",),
+}
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """Something that moves as a whole.
+
+    Attributes
+    ----------
+    name
+        The first part of the names of its poses: ``"desk"`` of ``"desk.pose.translation"``.
+    shapes
+        The names of its shapes; none for a light without geometry.
+    nodes
+        The Mitsuba objects that move.
+    keys
+        The ``mi.traverse`` names of their positions.
+    components
+        What of its pose changes the picture.
+    box
+        Its bounds, ``(2, 3)``; None where it has none.
+    pivot
+        The point about which it turns and grows: the centre of its bounds, or the place of a light.
+    problem
+        Why it cannot be moved, or None.
+    """
+
+    name: str
+    shapes: tuple[str, ...]
+    nodes: tuple[Any, ...]
+    keys: tuple[str, ...]
+    components: tuple[str, ...]
+    box: npt.NDArray[np.float64] | None
+    pivot: tuple[float, float, float]
+    problem: str | None = None
+
+
+def find_objects(graph: SceneGraph, objects: Objects | None = None) -> list[SceneObject]:
+    """Return what can be moved in a scene, in the order of its shapes, then its lights without geometry.
+
+    ``objects`` are names or globs of shapes by the name of an object. Other shapes are grouped by their names, see
+    ``stems``.
+
+    Raises
+    ------
+    SceneCaptumError
+        If a name in ``objects`` matches no shape, or two objects would share one.
+    """
+    shapes = {name: node for name, node, _ in graph.shapes()}
+    keys = _position_keys(graph)
+    found = [
+        _shape_object(graph, name, {part: shapes[part] for part in parts}, keys)
+        for name, parts in _group(list(shapes), objects or {}).items()
+    ]
+    taken = {one.name for one in found}
+    mi = activate()
+    lights = [one for one in graph.scene.emitters() if not mi.has_flag(one.flags(), mi.EmitterFlags.Surface)]
+    return found + [_light(graph, node, keys, taken) for node in lights]
+
+
+def touching(objects: Iterable[SceneObject], mover: SceneObject, reach: float) -> list[str]:
+    """Return the objects whose bounds come within a distance of those of another, the smallest first."""
+    if mover.box is None:
+        return []
+    low, high = mover.box[0] - reach, mover.box[1] + reach
+    near = [
+        one
+        for one in objects
+        if one.box is not None
+        and one.name != mover.name
+        and (one.box[0] <= high).all()
+        and (one.box[1] >= low).all()
+    ]
+    return [one.name for one in sorted(near, key=_volume)]
+
+
+def _volume(one: SceneObject) -> float:
+    return 0.0 if one.box is None else float(np.prod(one.box[1] - one.box[0]))
+
+
+def stems(names: Iterable[str]) -> dict[str, str]:
+    """Return the object of each shape, from the names of all shapes.
+
+    This is the first word of the name: ``chair_seat`` and ``chair_leg_2`` belong to ``chair``. Shapes with the
+    same first word are divided further where that works for all of them: into ``chair_1`` and ``chair_2`` if all
+    have a number next, and into ``lamp_left`` and ``lamp_right`` if the name of each begins with that of one of
+    them.
+    """
+    by_word: dict[str, list[str]] = {}
+    for name in names:
+        by_word.setdefault(_words(name)[0], []).append(name)
+    return {name: stem for group in by_word.values() for name, stem in _divide(group).items()}
+
+
+def _divide(names: Sequence[str]) -> dict[str, str]:
+    """Return the object of shapes whose names have the same first word."""
+    words = {name: _words(name) for name in names}
+    first = {parts for parts in words.values() if any(_begins(other, parts) for other in words.values())}
+    owners = {
+        name: next((one for one in first if parts == one or _begins(parts, one)), None)
+        for name, parts in words.items()
+    }
+    counts = dict.fromkeys(names, 1)
+    if all(len(parts) > 1 and parts[1].isdigit() for parts in words.values()):
+        counts = dict.fromkeys(names, 2)
+    elif None not in owners.values():
+        counts = {name: len(owner) for name, owner in owners.items() if owner is not None}
+    spelled: dict[tuple[str, ...], str] = {}
+    for name, parts in words.items():
+        spelled.setdefault(parts[: counts[name]], _spelling(name, counts[name]))
+    return {name: spelled[parts[: counts[name]]] for name, parts in words.items()}
+
+
+def _begins(words: tuple[str, ...], beginning: tuple[str, ...]) -> bool:
+    """Whether the words begin with others, and go on."""
+    return len(words) > len(beginning) and words[: len(beginning)] == beginning
+
+
+def _words(name: str) -> tuple[str, ...]:
+    return tuple(re.split(r"[_\-. ]+", name.strip("_-. ")))
+
+
+def _spelling(name: str, count: int) -> str:
+    """Return the first words of a name with the separators between them."""
+    parts = re.split(r"([_\-. ]+)", name.strip("_-. "))
+    return "".join(parts[: 2 * count - 1])
+
+
+def _group(names: Sequence[str], objects: Objects) -> dict[str, list[str]]:
+    """Return the shapes of each object."""
+    owner: dict[str, str] = {}
+    for title, given in objects.items():
+        patterns = [given] if isinstance(given, str) else list(given)
+        for pattern in patterns:
+            matched = [name for name in names if fnmatchcase(name, pattern)]
+            if not matched:
+                raise SceneCaptumError(
+                    f"objects[{title!r}] names {pattern!r}, which no shape matches.{near_misses(pattern, names)} "
+                    f"The shapes are {', '.join(names[:8])}{', …' if len(names) > 8 else ''}."
+                )
+            for name in matched:
+                if owner.setdefault(name, title) != title:
+                    raise SceneCaptumError(
+                        f"The shape {name!r} belongs to the objects {owner[name]!r} and {title!r}: leave it out "
+                        "of one of them."
+                    )
+    rest = stems(name for name in names if name not in owner)
+    grouped: dict[str, list[str]] = {}
+    for name in names:
+        title = owner.get(name, rest.get(name, name))
+        # A shape that was left out of an object of its own name stands for itself.
+        own = title if name in owner or title not in objects else name
+        grouped.setdefault(own, []).append(name)
+    # A shape alone keeps its own name, unless that was given.
+    return {
+        title if title in objects or len(parts) > 1 else parts[0]: parts for title, parts in grouped.items()
+    }
+
+
+def _position_keys(graph: SceneGraph) -> dict[Any, tuple[str, ...]]:
+    """Return for each Mitsuba object the names of its positions."""
+    mi = activate()
+    found: dict[Any, list[str]] = {}
+    for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items():
+        if name.rpartition(".")[2] in POSITIONS:
+            found.setdefault(node, []).append(name)
+    return {node: tuple(names) for node, names in found.items()}
+
+
+# The properties that hold where something is.
+POSITIONS = ("to_world", "position", "vertex_positions", "vertex_normals")
+
+
+def _shape_object(
+    graph: SceneGraph, name: str, shapes: Mapping[str, Any], keys: Mapping[Any, tuple[str, ...]]
+) -> SceneObject:
+    problems = [text for node in shapes.values() if (text := _problem(graph, node, keys))]
+    boxes = [box for node in shapes.values() if (box := _box(node)) is not None]
+    box = np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)]) if boxes else None
+    centre = np.zeros(3) if box is None else box.mean(0)
+    return SceneObject(
+        name=name,
+        shapes=tuple(shapes),
+        nodes=tuple(shapes.values()),
+        keys=tuple(key for node in shapes.values() for key in keys.get(node, ())),
+        components=_ALL,
+        box=box,
+        pivot=(float(centre[0]), float(centre[1]), float(centre[2])),
+        problem=problems[0] if problems else None,
+    )
+
+
+def _problem(graph: SceneGraph, node: Any, keys: Mapping[Any, tuple[str, ...]]) -> str | None:
+    """Return why a shape cannot be moved, or None."""
+    held = [key.rpartition(".")[2] for key in keys.get(node, ())]
+    if not {"to_world", "vertex_positions"} & set(held):
+        return f"Mitsuba's {node.class_name()} has no position that can be changed"
+    medium = node.interior_medium()
+    if medium is not None and not medium.is_homogeneous():
+        return "its medium varies in space and would not move with it"
+    return None
+
+
+def _box(node: Any) -> npt.NDArray[np.float64] | None:
+    bounds = node.bbox()
+    box = np.array([list(bounds.min), list(bounds.max)], dtype=np.float64)
+    return box if np.isfinite(box).all() and (box[0] <= box[1]).all() else None
+
+
+def _light(graph: SceneGraph, node: Any, keys: Mapping[Any, tuple[str, ...]], taken: set[str]) -> SceneObject:
+    identifier = str(node.id()) or ".".join(name for name, _ in graph.path(node))
+    name = f"{identifier}_light" if identifier in taken else identifier
+    kind = node.class_name()
+    problem = None
+    if kind == "ConstantBackgroundEmitter":
+        problem = "its light is the same from all directions"
+    elif kind not in _LIGHTS:
+        problem = f"the place of Mitsuba's {kind} cannot be changed"
+    return SceneObject(
+        name=name,
+        shapes=(),
+        nodes=(node,),
+        keys=keys.get(node, ()),
+        components=_LIGHTS.get(kind, ("rotation",)),
+        box=None,
+        pivot=_place(node, keys.get(node, ())),
+        problem=problem,
+    )
+
+
+def _place(node: Any, keys: Sequence[str]) -> tuple[float, float, float]:
+    """Return where a light is; 0 for one without a place."""
+    mi = activate()
+    params: Any = mi.traverse(node)
+    names = {key.rpartition(".")[2] for key in keys}
+    if "position" in names:
+        position = params["position"]
+        return float(position.x[0]), float(position.y[0]), float(position.z[0])
+    if "to_world" in names:
+        matrix = params["to_world"].matrix
+        return float(matrix[0, 3][0]), float(matrix[1, 3][0]), float(matrix[2, 3][0])
+    return 0.0, 0.0, 0.0

@@ -1,0 +1,75 @@
+"""Poses as parameters: how far an object, a light or the camera has moved since it was loaded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from types import MappingProxyType
+
+import torch
+
+from ._bounds import Bounds
+from ._objects import SceneObject
+from ._parameter_table import CAMERA, POSES, Parameter
+
+# The change over which effects are compared: 0.1 scene units, 5°, a twentieth of the size.
+RANGES = MappingProxyType(
+    {"translation": 0.1, "rotation": math.radians(5), "scale": 0.05, "fov": 5.0},
+)
+_BOUNDS = {"scale": Bounds(-1.0, open_low=True), "fov": Bounds(0.0, 180.0, open_low=True)}
+_SHAPES: dict[str, tuple[int, ...]] = {"translation": (3,), "rotation": (3,), "scale": (), "fov": ()}
+
+
+def pose_name(owner: str, component: str) -> str:
+    """Return the name of an input, such as ``"desk.pose.translation"``."""
+    return f"{owner}.fov" if component == "fov" else f"{owner}.pose.{component}"
+
+
+def pose_parameters(objects: Iterable[SceneObject], *, kind: str = POSES) -> list[Parameter]:
+    """Return the parameters of the poses of objects."""
+    return [_parameter(one, component, kind) for one in objects for component in one.components]
+
+
+def camera_parameters(camera: SceneObject) -> list[Parameter]:
+    """Return the parameters of the pose of the camera."""
+    return pose_parameters([camera], kind=CAMERA)
+
+
+def _parameter(one: SceneObject, component: str, kind: str) -> Parameter:
+    half = RANGES[component] / 2
+    return Parameter(
+        name=pose_name(one.name, component),
+        label=f"{one.name}: {component}",
+        kind=kind,
+        plugin="Pose",
+        role=component,
+        shape=_SHAPES[component],
+        bounds=_BOUNDS.get(component, Bounds()),
+        range=Bounds(-half, half),
+        owners=(one.name,),
+        tracked=False,
+        shapes=one.shapes,
+        problem=one.problem,
+    )
+
+
+def pose_matrix(
+    pivot: tuple[float, float, float], translation: torch.Tensor, rotation: torch.Tensor, scale: torch.Tensor
+) -> torch.Tensor:
+    """Return the ``(4, 4)`` float64 matrix that grows and turns about the ``pivot``, then moves.
+
+    ``rotation`` is axis–angle in radians, about the axes of the world; ``scale`` is 0 for the size as loaded.
+    """
+    about = torch.tensor(pivot, dtype=torch.float64)
+    linear = (1 + scale.double().cpu()) * _rotation(rotation.double().cpu())
+    matrix = torch.eye(4, dtype=torch.float64)
+    matrix[:3, :3] = linear
+    matrix[:3, 3] = about + translation.double().cpu() - linear @ about
+    return matrix
+
+
+def _rotation(vector: torch.Tensor) -> torch.Tensor:
+    x, y, z = vector.tolist()
+    cross = torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64)
+    matrix: torch.Tensor = torch.linalg.matrix_exp(cross)
+    return matrix

@@ -1,0 +1,348 @@
+"""Moved objects, lights and cameras: the same pictures as scenes that were loaded that way, and closed forms."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from chance import allowed
+from refusals import message
+from seeds import seeds, shifted
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+
+Config = dict[str, Any]
+
+TRANSLATION, ROTATION, SCALE = (0.2, -0.1, 0.15), (0.1, 0.3, -0.2), 0.2
+
+
+def camera(**options: Any) -> Config:
+    import mitsuba as mi
+
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    place = mi.ScalarTransform4f().look_at(origin=(0, -6, 1), target=(0, 0, 0), up=(0, 0, 1))
+    defaults = {"to_world": place, "fov": 40.0, "film": film, "sampler": {"type": "independent"}}
+    return {"type": "perspective", **defaults, **options}
+
+
+def scene(**parts: Any) -> Config:
+    floor = {"type": "rectangle", "to_world": _translate((0, 0, -1.5)).scale(4)}
+    lights = {"sky": {"type": "constant", "radiance": 0.4}}
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4},
+        "sensor": camera(),
+        "ground": floor,
+        **lights,
+        **parts,
+    }
+
+
+def _turned() -> tuple[list[float], float]:
+    """Return the axis and the angle in degrees of the rotation above."""
+    angle = math.hypot(*ROTATION)
+    return [x / angle for x in ROTATION], math.degrees(angle)
+
+
+def _translate(by: tuple[float, float, float]) -> Any:
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f().translate(list(by))
+
+
+def moved(pivot: tuple[float, float, float], *, rotate: bool = True, scale: bool = True) -> Any:
+    """Return the transform of the pose above, about a pivot, by Mitsuba's own functions."""
+    transform = _translate(TRANSLATION) @ _translate(pivot)
+    if rotate:
+        transform = transform.rotate(*_turned())
+    if scale:
+        transform = transform.scale(1 + SCALE)
+    return transform @ _translate((-pivot[0], -pivot[1], -pivot[2]))
+
+
+def pose(name: str, *components: str) -> dict[str, torch.Tensor]:
+    values = {
+        "translation": torch.tensor(TRANSLATION),
+        "rotation": torch.tensor(ROTATION),
+        "scale": torch.tensor(SCALE),
+    }
+    return {f"{name}.pose.{component}": values[component] for component in components or values}
+
+
+def bent_mesh(folder: Path) -> str:
+    """Write a mesh with normals that are not those of its faces."""
+    import mitsuba as mi
+
+    mesh = mi.load_dict({"type": "rectangle"})
+    mesh = mi.Mesh("bent", 4, 2, has_vertex_normals=True)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = [-1, 0, -1, 1, 0, -1, 1, 0.3, 1, -1, 0, 1]
+    params["faces"] = [0, 1, 2, 0, 2, 3]
+    normals = np.array([[-0.5, -1, 0], [0.5, -1, 0], [0.3, -1, 0.4], [-0.3, -1, 0.4]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    params["vertex_normals"] = normals.ravel().tolist()
+    params.update()
+    path = folder / "bent.ply"
+    mesh.write_ply(str(path))
+    return str(path)
+
+
+SHAPES = {
+    "sphere": {"type": "sphere", "center": [0.3, 0, 0], "radius": 0.7},
+    "cube": {"type": "cube"},
+    "cylinder": {"type": "cylinder", "p0": [0, 0, -0.5], "p1": [0.2, 0.1, 0.8], "radius": 0.4},
+    "rectangle": {"type": "rectangle", "flip_normals": False},
+    "disk": {"type": "disk"},
+    "lamp": {"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 3.0}},
+}
+
+
+def same_pictures(left: Config, right: Config, values: dict[str, torch.Tensor]) -> None:
+    """Check that a pose renders what a scene renders that was loaded in that pose."""
+    renderer = SceneRenderer(left, list(values), spp=4)
+    before = renderer(seed=shifted(1))
+    found = renderer(values, seed=shifted(1))
+    expected = SceneRenderer(right, "reflectance", spp=4)(seed=shifted(1))
+    # Rounding moves a few samples across an edge.
+    off = ((found - expected).abs() > 1e-3).any(-1).float().mean()
+    assert off < 0.02, f"{100 * off:.1f} % of the pixels differ"
+    assert (found - before).abs().max() > 0.01
+    # Mitsuba computes the length of a cylinder again, with rounding.
+    torch.testing.assert_close(renderer(seed=shifted(1)), before, atol=1e-4, rtol=1e-4)
+
+
+def centre(shape: Config) -> tuple[float, float, float]:
+    import mitsuba as mi
+
+    box = mi.load_dict(shape).bbox()
+    middle = [(low + high) / 2 for low, high in zip(box.min, box.max, strict=True)]
+    return middle[0], middle[1], middle[2]
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_a_moved_shape_is_that_of_a_scene_loaded_so(mi: Any, kind: str) -> None:
+    shape = SHAPES[kind]
+    loaded = mi.load_dict(shape)
+    if kind == "cube":
+        own = mi.ScalarTransform4f()
+    else:
+        matrix = np.array(mi.traverse(loaded)["to_world"].matrix).reshape(4, 4, -1)[..., 0]
+        own = mi.ScalarTransform4f(matrix.tolist())
+    rest = {k: v for k, v in shape.items() if k not in ("center", "radius", "p0", "p1")}
+    other = {**rest, "to_world": moved(centre(shape)) @ own}
+    same_pictures(scene(thing=shape), scene(thing=other), pose("thing"))
+
+
+def test_a_mesh_keeps_its_normals(mi: Any, tmp_path: Path) -> None:
+    mesh = {"type": "ply", "filename": bent_mesh(tmp_path)}
+    other = {**mesh, "to_world": moved(centre(mesh))}
+    same_pictures(scene(thing=mesh), scene(thing=other), pose("thing"))
+
+
+def test_an_instance_moves(mi: Any) -> None:
+    group = {"type": "shapegroup", "ball": {"type": "sphere"}, "box": {"type": "cube"}}
+    parts = {"group": group, "copy": {"type": "instance", "shapes": {"type": "ref", "id": "group"}}}
+    pivot = (0.0, 0.0, 0.0)
+    other = {**parts, "copy": {**parts["copy"], "to_world": moved(pivot)}}
+    same_pictures(scene(**parts), scene(**other), pose("copy"))
+
+
+def test_lights_move(mi: Any) -> None:
+    ball = {"type": "sphere"}
+    above = _translate((0.5, -1, 2.5)).rotate([1, 0, 0], 180)
+    for light, components, other in (
+        (
+            {"type": "point", "position": [1, -2, 2], "intensity": 20.0},
+            ("translation",),
+            {"type": "point", "position": [1 + 0.2, -2 - 0.1, 2 + 0.15], "intensity": 20.0},
+        ),
+        (
+            {"type": "spot", "to_world": above, "intensity": 20.0},
+            ("translation", "rotation"),
+            {"type": "spot", "to_world": moved((0.5, -1, 2.5), scale=False) @ above, "intensity": 20.0},
+        ),
+        (
+            {"type": "directional", "to_world": above, "irradiance": 2.0},
+            ("rotation",),
+            {
+                "type": "directional",
+                "to_world": moved((0.5, -1, 2.5), scale=False) @ above,
+                "irradiance": 2.0,
+            },
+        ),
+    ):
+        same_pictures(scene(ball=ball, beam=light), scene(ball=ball, beam=other), pose("beam", *components))
+
+
+def test_an_environment_turns(mi: Any) -> None:
+    texels = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
+    sky = {"type": "envmap", "bitmap": mi.Bitmap(texels)}
+    turned = {**sky, "bitmap": mi.Bitmap(texels), "to_world": mi.ScalarTransform4f().rotate(*_turned())}
+    ball = {"type": "sphere"}
+    same_pictures(scene(ball=ball, sky=sky), scene(ball=ball, sky=turned), pose("sky", "rotation"))
+
+
+def test_the_camera_moves(mi: Any) -> None:
+    own = camera()["to_world"]
+    other = camera(to_world=moved((0, -6, 1), scale=False) @ own, fov=44.0)
+    values = {**pose("camera", "translation", "rotation"), "camera.fov": torch.tensor(44.0)}
+    parts = {"ball": {"type": "sphere"}, "box": SHAPES["cylinder"]}
+    same_pictures(scene(**parts), scene(**parts, sensor=other), values)
+
+
+def check(
+    parts: Config, values: dict[str, torch.Tensor], expected: dict[str, list[float]], radiance: float = 1.0
+) -> None:
+    """Check derivatives of the mean of the picture against closed forms, within 3 errors and 2 %."""
+    renderer = SceneRenderer(scene(**parts), list(values), spp=2048)
+    mean = metrics.MeanLuminance(efficacy=1.0)
+    found = VanillaSceneGradient(renderer, mean).attribute(seed=shifted(), replicates=16)
+    for name, numbers in expected.items():
+        truth, errors = torch.tensor(numbers), found.standard_error[name].reshape(-1)
+        off = (found[name].reshape(-1) - truth).abs()
+        scale = truth.abs().max()
+        assert (off <= allowed(16, 12) * errors + 0.02 * truth.abs()).all(), (found[name], truth, errors)
+        assert (errors <= 0.1 * scale).all(), f"{name} is too noisy to tell: {errors} of {scale}"
+
+
+def looking_down(distance: float = 1e-3) -> Config:
+    """Return a camera that sees a point of the ground from close by, below everything else."""
+    import mitsuba as mi
+
+    place = mi.ScalarTransform4f().look_at(origin=(0, 0, -1.5 + distance), target=(0, 0, -1.5), up=(0, 1, 0))
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    return camera(to_world=place, fov=1.0, near_clip=1e-5, film=film)
+
+
+GROUND = {"type": "diffuse", "reflectance": 0.5}
+
+
+def lit_point(**parts: Any) -> Config:
+    """Return a scene in which direct light falls on a point of the ground at z = −1.5."""
+    floor = {"type": "rectangle", "to_world": _translate((0, 0, -1.5)).scale(4), "bsdf": GROUND}
+    dark = {"type": "constant", "radiance": 0.0}
+    return {"sensor": looking_down(), "ground": floor, "sky": dark, **parts}
+
+
+def disk_irradiance(position: torch.Tensor, radius: float) -> torch.Tensor:
+    """Return the irradiance at the origin under a parallel disk of radiance 1 (Gross et al., 1981)."""
+    across, height = position[:2].square().sum(), position[2].square()
+    total = across + height + radius**2
+    return (
+        math.pi / 2 * (1 - (across + height - radius**2) / (total.square() - 4 * radius**2 * across).sqrt())
+    )
+
+
+def slope(function: Any, at: list[float], extent: float = 0.1) -> list[float]:
+    """Return the mean slopes over the range of a pose, by element."""
+    point = torch.tensor(at, dtype=torch.float64)
+    steps = extent / 2 * torch.eye(len(at), dtype=torch.float64)
+    return [float(function(point + step) - function(point - step)) / extent for step in steps]
+
+
+def test_a_disk_lamp_moves_along_and_across_its_axis(mi: Any) -> None:
+    at, radius = [0.6, 0.0, 1.2], 0.5
+    turned = _translate((at[0], at[1], at[2] - 1.5)).rotate([1, 0, 0], 180).scale(radius)
+    lamp = {"type": "disk", "to_world": turned, "emitter": {"type": "area", "radiance": 2.0}}
+
+    def radiance(position: torch.Tensor) -> torch.Tensor:
+        return 2.0 * 0.5 / math.pi * disk_irradiance(position, radius)
+
+    name = "lamp.pose.translation"
+    check(lit_point(lamp=lamp), {name: torch.zeros(3)}, {name: slope(radiance, at)})
+
+
+def test_a_small_lamp_over_a_floor_is_raised(mi: Any) -> None:
+    at = [0.5, 0.3, 1.4]
+    lamp = {"type": "point", "position": [at[0], at[1], at[2] - 1.5], "intensity": 3.0}
+
+    def radiance(position: torch.Tensor) -> torch.Tensor:
+        return 3.0 * 0.5 / math.pi * position[2] / position.norm() ** 3
+
+    name = "lamp.pose.translation"
+    check(lit_point(lamp=lamp), {name: torch.zeros(3)}, {name: slope(radiance, at)})
+
+
+def test_a_spot_light_turns(mi: Any) -> None:
+    height, tilt, cutoff, beam = 1.5, math.radians(14), 30.0, 5.0
+    place = _translate((0, 0, height - 1.5)).rotate([0, 1, 0], math.degrees(tilt)).rotate([1, 0, 0], 180)
+    spot = {"type": "spot", "to_world": place, "intensity": 4.0, "cutoff_angle": cutoff, "beam_width": beam}
+
+    def radiance(turn: torch.Tensor) -> torch.Tensor:
+        # The axis is turned about x and y; the point is straight below.
+        x, y, _ = turn.tolist()
+        cross = torch.tensor([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64)
+        axis = torch.matrix_exp(cross) @ torch.tensor(
+            [-math.sin(tilt), 0.0, -math.cos(tilt)], dtype=torch.float64
+        )
+        angle = torch.acos(-axis[2])
+        falloff = (math.radians(cutoff) - angle) / math.radians(cutoff - beam)
+        return 4.0 * 0.5 / math.pi * falloff / height**2
+
+    name = "beam.pose.rotation"
+    extent = math.radians(5)
+    check(lit_point(beam=spot), {name: torch.zeros(3)}, {name: slope(radiance, [0.0, 0.0, 0.0], extent)})
+
+
+def test_a_black_sphere_before_the_sky_moves_and_grows(mi: Any) -> None:
+    distance, radius, fov, radiance = 5.0, 0.8, 40.0, 2.0
+    place = mi.ScalarTransform4f().look_at(origin=(0, -distance, 0), target=(0, 0, 0), up=(0, 0, 1))
+    ball = {"type": "sphere", "radius": radius, "bsdf": {"type": "diffuse", "reflectance": 0.0}}
+    low = {"type": "rectangle", "to_world": _translate((0, 0, -100))}
+    parts = {"ball": ball, "ground": low, "sensor": camera(to_world=place, fov=fov)}
+    parts["sky"] = {"type": "constant", "radiance": radiance}
+
+    def mean(pose: torch.Tensor) -> torch.Tensor:
+        away, size = distance + pose[0], radius * (1 + pose[1])
+        share = math.pi * size**2 / (away**2 - size**2) / (4 * math.tan(math.radians(fov) / 2) ** 2)
+        return radiance * (1 - share)
+
+    (away, _), (_, grown) = slope(mean, [0.0, 0.0]), slope(mean, [0.0, 0.0], 0.05)
+    names = {"ball.pose.translation": [0.0, away, 0.0], "ball.pose.scale": [grown]}
+    check(parts, {"ball.pose.translation": torch.zeros(3), "ball.pose.scale": torch.zeros(())}, names)
+
+
+def test_poses_that_are_refused(mi: Any) -> None:
+    def refusal(inputs: Any, **options: Any) -> str:
+        return message(lambda: SceneRenderer("cornell-box", inputs, **options))
+
+    parts = scene(ball={"type": "sphere"})
+    assert "the same from all directions" in message(lambda: SceneRenderer(parts, "sky.pose.rotation"))
+    assert "no shape matches" in refusal("poses", objects={"boxes": "*_bix*"})
+    twice = {"a": "tall_box*", "b": "*_box_shape"}
+    assert "belongs to the objects 'a' and 'b'" in refusal("poses", objects=twice)
+    renderer = SceneRenderer("cornell-box", "poses", resolution=(8, 8), spp=1)
+    name = "tall_box_shape.pose.scale"
+    assert "outside the physical range" in message(lambda: renderer({name: torch.tensor(-1.0)}))
+    assert "not finite" in message(
+        lambda: renderer({"tall_box_shape.pose.rotation": torch.tensor([0.0, math.nan, 0.0])})
+    )
+    assert "single sensor" in message(
+        lambda: SceneRenderer("cornell-box", "camera.fov", sensor=[0, "fisheye"])
+    )
+
+
+def test_a_lamp_in_the_ceiling_is_marked(mi: Any) -> None:
+    renderer = SceneRenderer("cornell-box", "light.pose.*", resolution=(24, 24), spp=256)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
+    assert "ceiling_shape" in found.info["jumps"]["light.pose.translation"]
+    assert "light.pose.translation" not in [row.name for row in found.ranking()]
+    assert "light.pose.scale" in [row.name for row in found.ranking()]
+    assert "is not ranked" in str(found)
+
+
+def test_the_length_of_a_vector_is_that_of_its_effect(mi: Any) -> None:
+    renderer = SceneRenderer("cornell-box", "short_box_shape.pose.translation", resolution=(24, 24), spp=64)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
+    (name,) = found
+    assert found.effects()[name] <= 0.1 * float(found[name].norm())
+    # A vector that is only noise has no length, on average over seeds.
+    lengths = [
+        VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=seed, spp=16)
+        for seed in seeds(1, 4)
+    ]
+    assert all(one.effects_error()[name] > 0 for one in lengths)

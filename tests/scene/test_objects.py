@@ -1,0 +1,41 @@
+"""What moves as a whole: shapes with a common name, and those that the user groups."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from scenecaptum.scene import SceneGraph, find_objects, load_scene
+from scenecaptum.scene._objects import stems
+
+
+def test_objects_of_shapes() -> None:
+    assert stems(["chair_seat", "chair_leg_0", "desk"]) == {
+        "chair_seat": "chair",
+        "chair_leg_0": "chair",
+        "desk": "desk",
+    }
+    assert set(stems(["chair_1_seat", "chair_1_leg", "chair_2_seat"]).values()) == {"chair_1", "chair_2"}
+    lamps = ["lamp_left", "lamp_left_rod", "lamp_right", "lamp_right_rod_a"]
+    assert list(stems(lamps).values()) == ["lamp_left", "lamp_left", "lamp_right", "lamp_right"]
+    assert set(stems(["lamp_foot", "lamp_foot_top", "lamp_arm"]).values()) == {"lamp"}
+
+
+def test_objects_of_the_office(mi: Any) -> None:
+    graph = SceneGraph(load_scene("office"))
+    found = {one.name: one for one in find_objects(graph, {"lamp": ["lamp_*", "bulb"]})}
+    assert len(found["lamp"].shapes) == 8
+    assert "bulb" not in found
+    assert {
+        "desk",
+        "chair",
+        "curtain",
+        "luminaire_left",
+        "luminaire_right",
+        "keyboard",
+        "sky",
+    } <= found.keys()
+    assert len(found["chair"].shapes) == 9
+    assert sum(len(one.shapes) for one in found.values()) == len(graph.shapes())
+    low, high = found["desk"].box.tolist()
+    assert low[2] == 0 and abs(high[2] - 0.74) < 1e-6
+    assert found["desk"].pivot[2] == (low[2] + high[2]) / 2
