@@ -306,6 +306,119 @@ def test_a_black_sphere_before_the_sky_moves_and_grows(mi: Any) -> None:
     check(parts, {"ball.pose.translation": torch.zeros(3), "ball.pose.scale": torch.zeros(())}, names)
 
 
+def wall_light(points: torch.Tensor) -> torch.Tensor:
+    """Return the radiance of the wall at ``(…, 2)`` points of it."""
+    return 1 + 0.5 * torch.sin(2.0 * points[..., 0] + 0.5) * torch.cos(1.5 * points[..., 1])
+
+
+def seen_wall(
+    rotation: torch.Tensor, fov: float, rfilter: Any, size: int = 8, fine: int = 24
+) -> torch.Tensor:
+    """Return the picture ``(size, size)`` of the wall at y = 3, from the origin, by numerical integration."""
+    centres = (torch.arange(size * fine, dtype=torch.float64) + 0.5) / fine
+    along = (2 * centres / size - 1) * math.tan(math.radians(fov) / 2)
+    down, across = torch.meshgrid(along, along, indexing="ij")
+    directions = torch.stack([across, torch.ones_like(across), -down], -1)
+    x, y, z = rotation.tolist()
+    cross = torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64)
+    directions = directions @ torch.matrix_exp(cross).T
+    light = wall_light(3 * directions[..., [0, 2]] / directions[..., 1:2])
+    offsets = centres - (torch.arange(size, dtype=torch.float64) + 0.5)[:, None]
+    weights = rfilter(offsets)
+    weights = weights / weights.sum(1, keepdim=True)
+    return weights @ light @ weights.T
+
+
+@pytest.mark.parametrize("kind", ["box", "tent", "gaussian"])
+def test_the_camera_turns_and_zooms_before_a_wall(mi: Any, kind: str) -> None:
+    size, fov, half = 8, 35.0, 4.0
+    texels = (torch.arange(512) + 0.5) / 512 * 2 * half - half
+    down, across = torch.meshgrid(-texels, texels, indexing="ij")
+    light = (
+        wall_light(torch.stack([across, down], -1))[..., None].expand(-1, -1, 3).numpy().astype(np.float32)
+    )
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(light), "raw": True}
+    wall = {
+        "type": "rectangle",
+        "to_world": _translate((0, 3, 0)).rotate([1, 0, 0], 90).scale(half),
+        "emitter": {"type": "area", "radiance": bitmap},
+    }
+    film = {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "rfilter": {"type": kind},
+        "pixel_format": "rgb",
+    }
+    place = mi.ScalarTransform4f().look_at(origin=(0, 0, 0), target=(0, 1, 0), up=(0, 0, 1))
+    parts = {"wall": wall, "sensor": camera(to_world=place, fov=fov, film=film)}
+    names = ["camera.pose.rotation", "camera.fov"]
+    renderer = SceneRenderer({"type": "scene", **parts}, names, spp=256, max_depth=1)
+
+    plugin = mi.load_dict({"type": kind})
+
+    def rfilter(offsets: torch.Tensor) -> torch.Tensor:
+        if kind == "box":
+            return (offsets.abs() < 0.5).double()
+        return (
+            plugin.eval(mi.Float(offsets.flatten().float().numpy())).torch().reshape(offsets.shape).double()
+        )
+
+    weight = torch.rand(size, size, generator=torch.Generator().manual_seed(shifted(3)), dtype=torch.float64)
+
+    def seen(turn: torch.Tensor, zoom: float = 0.0) -> float:
+        return float((weight * seen_wall(turn, fov + zoom, rfilter)).mean())
+
+    picture = seen_wall(torch.zeros(3), fov, rfilter)
+    with torch.no_grad():
+        assert (renderer(seed=shifted(), spp=4096)[..., 0] - picture).abs().max() < 0.02, "another wall"
+    steps = 1e-4 * torch.eye(3, dtype=torch.float64)
+    turns = [(seen(step) - seen(-step)) / 2e-4 for step in steps]
+    zoomed = (seen(torch.zeros(3), 0.01) - seen(torch.zeros(3), -0.01)) / 0.02
+
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        return (image[..., 0] * weight.to(image)).mean()
+
+    found = VanillaSceneGradient(renderer, metric).attribute(seed=shifted(), replicates=16)
+    values = torch.cat([found[name].reshape(-1) for name in names])
+    errors = torch.cat([found.standard_error[name].reshape(-1) for name in names])
+    truth = torch.tensor([*turns, zoomed])
+    assert ((values - truth).abs() <= allowed(16, 12) * errors + 0.02 * truth.abs()).all(), (
+        values,
+        truth,
+        errors,
+    )
+    assert errors[:3].max() < 0.1 * truth[:3].norm()
+    assert not found.info["jumps"]
+
+
+def test_a_turned_camera_turns_on(mi: Any) -> None:
+    """The derivative at another rotation is that of the axis–angle vector, not of a further rotation."""
+    turned = {"camera.pose.rotation": torch.tensor([0.1, 0.8, 0.05])}
+    renderer = SceneRenderer(
+        scene(ball=SHAPES["lamp"]), ["camera.pose.rotation"], resolution=(24, 24), spp=256, max_depth=2
+    )
+    weight = torch.linspace(0, 1, 24)[:, None, None] * torch.linspace(1, 2, 24)[None, :, None]
+
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        return (image * weight).mean()
+
+    (name,) = turned
+    found = VanillaSceneGradient(renderer, metric).attribute(turned, seed=shifted(), replicates=16)
+    differences = []
+    for seed in seeds(10, 26):
+        with torch.no_grad():
+            pairs = [
+                [metric(renderer({name: turned[name] + sign * step}, seed=seed, spp=64)) for sign in (1, -1)]
+                for step in 0.02 * torch.eye(3)
+            ]
+        differences.append(torch.tensor([float(up - down) / 0.04 for up, down in pairs]))
+    expected = torch.stack(differences)
+    error = (expected.var(0) / len(expected) + found.standard_error[name].square()).sqrt()
+    z = (found[name] - expected.mean(0)) / error
+    assert z.abs().max() < allowed(16, 3), (found[name], expected.mean(0), error)
+
+
 def test_poses_that_are_refused(mi: Any) -> None:
     def refusal(inputs: Any, **options: Any) -> str:
         return message(lambda: SceneRenderer("cornell-box", inputs, **options))

@@ -41,6 +41,17 @@ class AdjointSampledIntegrator(RBIntegrator):
             film.put_block(block)
             return film.develop()
 
+    def radiance_at(self, scene: Any, sensor: Any, seed: Any, point: Any) -> Any:
+        """Return the radiance at points of the film, in pixels: a colour for each."""
+        with dr.suspend_grad():
+            sampler = sensor.sampler().clone()
+            sampler.seed(seed, dr.width(point))
+            ray, response = camera_rays_through(sensor, sampler, point)
+            radiance, *_ = self.sample(
+                mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True)
+            )
+            return radiance * response
+
     def render_backward_pixels(
         self,
         scene: Any,
@@ -191,12 +202,19 @@ def random_camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any,
     """Return rays through random points of pixels, the sensor response to each, and the points."""
     size = sensor.film().crop_size()
     point = mi.Point2f(pixel % size.x, pixel // size.x) + mi.Point2f(sampler.next_2d())
+    return *camera_rays_through(sensor, sampler, point), point
+
+
+def camera_rays_through(sensor: Any, sampler: Any, point: Any) -> tuple[Any, Any]:
+    """Return rays through points of the film, in pixels, and the sensor response to each."""
+    size = sensor.film().crop_size()
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     open_time = sensor.shutter_open_time()
     time = sensor.shutter_open() + (sampler.next_1d() * open_time if open_time > 0 else 0)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     position = point * dr.rcp(mi.ScalarVector2f(size))  # rounded as in Mitsuba
-    return *sensor.sample_ray_differential(time, wavelength, position, lens), point
+    ray, response = sensor.sample_ray_differential(time, wavelength, position, lens)
+    return ray, response
 
 
 def filtered_adjoint(film: Any, adjoint: Any, profile: Any, radius: int, pixel: Any, point: Any) -> Any:

@@ -47,12 +47,13 @@ class CheckpointedEngine:
 
     def step_changes(self, values: Values, names: Sequence[str], *arguments: Any) -> dict[str, torch.Tensor]:
         """Return the changes of the gradients of poses with doubled steps."""
+        stepped = [name for name in names if not self.engine.turns(name)]
         changes = self._take(
             "step changes",
-            (values, tuple(names), *arguments),
-            lambda: tuple(self.engine.step_changes(values, names, *arguments).values()),
+            (values, tuple(stepped), *arguments),
+            lambda: tuple(self.engine.step_changes(values, stepped, *arguments).values()),
         )
-        return dict(zip(names, changes, strict=True))
+        return dict(zip(stepped, changes, strict=True))
 
     def _take(
         self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]

@@ -9,16 +9,17 @@ import math
 import operator
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 import torch
 from torch.nn.functional import pad
 
 from ..backend import dispose
-from ..scene import SceneParameters
+from ..scene import SceneParameters, pose_name
 from ._backward import AdjointSampledIntegrator
 from ._bridge import evaluate
 from ._chunks import Chunk, chunks
@@ -32,15 +33,22 @@ from ._derivative_routes import (
     uncorrected_routes,
 )
 from ._dr_arrays import flat, owned
+from ._film_motion import FilmMotion, film_samples, turning
 from ._frozen import make_kernels
 from ._importance_maps import ImportanceMaps, Maps, ReplayGroup
 from ._live_scene import LiveScene, Values
 from ._moved_materials import MovedParameter, batches, move
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
+from ._sensors import film_corners
 from ._state import Snapshot
 from .integrators.light_tracing import LightPaths
 from .integrators.path_differences import MovedMaterials, working_arrays
+
+
+CAMERA_ROTATION, CAMERA_FOV = pose_name("camera", "rotation"), pose_name("camera", "fov")
+# Samples of the light that moves over the film, for each sample of a backward pass.
+TURN_SAMPLES = 0.5
 
 
 class Engine:
@@ -140,6 +148,7 @@ class Engine:
         routes = self._find_routes(values, tracked)
         gradients: dict[str, torch.Tensor] = {}
         if importance_sampling and self._importance_maps.film:
+            gradients |= self._turn_camera(values, [n for n in routes if self.turns(n)], adjoint, seed, spp)
             for group in self._importance_maps.groups(values, routes):
                 gradients |= self._replay_sampled_pixels(values, routes, group, adjoint, seed, spp)
             moved = [name for name in self._moved if name in routes and routes[name].difference is not None]
@@ -203,13 +212,53 @@ class Engine:
         # Each channel of the image depends only on the same channel of a colour.
         return products[0] if values[name].ndim else products[0].sum()
 
+    def turns(self, name: str) -> bool:
+        """Whether a parameter only moves the picture over the film, so that no difference of renders is needed."""
+        is_pinhole = self._live.sensor.class_name() == "PerspectiveCamera"
+        return name in (CAMERA_ROTATION, CAMERA_FOV) and is_pinhole and self._has_independent_samples
+
+    def _turn_camera(
+        self, values: Snapshot, names: Sequence[str], adjoint: torch.Tensor, seed: int, spp: int
+    ) -> dict[str, torch.Tensor]:
+        """Return the gradients of the camera's rotation and field of view, from the light where the picture moves."""
+        if not names:
+            return {}
+        film = self._importance_maps.film
+        assert film is not None
+        width, height = self._live.resolution
+        corners, forward = (
+            self._live.call(partial(film_corners, self._live.sensor), values).cpu().double().split((3, 1))
+        )
+        fov = values[CAMERA_FOV].item()
+        motion = FilmMotion.of(corners.numpy(), forward[0].numpy(), self._live.resolution, fov)
+        total = np.zeros(4)
+        for chunk in self._chunks(seed, spp):
+            count = math.ceil(width * height * chunk.spp * TURN_SAMPLES)
+            samples = film_samples(motion, film, adjoint, count, chunk.seed)
+            light = self._live.call(
+                partial(self._radiance_at, chunk), values, None, [torch.from_numpy(samples.points).float()]
+            )
+            total += chunk.weight * samples.integrate(light.double().cpu().numpy())
+        turned = turning(values[CAMERA_ROTATION].double().cpu().numpy()).T @ total[:3]
+        found = {CAMERA_ROTATION: torch.from_numpy(turned), CAMERA_FOV: torch.tensor(total[3])}
+        return {name: found[name].to(values[name]) for name in names}
+
+    def _radiance_at(self, chunk: Chunk, points: Any) -> Any:
+        array = owned(points.array)
+        index = dr.arange(mi.UInt32, points.shape[0])
+        point = mi.Point2f(dr.gather(mi.Float, array, 2 * index), dr.gather(mi.Float, array, 2 * index + 1))
+        dr.eval(point)
+        scalars = self._live.state.scalars
+        light = self._kernels.radiance_at(self._live.scene, _opaque_seed(chunk), point, scalars)
+        return mi.TensorXf(dr.ravel(light), shape=(points.shape[0], 3))
+
     def step_changes(
         self, values: Values, names: Iterable[str], adjoint: torch.Tensor, seed: int, spp: int
     ) -> dict[str, torch.Tensor]:
         """Return for each pose by how much its gradient changes if the step of its difference is doubled."""
         values = self._live.snapshot(values)
         changes = {}
-        for name in names:
+        for name in [name for name in names if not self.turns(name)]:
             own, double = (
                 pose_difference(self._parameters[name], values[name], factor) for factor in (1.0, 2.0)
             )

@@ -34,6 +34,7 @@ class Kernels(NamedTuple):
 
     render: Callable[..., Any]
     render_samples: Callable[..., Any]
+    radiance_at: Callable[..., Any]
     render_backward: Callable[..., Any]
     render_backward_pixels: Callable[..., Any]
     difference_backward: Callable[..., Any]
@@ -52,6 +53,9 @@ def make_kernels(
 
     def render_samples(scene: Any, seed: Any, pixel: Any, scalars: tuple[float, ...]) -> Any:
         return integrator.render_samples(scene, sensor, seed, pixel)
+
+    def radiance_at(scene: Any, seed: Any, point: Any, scalars: tuple[float, ...]) -> Any:
+        return integrator.radiance_at(scene, sensor, seed, point)
 
     def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> None:
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
@@ -87,7 +91,7 @@ def make_kernels(
         forget_gradients()
         clear(arguments)
 
-    functions = (render, render_samples, render_backward, render_backward_pixels, differences)
+    functions = (render, render_samples, radiance_at, render_backward, render_backward_pixels, differences)
     if not freeze:
         return Kernels(*functions)
     return Kernels(*(FrozenFunction(function, reset) for function in functions))

@@ -766,7 +766,7 @@ class SceneRenderer(torch.nn.Module):
         names = [name for name in values if self._table[name].moves]
         engine = self._views[0].engine
         by_seed = [engine.step_changes(values, names, adjoint, seed, spp) for seed in seeds]
-        return {name: torch.stack([changes[name] for changes in by_seed]) for name in names}
+        return {name: torch.stack([changes[name] for changes in by_seed]) for name in by_seed[0]}
 
     def touching(self, name: str) -> list[str]:
         """Return the objects whose bounds touch those of the object that a pose moves, as far as it moves."""

@@ -116,6 +116,17 @@ def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None
     return sizes.pop()
 
 
+def film_corners(sensor: Any) -> Any:
+    """Return the directions of the film's corners at the left top, right and bottom, and of its axis, ``(4, 3)``."""
+    import drjit as dr
+    import mitsuba as mi
+
+    corner = mi.Point2f([0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+    ray, _ = sensor.sample_ray(0.0, 0.5, corner, mi.Point2f(0.5))
+    axis = sensor.world_transform() @ mi.Vector3f(0, 0, 1)
+    return mi.TensorXf(dr.concat([dr.ravel(ray.d), dr.ravel(axis)]), shape=(4, 3))
+
+
 def film_size(sensor: Any) -> tuple[int, int]:
     """Return the ``(width, height)`` of a sensor's film."""
     width, height = sensor.film().crop_size()
