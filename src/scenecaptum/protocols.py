@@ -83,6 +83,7 @@ class Capabilities:
         "Changes of the gradients of poses if the steps of their differences are doubled."
     )
     touching = _Offer[Callable[[str], list[str]]]("The objects near to one that a pose moves.")
+    rendered_separately = _Offer[Collection[str]]("The inputs whose derivatives take renders of their own.")
     vectors = _Offer[Collection[str]]("The inputs that are vectors in space, compared by their lengths.")
     info = _Offer[Mapping[str, Any]]("How it renders, for the ``info`` of results.")
     name = _Offer[str]("The name of the scene.")

@@ -63,6 +63,7 @@ class Assessment:
     quantiles: tuple[float, float]  # of ``significant`` and of ``criteria``
     order: list[str]  # all parameters by descending saliency
     degrees: int  # of freedom of the errors
+    settled: frozenset[str] = frozenset()  # those that cannot matter for the goal
 
     @property
     def half_widths(self) -> dict[str, float]:
@@ -154,10 +155,13 @@ def assess(
         criteria = [
             dataclasses.replace(q, target=max(tolerance * q.size, threshold - q.size)) for q in candidates
         ]
-        return Assessment(significant, criteria, (quantile, quantile), order, degrees)
+        kept = {quantity.names[0] for quantity in candidates}
+        settled = frozenset(order) - kept
+        return Assessment(significant, criteria, (quantile, quantile), order, degrees, settled)
     criteria = _saliency_differences(quantities, goal.top, tolerance or DEFAULT_TIE)
     quantiles = quantile, simultaneous_quantile(criteria, degrees)
-    return Assessment(significant, criteria, quantiles, order, degrees)
+    settled = _out_of_reach(quantities, goal.top)
+    return Assessment(significant, criteria, quantiles, order, degrees, settled)
 
 
 def totals(
@@ -247,6 +251,14 @@ def _saliency_differences(quantities: list[Quantity], top: int, tie: float) -> l
         if difference < CLEARLY_SEPARATED * quantity.error:
             differences.append(quantity)
     return differences
+
+
+def _out_of_reach(quantities: list[Quantity], top: int) -> frozenset[str]:
+    """Return the parameters that are clearly below the last of the first ``top``."""
+    if len(quantities) <= top:
+        return frozenset()
+    last = quantities[top - 1].lower(CLEARLY_SEPARATED)
+    return frozenset(q.names[0] for q in quantities[top:] if q.upper(CLEARLY_SEPARATED) < last)
 
 
 def _size_errors(quantity: Quantity) -> tuple[torch.Tensor, torch.Tensor]:

@@ -44,6 +44,7 @@ class Point:
     values: Tensors
     weight: float = 1.0  # in the sum; the weights of all points sum to 1
     factors: Tensors = field(default_factory=dict)  # of the gradients, elementwise; missing names mean 1
+    settled: frozenset[str] = frozenset()  # the parameters that are not differentiated any more
 
 
 def interpolated_point(start: Tensors, end: Tensors, fraction: float, weight: float) -> Point:
@@ -92,6 +93,7 @@ class GradientSum:
         self._sum: dict[str, torch.Tensor] = {}
         self._error: dict[str, torch.Tensor] = {}
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
+        self._settled_weight = dict.fromkeys(values, 0.0)  # of the points that leave out a parameter
         self._variances: dict[str, list[float]] = {name: [] for name in values}  # of each point
         # Variance of all points, and of those with several replicates, in units of the variance of one sample.
         self._total_variance = self._measured_variance = 0.0
@@ -121,6 +123,8 @@ class GradientSum:
                 deviations = scale * (totals - totals.mean(0))
                 self._deviations[name].extend(deviations)
                 self._variances[name].append(deviations.square().sum().item())
+        for name in self._deviations.keys() - point.statistics.keys():
+            self._leave_out(name, point.weight, replicates)
         if self.bias is None or point.bias is None:
             self.bias = None
         else:
@@ -129,11 +133,22 @@ class GradientSum:
         if self.points is not None:
             self.points.append(point)
 
+    def _leave_out(self, name: str, weight: float, replicates: int) -> None:
+        """Note that a point has no gradient of a parameter: its sum so far stands for that as well."""
+        self._settled_weight[name] += weight
+        self._variances[name].append(0.0)
+        zeros = torch.zeros_like(self._deviations[name][0])
+        self._deviations[name].extend([zeros] * replicates)
+
+    def _growth(self, name: str) -> float:
+        """Return the factor from the sum over the points that have a parameter to that over all points."""
+        return self.weight / (self.weight - self._settled_weight[name]) if self._settled_weight[name] else 1.0
+
     @cached_property
     def mean(self) -> dict[str, torch.Tensor]:
         """The weighted sum by parameter name; read it only after the last point has been added."""
         if self._between_points is None:
-            return self._sum
+            return {name: scaled(value, self._growth(name)) for name, value in self._sum.items()}
         return {name: self.weight * points.mean for name, points in self._between_points.items()}
 
     @property
@@ -162,7 +177,8 @@ class GradientSum:
     def error(self, name: str) -> torch.Tensor:
         """Return the elementwise standard error of ``mean``."""
         if self._error_from_replicates or self._between_points is None:
-            return scaled(self._error[name], math.sqrt(self._total_variance / self._measured_variance))
+            scale = self._growth(name) * math.sqrt(self._total_variance / self._measured_variance)
+            return scaled(self._error[name], scale)
         return scaled(self._between_points[name].error, self.weight)
 
     def rows(self, name: str) -> torch.Tensor:
@@ -181,7 +197,7 @@ class GradientSum:
     def deviations(self, name: str) -> torch.Tensor:
         """Return ``(replicates, C)`` deviations of channel totals whose squares sum to its variance."""
         if self._error_from_replicates or self._between_points is None:
-            scale = math.sqrt(self._total_variance / self._measured_variance)
+            scale = self._growth(name) * math.sqrt(self._total_variance / self._measured_variance)
             return scale * torch.stack(self._deviations[name])
         totals = torch.stack(self._between_points[name].totals)
         count = len(totals)
@@ -245,8 +261,9 @@ class GradientEstimator:
         Returns those of each metric, from the finished replicates, and whether Ctrl-C was pressed before the last
         backward pass finished.
         """
-        leaves = self._leaves(point)
-        images, graphs = self._render(index, leaves)
+        values = self._held(point)
+        leaves = {name: value.requires_grad_() for name, value in values.items() if name not in point.settled}
+        images, graphs = self._render(index, values)
         images = self._add_image_samples(index, point.values, images)
         self.image = torch.stack(images).mean(0)
         spp = self.budget.spp[index] or 1
@@ -267,18 +284,18 @@ class GradientEstimator:
             return results, True
         return results, False
 
-    def _leaves(self, point: Point) -> dict[str, torch.Tensor]:
-        """Return the values of a point as leaves that require grad."""
+    def _held(self, point: Point) -> dict[str, torch.Tensor]:
+        """Return the values of a point in tensors without a graph."""
         hold = Capabilities(self.renderer).held_values
         values = point.values if hold is None else hold(point.values)
-        return {name: value.detach().requires_grad_() for name, value in values.items()}
+        return {name: value.detach() for name, value in values.items()}
 
     def _is_out_of_time(self, finished: int) -> bool:
         """Whether there is no time for another backward pass."""
         return False
 
     def _render(
-        self, index: int, leaves: dict[str, torch.Tensor]
+        self, index: int, values: dict[str, torch.Tensor]
     ) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """Render every replicate; return the images for the metric and the images to differentiate."""
         spp = self.budget.spp[index]
@@ -288,11 +305,11 @@ class GradientEstimator:
         for number, (seed_grad, seed) in enumerate(seeds, 1):
             with error_context(f"In replicate {number} of {len(seeds)}"):
                 if self._render_with_seed_grad is not None:
-                    graph = self._render_with_seed_grad(leaves, seed=seed, spp=spp, seed_grad=seed_grad)
+                    graph = self._render_with_seed_grad(values, seed=seed, spp=spp, seed_grad=seed_grad)
                     images.append(graph.detach())
                 else:
-                    graph = self.renderer(leaves, seed=seed_grad, spp=spp)
-                    images.append(self.renderer(leaves, seed=seed, spp=spp).detach())
+                    graph = self.renderer(values, seed=seed_grad, spp=spp)
+                    images.append(self.renderer(values, seed=seed, spp=spp).detach())
                 check_image(images[-1], f"The render with seed {seed}")
             graphs.append(graph)
             self.bar.rendered()
@@ -478,7 +495,8 @@ def vjp(
         name: torch.zeros_like(leaf) if gradient is None else gradient
         for (name, leaf), gradient in zip(leaves.items(), gradients, strict=True)
     }
-    return {**by_name, **{name: by_name[name] * factor for name, factor in point.factors.items()}}
+    factors = {name: factor for name, factor in point.factors.items() if name in by_name}
+    return {**by_name, **{name: by_name[name] * factor for name, factor in factors.items()}}
 
 
 def _bias(

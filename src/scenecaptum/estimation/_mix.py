@@ -100,7 +100,9 @@ class Pilot(GradientEstimator):
 
     def measure(self, point: Point, compared: Compared) -> tuple[Part, Part, Part]:
         """Return the parts of the variance of the effects that a goal refers to: backward, picture, draws."""
-        leaves, (spp,) = self._leaves(point), self.budget.spp
+        leaves, (spp,) = self._held(point), self.budget.spp
+        for value in leaves.values():
+            value.requires_grad_()
         start = perf_counter()
         images, graphs = self._render(0, leaves)
         rendered = perf_counter()

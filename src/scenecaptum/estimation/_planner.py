@@ -138,7 +138,8 @@ class Planner:
         require_memory(self.renderer, [spp], replicates)
         start = self.time.now()
         self.bar.expect(replicates)
-        estimates, interrupted = self.rounds.add_round(self.point, replicates, spp)
+        point = dataclasses.replace(self.point, settled=self._settled())
+        estimates, interrupted = self.rounds.add_round(point, replicates, spp)
         if interrupted and not all(estimate.replicates for estimate in estimates):
             raise KeyboardInterrupt
         for estimate, total in zip(estimates, self.sums, strict=True):
@@ -152,6 +153,17 @@ class Planner:
         finished = min(estimate.replicates for estimate in estimates)
         self.replicate_time.record(spp, seconds / max(1, finished))
         return interrupted
+
+    def _settled(self) -> frozenset[str]:
+        """Return the parameters that need no more renders of their own: no metric's goal depends on them.
+
+        Those that are differentiated together with all others cost nothing.
+        """
+        separate = Capabilities(self.renderer).rendered_separately
+        if not separate or not self.assessments or self.compared.members is not None:
+            return frozenset()
+        by_metric = (assessment.settled for assessment in self.assessments)
+        return frozenset(separate).intersection(*by_metric) | self.point.settled
 
     def _effective_samples(self, number: int) -> Mapping[str, float]:
         """Return the effective samples behind the gradients of a metric, if the renderer provides them."""
@@ -296,6 +308,7 @@ class Planner:
                 {"replicates": replicates, "spp_per_replicate": spp, "seconds": seconds}
                 for replicates, spp, seconds in rounds
             ],
+            "settled": sorted(self._settled()),
             "mix": None if self.rounds.mix is None else dataclasses.asdict(self.rounds.mix),
             "setup_seconds": self.setup_seconds,
             "stopped": self.stopped(interrupted=interrupted),

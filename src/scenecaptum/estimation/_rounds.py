@@ -103,12 +103,16 @@ class RoundSum(GradientSum):
 
     def add(self, point: PointGradient) -> None:
         """Add a round; its bias replaces the previous one, because it is based on the images of all rounds."""
+        before, weight = self.bias, self.weight
         super().add(point)
         if self.bias is not None and point.bias is not None:
             self.bias = {
                 name: self.weight * point.bias[name] if name in point.bias else torch.zeros_like(value)
                 for name, value in self.bias.items()
             }
+        if self.bias is not None and before is not None and weight:
+            settled = self._deviations.keys() - point.statistics.keys()
+            self.bias |= {name: before[name] * (self.weight / weight) for name in settled}
 
 
 class Rounds(GradientEstimator):

@@ -55,6 +55,10 @@ class CheckpointedEngine:
         )
         return dict(zip(stepped, changes, strict=True))
 
+    def turns(self, name: str) -> bool:
+        """Whether a parameter only moves the picture over the film."""
+        return self.engine.turns(name)
+
     def _take(
         self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]
     ) -> tuple[torch.Tensor, ...]:

@@ -45,7 +45,6 @@ from ._state import Snapshot
 from .integrators.light_tracing import LightPaths
 from .integrators.path_differences import MovedMaterials, working_arrays
 
-
 CAMERA_ROTATION, CAMERA_FOV = pose_name("camera", "rotation"), pose_name("camera", "fov")
 # Samples of the light that moves over the film, for each sample of a backward pass.
 TURN_SAMPLES = 0.5
@@ -220,7 +219,7 @@ class Engine:
     def _turn_camera(
         self, values: Snapshot, names: Sequence[str], adjoint: torch.Tensor, seed: int, spp: int
     ) -> dict[str, torch.Tensor]:
-        """Return the gradients of the camera's rotation and field of view, from the light where the picture moves."""
+        """Return the gradients of the camera's rotation and field of view, from the light that moves."""
         if not names:
             return {}
         film = self._importance_maps.film

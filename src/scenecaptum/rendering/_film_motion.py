@@ -5,9 +5,9 @@ points, the adjoint ``a`` of the film's points, and the divergence theorem,
 
     d/dδ ∫ a L = −∫ a v·∇L = ∫ L div(a v) − ∮ a L v·n,
 
-which needs no derivative of the light ``L``. With a box filter ``a`` is constant within pixels, and the integral over
-its jumps is one over the pixels' edges. Otherwise its gradient is that of the filter, and only the border of the film
-remains.
+which needs no derivative of the light ``L``. With a box filter ``a`` is constant within pixels, and the integral
+over its jumps is one over the pixels' edges. Otherwise its gradient is that of the filter, and only the border of
+the film remains.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _PROBES = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])  # 
 class FilmSamples:
     """Points of the film, and the weights of the light there in each derivative.
 
-    ``points`` are ``(N, 2)`` in pixels, ``weights`` ``(derivatives, N, 3)``: three of the rotation, one of the field
-    of view.
+    ``points`` are ``(N, 2)`` in pixels, ``weights`` ``(derivatives, N, 3)``: three of the rotation, one of the
+    field of view.
     """
 
     points: Array
@@ -59,8 +59,8 @@ class FilmSamples:
 class FilmMotion:
     """How points of the film of a pinhole camera move while it turns or zooms, for light that stays.
 
-    The direction of a point ``(x, y)`` is that of ``corner + x · across + y · down``; ``centre`` is the point that
-    zooming leaves where it is, ``zoom`` the relative change of all distances from it per unit of the field of view.
+    The direction of a point ``(x, y)`` is that of ``corner + x · across + y · down``. Zooming leaves the ``centre``
+    where it is; ``zoom`` is the relative change of all distances from it per degree of the field of view.
     """
 
     corner: Array
@@ -148,9 +148,11 @@ def _on_edges(
     height, width, _ = adjoint.shape
     upright, level = _edges(width, height)
     middles = np.concatenate([upright + [0.0, 0.5], level + [0.5, 0.0]])
-    is_upright = np.arange(len(middles)) < len(upright)
+    is_upright: npt.NDArray[np.bool_] = np.arange(len(middles)) < len(upright)
     if film.radius:
-        on_border = np.concatenate([np.isin(upright[:, 0], (0, width)), np.isin(level[:, 1], (0, height))])
+        on_border = np.flatnonzero(
+            np.where(is_upright, middles[:, 0] % width == 0, middles[:, 1] % height == 0)
+        )
         middles, is_upright = middles[on_border], is_upright[on_border]
     jumps = _jumps(film, adjoint, middles, is_upright)
     velocity = motion.velocity(middles)[0]
@@ -228,7 +230,8 @@ def turning(rotation: Array) -> Array:
 
     References
     ----------
-    Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018: the left Jacobian of SO(3).
+    Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018: the left Jacobian of
+    SO(3).
     """
     angle = float(np.linalg.norm(rotation))
     if angle < 1e-6:

@@ -414,6 +414,11 @@ class SceneRenderer(torch.nn.Module):
         return {name: self._table[name].label for name in self._names}
 
     @property
+    def rendered_separately(self) -> tuple[str, ...]:
+        """The inputs whose derivatives take renders of their own: poses."""
+        return tuple(n for n in self._names if self._table[n].moves and not self._views[0].engine.turns(n))
+
+    @property
     def vectors(self) -> tuple[str, ...]:
         """The inputs that are vectors in space: translations and rotations."""
         return tuple(name for name in self._names if self._table[name].moves and self._table[name].shape)

@@ -117,7 +117,7 @@ def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None
 
 
 def film_corners(sensor: Any) -> Any:
-    """Return the directions of the film's corners at the left top, right and bottom, and of its axis, ``(4, 3)``."""
+    """Return the directions of the film's left top, right top and left bottom, and of its axis, ``(4, 3)``."""
     import drjit as dr
     import mitsuba as mi
 
