@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import torch
 from tqdm import tqdm
@@ -52,6 +53,8 @@ from .visualization import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
+Limit: TypeAlias = "float | Sequence[float]"
+
 # Properties of emitters that are part of their construction.
 CONSTRUCTION = ("cutoff_angle", "beam_width")
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
@@ -69,6 +72,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     target: Target = None,
     top: int = 5,
     change: float = 0.5,
+    limits: Mapping[str, tuple[Limit, Limit]] | None = None,
     steps: int = 60,
     seed: int = 0,
     spp: int | None = None,
@@ -105,6 +109,10 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     change
         Maximum change of each parameter, as a fraction of its physical range, or of its value if the range is
         infinite.
+    limits
+        Intervals ``(low, high)`` of values by name or glob, in place of ``change``; numbers, or one for each
+        channel: ``{"desk.pose.translation": ((-0.3, -0.5, 0), (0.3, 0, 0))}`` keeps a desk on the floor. Objects
+        are not moved into others whose bounds they did not overlap before.
     steps
         Maximum number of steps.
     seed, show_progress
@@ -159,7 +167,8 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         estimate = jackknife(transformed, images)
         return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
-    optimizer = _BoundedAdam(renderer, {row.name: values[row.name] for row in top_rows}, change)
+    start = {row.name: values[row.name] for row in top_rows}
+    optimizer = _BoundedAdam(renderer, start, change, _chosen_limits(start, limits or {}))
 
     def optimized() -> dict[str, torch.Tensor]:
         return values | {name: value.detach() for name, value in optimizer.values().items()}
@@ -198,17 +207,52 @@ def _construction(renderer: Renderer) -> set[str]:
     return {name for name, parameter in describe().items() if parameter.role in CONSTRUCTION}
 
 
-class _BoundedAdam:
-    """Adam on offsets from ``start`` by channel, in units of the ranges, up to ``change`` and within bounds."""
+def _chosen_limits(
+    start: Mapping[str, torch.Tensor], limits: Mapping[str, tuple[Limit, Limit]]
+) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Return the limits of the parameters that have some, as tensors; names take precedence over globs."""
+    chosen = {}
+    for key, interval in sorted(limits.items(), key=lambda item: item[0] in start):
+        names = [key] if key in start else [name for name in start if fnmatchcase(name, key)]
+        for name in names:
+            low, high = (torch.as_tensor(limit).to(start[name]) for limit in interval)
+            if not bool((low <= high).all()) or low.ndim > 1 or start[name].ndim > 1:
+                raise SceneCaptumError(
+                    f"limits[{key!r}] must be (low, high) with low <= high, numbers or one for each channel of "
+                    f"{name!r}, not {interval!r}; textures have none."
+                )
+            chosen[name] = low, high
+    return chosen
 
-    def __init__(self, renderer: Renderer, start: Mapping[str, torch.Tensor], change: float) -> None:
+
+class _BoundedAdam:
+    """Adam on offsets from ``start`` by channel, in units of the ranges.
+
+    They stay within bounds, and within ``change`` or limits. A step that moves an object into another is refused
+    for that object.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        start: Mapping[str, torch.Tensor],
+        change: float,
+        limits: Mapping[str, tuple[torch.Tensor, torch.Tensor]],
+    ) -> None:
         self.start = start
-        self.change = change
+        self._collisions = Capabilities(renderer).collisions
+        self._touching = self._pairs(start)
         self._ranges = {name: length.item() for name, length in range_lengths(renderer, start).items()}
         bounds = Capabilities(renderer).bounds or {}
         self._bounds = {name: bounds[name] for name in start}
         self._offsets = {
             name: value.new_zeros(channel_totals(value).shape).requires_grad_()
+            for name, value in start.items()
+        }
+        self._limits = {
+            name: [(limit - value) / self._ranges[name] for limit in limits[name]]
+            if name in limits
+            else [torch.tensor(-change), torch.tensor(change)]
             for name, value in start.items()
         }
         self._adam = torch.optim.Adam(self._offsets.values(), lr=LEARNING_RATE)
@@ -227,10 +271,24 @@ class _BoundedAdam:
         """Take one descent step, given the gradient of the metric with respect to the image."""
         self._adam.zero_grad()
         image.backward(adjoint)
+        before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
         self._adam.step()
         with torch.no_grad():
-            for offset in self._offsets.values():
-                offset.clamp_(-self.change, self.change)
+            for name, offset in self._offsets.items():
+                low, high = (limit.reshape(-1).expand_as(offset) for limit in self._limits[name])
+                offset.copy_(offset.clamp(low, high))
+            for name in self._colliding():
+                self._offsets[name].copy_(before[name])
+
+    def _pairs(self, values: Mapping[str, torch.Tensor]) -> set[tuple[str, str]]:
+        """Return the inputs that move objects into others, each with the name of the other."""
+        if self._collisions is None:
+            return set()
+        return set(self._collisions({name: value.detach() for name, value in values.items()}))
+
+    def _colliding(self) -> set[str]:
+        """Return the inputs that have moved an object into another."""
+        return {name for name, _ in self._pairs(self.values()) - self._touching}
 
     def summary(self, labels: Mapping[str, str]) -> tuple[Moved, ...]:
         """Return the initial and current value of every parameter."""

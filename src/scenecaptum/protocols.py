@@ -82,6 +82,9 @@ class Capabilities:
     step_changes = _Offer[Callable[..., dict[str, torch.Tensor]]](
         "Changes of the gradients of poses if the steps of their differences are doubled."
     )
+    collisions = _Offer[Callable[[Mapping[str, torch.Tensor]], Iterable[tuple[str, str]]]](
+        "The poses that move objects into others, each with the name of the other."
+    )
     touching = _Offer[Callable[[str], list[str]]]("The objects near to one that a pose moves.")
     rendered_separately = _Offer[Collection[str]]("The inputs whose derivatives take renders of their own.")
     vectors = _Offer[Collection[str]]("The inputs that are vectors in space, compared by their lengths.")

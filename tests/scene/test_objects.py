@@ -37,5 +37,6 @@ def test_objects_of_the_office(mi: Any) -> None:
     assert len(found["chair"].shapes) == 9
     assert sum(len(one.shapes) for one in found.values()) == len(graph.shapes())
     low, high = found["desk"].box.tolist()
-    assert low[2] == 0 and abs(high[2] - 0.74) < 1e-6
+    assert low[2] == 0
+    assert abs(high[2] - 0.74) < 1e-6
     assert found["desk"].pivot[2] == (low[2] + high[2]) / 2

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from ..protocols import Attribution
+from ..scene import pose_component
 from ..visualization import (
     axis_label,
     format_with_error,
@@ -187,6 +188,7 @@ class Explanation:
     def _effect_lines(self) -> list[str]:
         return [
             f"{_in_words(row.label)}: {self._in_unit(signed_with_error(row.effect, row.effect_error))}"
+            f"{self._along(row.name)}"
             for row in self.attribution.ranking()
             if _is_clear(row.effect, row.effect_error)
         ][: self.count]
@@ -212,6 +214,13 @@ class Explanation:
             return []
         moved = [f"{_step(one)}, by {100 * one.fraction:.0f} % of its range" for one in self.goal.moved]
         return [*moved, self.goal.outcome]
+
+    def _along(self, name: str) -> str:
+        """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""
+        component, extents = pose_component(name), getattr(self.attribution, "extents", {})
+        if component is None or name not in extents:
+            return ""
+        return f" for {_move(component, extents[name] * _unit(self.attribution[name]))}"
 
     def _in_unit(self, number: str) -> str:
         return f"{number} {metric_unit(self.attribution)}".rstrip()
@@ -254,8 +263,31 @@ class Explanation:
 
 
 def _step(change: Any) -> str:
-    """Return ``"desk base color 0.2 → 0.3"``."""
+    """Return ``"desk base color 0.2 → 0.3"``, or ``"desk 0.05 towards (0, −1, 0)"`` for a pose."""
+    component = pose_component(change.name)
+    if component in _MOVES:
+        return f"{change.label.rsplit(': ', 1)[0]} {_move(component, change.after - change.before)}"
     return f"{_in_words(change.label)} {_format(change.before)} → {_format(change.after)}"
+
+
+_MOVES = {"translation": "towards", "rotation": "about"}
+
+
+def _move(component: str, change: torch.Tensor) -> str:
+    """Return a change of a pose in words: scene units and degrees."""
+    if component not in _MOVES:
+        return f"{rounded(change.sum().item())}{'°' if component == 'fov' else ' of its size'}"
+    length = change.norm().item()
+    size = f"{rounded(math.degrees(length))}°" if component == "rotation" else f"{rounded(length)} units"
+    direction = ", ".join(
+        f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−") for number in _unit(change).tolist()
+    )
+    return f"{size} {_MOVES[component]} ({direction})"
+
+
+def _unit(vector: torch.Tensor) -> torch.Tensor:
+    norm = vector.norm()
+    return vector / norm if vector.ndim and norm > 0 else torch.ones_like(vector)
 
 
 def _in_words(label: str) -> str:

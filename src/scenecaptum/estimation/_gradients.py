@@ -101,7 +101,8 @@ class GradientSum:
 
     def add(self, point: PointGradient) -> None:
         """Add a point; after an interruption it may have fewer replicates."""
-        self.__dict__.pop("degrees_of_freedom", None)  # those of the points so far
+        for known in ("degrees_of_freedom", "mean"):  # those of the points so far
+            self.__dict__.pop(known, None)
         replicates = point.replicates
         self.weight += point.weight
         self.adjoints = point.adjoints
@@ -146,7 +147,7 @@ class GradientSum:
 
     @cached_property
     def mean(self) -> dict[str, torch.Tensor]:
-        """The weighted sum by parameter name; read it only after the last point has been added."""
+        """The weighted sum by parameter name."""
         if self._between_points is None:
             return {name: scaled(value, self._growth(name)) for name, value in self._sum.items()}
         return {name: self.weight * points.mean for name, points in self._between_points.items()}

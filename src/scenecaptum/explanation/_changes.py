@@ -37,13 +37,24 @@ def propose(
         value = values[row.name]
         direction = sign if row.effect > 0 else -sign
         low, high = bounds.get(row.name, unlimited)
-        after = _moved(value, direction, ranges.get(row.name, unlimited), (low, high))
+        over = ranges.get(row.name, unlimited)
+        after: torch.Tensor | None
+        if row.name in attribution.vectors:
+            after = value + sign * (over[1] - over[0]) / 2 * unit_direction(attribution[row.name]).to(value)
+        else:
+            after = _moved(value, direction, over, (low, high))
         if after is None:
             continue
         predicted, error = _predict(attribution, row.name, after - value)
         if abs(predicted) > SIGNIFICANT * error:
             changes.append(Change(row.name, row.label, value, after, predicted, error))
     return sorted(changes, key=lambda change: -abs(change.predicted))[:count]
+
+
+def unit_direction(vector: torch.Tensor) -> torch.Tensor:
+    """Return the direction of a vector."""
+    direction: torch.Tensor = vector / vector.norm().clamp_min(1e-30)
+    return direction
 
 
 def rendered(scenes: Scenes, change: Change) -> Change:

@@ -59,7 +59,7 @@ class FilmSamples:
 class FilmMotion:
     """How points of the film of a pinhole camera move while it turns or zooms, for light that stays.
 
-    The direction of a point ``(x, y)`` is that of ``corner + x · across + y · down``. Zooming leaves the ``centre``
+    The direction of a point ``(x, y)`` is that of ``corner + x · across + y · down``. Zooming leaves ``centre``
     where it is; ``zoom`` is the relative change of all distances from it per degree of the field of view.
     """
 
@@ -147,7 +147,7 @@ def _on_edges(
     """Return samples on the edges of pixels, across which the adjoint jumps, or on the border of the film."""
     height, width, _ = adjoint.shape
     upright, level = _edges(width, height)
-    middles = np.concatenate([upright + [0.0, 0.5], level + [0.5, 0.0]])
+    middles = np.concatenate([[*upright, 0.0, 0.5], [*level, 0.5, 0.0]])
     is_upright: npt.NDArray[np.bool_] = np.arange(len(middles)) < len(upright)
     if film.radius:
         on_border = np.flatnonzero(
@@ -185,7 +185,7 @@ def _jumps(film: FilmFilter, adjoint: Array, points: Array, is_upright: npt.NDAr
 def _filtered(film: FilmFilter, adjoint: Array, points: Array) -> tuple[Array, tuple[Array, Array]]:
     """Return the adjoint of the light at points of the film, ``(N, 3)``, and its slopes; 0 outside the film."""
     height, width, _ = adjoint.shape
-    on_film = ((points > 0) & (points < [width, height])).all(1)[:, None]
+    on_film = np.all((points > 0) & (points < [width, height]), axis=1, keepdims=True)
     home = np.floor(points).astype(int)
     profile = film.profile.double().numpy()
     value = np.zeros((len(points), 3))

@@ -34,6 +34,7 @@ from ..scene import (
     format_parameters,
     hashable_source,
     load_scene,
+    overlaps,
     pose_parameters,
     scene_name,
     select,
@@ -772,6 +773,15 @@ class SceneRenderer(torch.nn.Module):
         engine = self._views[0].engine
         by_seed = [engine.step_changes(values, names, adjoint, seed, spp) for seed in seeds]
         return {name: torch.stack([changes[name] for changes in by_seed]) for name in by_seed[0]}
+
+    def collisions(self, values: Mapping[str, torch.Tensor]) -> list[tuple[str, str]]:
+        """Return the poses among ``values`` of objects whose bounds overlap others, each with the other's name."""
+        own = {name: value for name, value in self._own_values().items() if self._table[name].moves}
+        owners = {name: self._table[name].owners[0] for name in values if self._table[name].moves}
+        if not owners:
+            return []
+        pairs = overlaps(self._objects.values(), {**own, **values}, set(owners.values()))
+        return [(name, other) for name, owner in owners.items() for mover, other in pairs if mover == owner]
 
     def touching(self, name: str) -> list[str]:
         """Return the objects whose bounds touch those of the object that a pose moves, as far as it moves."""

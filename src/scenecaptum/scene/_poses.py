@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 
 import torch
@@ -23,6 +23,14 @@ _SHAPES: dict[str, tuple[int, ...]] = {"translation": (3,), "rotation": (3,), "s
 def pose_name(owner: str, component: str) -> str:
     """Return the name of an input, such as ``"desk.pose.translation"``."""
     return f"{owner}.fov" if component == "fov" else f"{owner}.pose.{component}"
+
+
+def pose_component(name: str) -> str | None:
+    """Return what an input moves, ``"translation"``, ``"rotation"``, ``"scale"`` or ``"fov"``, or None."""
+    for component in RANGES:
+        if name.endswith(pose_name("", component)):
+            return component
+    return None
 
 
 def pose_parameters(objects: Iterable[SceneObject], *, kind: str = POSES) -> list[Parameter]:
@@ -66,6 +74,41 @@ def pose_matrix(
     matrix[:3, :3] = linear
     matrix[:3, 3] = about + translation.double().cpu() - linear @ about
     return matrix
+
+
+def overlaps(
+    objects: Iterable[SceneObject], values: Mapping[str, torch.Tensor], movers: Collection[str]
+) -> list[tuple[str, str]]:
+    """Return the pairs of movers and other objects whose bounds overlap, given the values of poses by name."""
+    boxes = {one.name: box for one in objects if (box := _moved_box(one, values)) is not None}
+    return [
+        (mover, other)
+        for mover in movers
+        if mover in boxes
+        for other, box in boxes.items()
+        if other != mover and _overlap(boxes[mover], box)
+    ]
+
+
+def _moved_box(one: SceneObject, values: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
+    """Return the bounds of an object in its pose, ``(2, 3)``."""
+    if one.box is None:
+        return None
+    box = torch.from_numpy(one.box)
+    at_rest = {"translation": torch.zeros(3), "rotation": torch.zeros(3), "scale": torch.zeros(())}
+    pose = {name: values.get(pose_name(one.name, name), zero) for name, zero in at_rest.items()}
+    if not any(bool(value.any()) for value in pose.values()):
+        return box
+    corners = torch.cartesian_prod(*box.T)
+    matrix = pose_matrix(one.pivot, **pose)
+    moved = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    return torch.stack([moved.amin(0), moved.amax(0)])
+
+
+def _overlap(left: torch.Tensor, right: torch.Tensor) -> bool:
+    """Whether two boxes overlap by more than rounding."""
+    depth = torch.minimum(left[1], right[1]) - torch.maximum(left[0], right[0])
+    return bool((depth > 1e-6).all())
 
 
 def _rotation(vector: torch.Tensor) -> torch.Tensor:

@@ -182,8 +182,13 @@ def _choose_step(value: torch.Tensor, gradient: torch.Tensor, low: float, high: 
 def _ablate(
     scenes: Scenes, row: Any, gradient: torch.Tensor, predicted: float, predicted_error: float
 ) -> Ablated:
-    value, (low, high) = scenes.values[row.name], (Capabilities(scenes.renderer).bounds or {})[row.name]
+    offered = Capabilities(scenes.renderer)
+    value, (low, high) = scenes.values[row.name], (offered.bounds or {})[row.name]
     chosen = _choose_step(value, gradient, low, high)
+    if row.name in (offered.rendered_separately or ()) and offered.ranges is not None:
+        # A pose has no bounds, and its gradient is the mean over its range.
+        start, end = offered.ranges[row.name]
+        chosen = _Step(unit_gradient(gradient, value).expand_as(value), (start - end) / 2)
 
     def slope(length: float) -> torch.Tensor:
         change = scenes.measure({row.name: value + length * chosen.direction}) - scenes.unmodified
@@ -200,6 +205,8 @@ def _ablate(
         step /= STEP_REDUCTION
     distance = distances_to_bounds(value, -chosen.direction, low, high).min().item()
     fixed_step = min(FIXED_STEP * predicted, MAX_BOUND_FRACTION * distance)
+    if math.isinf(distance) and abs(chosen.length) < fixed_step:
+        fixed_step = 0.0  # beyond what a pose is judged by
     fixed, fixed_error = mean_and_error(slope(-fixed_step)) if fixed_step > 0 else (None, None)
     return Ablated(
         name=row.name,
