@@ -155,3 +155,32 @@ def test_an_element_of_a_vector_is_optimized():
     found = optimize.minimize(Lamps(), channels, 0.6, target=2, top=1)
     assert found.reached
     assert found.before.value == pytest.approx(0.9, rel=0.1)
+
+
+def test_an_object_stays_within_its_limits(mi: Any) -> None:
+    name = "short_box_shape.pose.translation"
+    renderer = SceneRenderer("cornell-box", name, resolution=(16, 16), spp=64)
+    limits = {"*.translation": ((-0.02, -0.05, 0.0), (0.02, 0.05, 0.0))}
+    found = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, limits=limits, steps=10, seed=shifted())
+    assert (found.values[name].abs() <= torch.tensor([0.0201, 0.0501, 1e-6])).all()
+    assert found.values[name].abs().max() > 0.01
+    with pytest.raises(SceneCaptumError, match="low <= high"):
+        optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, limits={name: (0.1, -0.1)}, steps=1)
+
+
+def test_no_object_is_moved_into_another(mi: Any) -> None:
+    name = "tall_box_shape.pose.translation"
+    renderer = SceneRenderer("cornell-box", name, resolution=(8, 8), spp=4)
+    apart = {name: torch.zeros(3)}
+    inside = {name: torch.tensor([0.6, -0.5, 0.0])}
+    assert (name, "short_box_shape") in renderer.collisions(inside)
+    assert (name, "short_box_shape") not in renderer.collisions(apart)
+
+    limits = {name: (torch.tensor(-2.0), torch.tensor(2.0))}
+    optimizer = optimize._BoundedAdam(renderer, apart, 1.0, limits)
+    pull = torch.tensor([-1.0, 1.0, 0.0])  # its negative leads into the other box
+    for _ in range(200):
+        optimizer.step((optimizer.values()[name] * pull).sum(), torch.ones(()))
+    reached = optimizer.values()[name].detach()
+    assert reached[0] > 0.05, "it has not moved at all"
+    assert (name, "short_box_shape") not in renderer.collisions({name: reached})

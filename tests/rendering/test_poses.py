@@ -459,3 +459,49 @@ def test_the_length_of_a_vector_is_that_of_its_effect(mi: Any) -> None:
         for seed in seeds(1, 4)
     ]
     assert all(one.effects_error()[name] > 0 for one in lengths)
+
+
+def test_objects_that_cannot_reach_the_top_get_no_more_renders(mi: Any) -> None:
+    """The same order and values, within errors, as with renders for all; fewer renders."""
+    inputs = [
+        "back_wall_shape.pose.translation",
+        "*_box_shape.pose.translation",
+        "left_wall_shape.pose.scale",
+    ]
+    renderer = SceneRenderer("cornell-box", inputs, resolution=(24, 24), spp=64)
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    found = method.attribute(seed=shifted(), top=1, tolerance=0.02)
+    plan = found.info["planner"]
+    assert plan["settled"], "nothing was settled"
+    assert found.ranking()[0].name not in plan["settled"]
+    whole = method.attribute(seed=shifted(1), spp=512)
+    for name in found:
+        error = (found.standard_error[name].square() + whole.standard_error[name].square()).sqrt()
+        assert ((found[name] - whole[name]).abs() < allowed(8, 12) * error).all(), name
+
+
+def test_ablation_confirms_poses(mi: Any) -> None:
+    from scenecaptum import validation
+
+    inputs = ["short_box_shape.pose.translation", "tall_box_shape.pose.rotation", "floor.reflectance.value"]
+    renderer = SceneRenderer("cornell-box", inputs, resolution=(24, 24), spp=512)
+    test = validation.ablation_test(renderer, metrics.MeanLuminance(), seed=shifted())
+    assert all(row.agrees is not False for row in test.rows), test
+
+
+def test_explanations_speak_of_units_and_degrees(mi: Any) -> None:
+    inputs = ["short_box_shape.pose.translation", "tall_box_shape.pose.rotation"]
+    renderer = SceneRenderer("cornell-box", inputs, resolution=(24, 24), spp=512)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
+    text = str(found.explain())
+    assert "0.1 units towards (" in text
+    assert "5° about (" in text
+
+
+def test_the_map_shows_what_moves(mi: Any) -> None:
+    renderer = SceneRenderer("cornell-box", "tall_box_shape.pose.*", resolution=(24, 24), spp=64)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
+    shown = torch.from_numpy(renderer.surfaces.mask("tall_box_shape")) > 0.9
+    heatmap = found.heatmap()
+    assert heatmap[shown].min() > 0
+    assert heatmap[torch.from_numpy(renderer.surfaces.mask("left_wall_shape")) > 0.9].max() == 0
