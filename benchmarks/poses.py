@@ -1,0 +1,241 @@
+"""Check and time the derivatives of poses.
+
+``differences`` compares them with central differences of Mitsuba's own renders, which are moved by code of this
+script, with other seeds and two steps. ``coverage`` counts how often the 95 % intervals hold the result of long
+runs. ``cost`` times the poses of 30 objects of the office to a stable top 5, with and without leaving out the
+objects that cannot reach it, and the camera beside a plain attribution.
+
+    python benchmarks/poses.py differences [--scene office] [--seeds 8]
+    python benchmarks/poses.py coverage [--seeds 100]
+    python benchmarks/poses.py cost
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, activate, metrics
+from scenecaptum.scene import BUNDLED, SceneGraph, find_objects, load_scene
+
+SIZE, DEPTH = (64, 36), 4
+OBJECTS = {
+    "office": [
+        "desk",
+        "chair",
+        "screen",
+        "keyboard",
+        "book",
+        "mug",
+        "plant",
+        "pot",
+        "cabinet",
+        "mirror",
+        "picture",
+    ],
+    "cornell-box": ["tall_box_shape", "short_box_shape"],
+}
+LAMPS = {
+    "office": ["luminaire_left", "luminaire_right", "luminaire_back", "bulb", "sky"],
+    "cornell-box": ["light"],
+}
+GROUPS = {"office": {"lamp": ["lamp_*"]}, "cornell-box": {}}
+
+
+class Stock:
+    """Mitsuba's own renders of a bundled scene in which objects are moved."""
+
+    def __init__(self, name: str, size: tuple[int, int], groups: Mapping[str, Any]) -> None:
+        mi = activate()
+        self.scene = mi.load_dict(BUNDLED[name](), optimize=False)
+        self.params = mi.traverse(self.scene)
+        film = mi.traverse(self.scene.sensors()[0])
+        film["film.size"] = list(size)
+        film.update()
+        self.integrator = mi.load_dict({"type": "path", "max_depth": DEPTH, "rr_depth": DEPTH + 1})
+        self.objects = {one.name: one for one in find_objects(SceneGraph(load_scene(name)), groups)}
+        self.base: dict[str, Any] = {}
+
+    def place(self, name: str, component: str, axis: int, amount: float) -> None:
+        """Move an object by an amount along or about an axis, from where it was loaded."""
+        mi = activate()
+        one = self.objects[name]
+        unit = [float(axis == k) for k in range(3)]
+        place = mi.ScalarTransform4f()
+        if component == "translation":
+            place = place.translate([amount * x for x in unit])
+        else:
+            about = place.translate(list(one.pivot))
+            about = (
+                about.rotate(unit, math.degrees(amount))
+                if component == "rotation"
+                else about.scale(1 + amount)
+            )
+            place = about.translate([-x for x in one.pivot])
+        matrix = np.array(place.matrix)
+        for key in one.keys:
+            if key not in self.base:
+                self.base[key] = type(self.params[key])(self.params[key])
+            base = self.base[key]
+            if key.endswith("to_world"):
+                own = np.array(base.matrix).reshape(4, 4, -1)[..., 0]
+                self.params[key] = mi.ScalarTransform4f((matrix @ own).tolist())
+            else:
+                points = np.array(base).reshape(-1, 3)
+                shift = matrix[:3, 3] if key.endswith("positions") else 0.0
+                self.params[key] = (points @ matrix[:3, :3].T + shift).ravel().astype(np.float32)
+        self.params.update()
+
+    def render(self, seed: int, spp: int) -> torch.Tensor:
+        """Render with Mitsuba's path tracer."""
+        mi = activate()
+        with torch.no_grad():
+            return (
+                mi.render(self.scene, integrator=self.integrator, seed=seed, spp=spp).torch()[..., :3].cpu()
+            )
+
+
+def weights() -> torch.Tensor:
+    """Return the weights of the pixels in the metric, which differ, so that more than the mean matters."""
+    down, across = torch.meshgrid(torch.linspace(0, 1, SIZE[1]), torch.linspace(0, 1, SIZE[0]), indexing="ij")
+    return (1 + torch.sin(5 * across) * torch.cos(4 * down))[..., None]
+
+
+def metric(image: torch.Tensor) -> torch.Tensor:
+    return (weights().to(image) * image).mean()
+
+
+def differences(options: argparse.Namespace) -> None:
+    """Compare with differences of stock renders; print each z-score and their distribution."""
+    groups = GROUPS[options.scene]
+    stock = Stock(options.scene, SIZE, groups)
+    names = [f"{one}.pose.{kind}" for one in OBJECTS[options.scene] for kind in ("translation", "rotation")]
+    names += [f"{one}.pose.translation" for one in LAMPS[options.scene]]
+    renderer = SceneRenderer(options.scene, names, objects=groups, resolution=SIZE, spp=512, max_depth=DEPTH)
+    found = VanillaSceneGradient(renderer, metric).attribute(seed=1, replicates=16)
+    scores: list[float] = []
+    for name in names:
+        one, _, kind = name.split(".")
+        low, high = renderer.ranges[name]
+        for axis in range(3):
+            parts = []
+            for h in ((high - low) / 2, (high - low) / 4):
+                slopes = []
+                for seed in range(1000, 1000 + options.seeds):
+                    ends = []
+                    for sign in (1, -1):
+                        stock.place(one, kind, axis, sign * h)
+                        ends.append(metric(stock.render(seed, 64)).item())
+                    slopes.append((ends[0] - ends[1]) / (2 * h))
+                mean, error = np.mean(slopes), np.std(slopes, ddof=1) / math.sqrt(len(slopes))
+                own = found.standard_error[name][axis].item() if found.standard_error else 0.0
+                z = (found[name][axis].item() - mean) / math.hypot(error, own)
+                parts.append(f"h {h:.3g}: {mean:+.4f} ± {error:.4f}, z {z:+.1f}")
+                if h == (high - low) / 2 and name not in found.info["jumps"]:
+                    scores.append(z)
+            stock.place(one, kind, axis, 0.0)
+            mark = " (marked)" if name in found.info["jumps"] else ""
+            own_text = f"{found[name][axis]:+.4f} ± {found.standard_error[name][axis]:.4f}"
+            print(f"{name} {'xyz'[axis]}: {own_text}; {'; '.join(parts)}{mark}", flush=True)
+    far = sum(abs(z) > 2 for z in scores)
+    print(
+        f"{len(scores)} numbers: rms z {np.sqrt(np.mean(np.square(scores))):.2f}, {far} beyond 2, "
+        f"largest {max(map(abs, scores)):.1f}"
+    )
+
+
+POSES = [
+    "desk.pose.translation",
+    "chair.pose.rotation",
+    "luminaire_left.pose.scale",
+    "screen.pose.rotation",
+    "camera.pose.rotation",
+]
+
+
+def coverage(options: argparse.Namespace) -> None:
+    """Count how often intervals hold the result of long runs."""
+    renderer = SceneRenderer("office", POSES, resolution=SIZE, spp=64, max_depth=DEPTH)
+    for name, chosen in (
+        ("mean luminance", metrics.MeanLuminance()),
+        ("UGR", metrics.UnifiedGlareRating(renderer.camera)),
+    ):
+        method = VanillaSceneGradient(renderer, chosen)
+        long = [method.attribute(seed=10_000 + seed, spp=512) for seed in range(8)]
+        truth = {pose: torch.stack([run[pose] for run in long]) for pose in POSES}
+        held: dict[str, list[float]] = {pose: [] for pose in POSES}
+        for seed in range(options.seeds):
+            run = method.attribute(seed=seed)
+            for pose, (low, high) in run.interval().items():
+                mean = truth[pose].mean(0)
+                held[pose].append(((low <= mean) & (mean <= high)).float().mean().item())
+        for pose in POSES:
+            print(f"{name}, {pose}: {100 * np.mean(held[pose]):.1f} % held", flush=True)
+        print(f"{name}: {100 * np.mean([np.mean(h) for h in held.values()]):.1f} % of all", flush=True)
+
+
+def timed(run: Callable[[], SceneAttribution]) -> tuple[SceneAttribution, float]:
+    start = time.perf_counter()
+    found = run()
+    return found, time.perf_counter() - start
+
+
+def cost(options: argparse.Namespace) -> None:
+    """Time a stable top 5 of 30 objects, and the camera beside materials."""
+    books = {f"book_{k}": f"book_{k}" for k in range(5)} | {"curtain_left": "curtain_[0-6]"}
+    renderer = SceneRenderer(
+        "office",
+        ["*.pose.translation", "*.pose.rotation"],
+        objects=books,
+        resolution=(160, 90),
+        spp=64,
+        max_depth=DEPTH,
+    )
+    names = [name for name in renderer.inputs if not name.startswith("camera")]
+    values = {name: renderer.inputs[name] for name in names}
+    print(f"{len(names)} poses of {len({name.split('.')[0] for name in names})} objects", flush=True)
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    found, seconds = timed(lambda: method.attribute(values, top=5, tolerance=0.2, seed=0))
+    plan = found.info["planner"]
+    top = [row.name for row in found.ranking(top=5)]
+    print(
+        f"racing: {seconds:.0f} s, reached {plan['reached']}, settled {len(plan['settled'])}; {top}",
+        flush=True,
+    )
+    for one in plan["rounds"]:
+        print(f"  {one}")
+    per_round = [one["replicates"] * one["spp_per_replicate"] for one in plan["rounds"]]
+    first = plan["rounds"][0]["seconds"] / per_round[0]
+    print(
+        f"alike for all objects, by the time of the first round: {first * sum(per_round):.0f} s", flush=True
+    )
+    for inputs in ("materials", ["materials", "camera.pose.rotation", "camera.fov"]):
+        other = SceneRenderer("office", inputs, resolution=(160, 90), spp=64, max_depth=DEPTH)
+        gradient = VanillaSceneGradient(other, metrics.MeanLuminance())
+        gradient.attribute(seed=0)
+        times = [timed(lambda gradient=gradient, k=k: gradient.attribute(seed=k))[1] for k in range(1, 6)]
+        print(f"{inputs}: {np.median(times):.2f} s", flush=True)
+
+
+SECTIONS = {"differences": differences, "coverage": coverage, "cost": cost}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("section", choices=SECTIONS)
+    parser.add_argument("--scene", default="office", choices=list(OBJECTS))
+    parser.add_argument("--seeds", type=int, default=8)
+    options = parser.parse_args()
+    SECTIONS[options.section](options)
+
+
+if __name__ == "__main__":
+    main()
