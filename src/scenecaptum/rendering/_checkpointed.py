@@ -47,13 +47,12 @@ class CheckpointedEngine:
 
     def step_changes(self, values: Values, names: Sequence[str], *arguments: Any) -> dict[str, torch.Tensor]:
         """Return the changes of the gradients of poses with doubled steps."""
-        stepped = [name for name in names if not self.engine.turns(name)]
         changes = self._take(
             "step changes",
-            (values, tuple(stepped), *arguments),
-            lambda: tuple(self.engine.step_changes(values, stepped, *arguments).values()),
+            (values, tuple(names), *arguments),
+            lambda: tuple(self.engine.step_changes(values, names, *arguments).values()),
         )
-        return dict(zip(stepped, changes, strict=True))
+        return dict(zip(names, changes, strict=True))
 
     def turns(self, name: str) -> bool:
         """Whether a parameter only moves the picture over the film."""

@@ -257,7 +257,7 @@ class Engine:
         """Return for each pose by how much its gradient changes if the step of its difference is doubled."""
         values = self._live.snapshot(values)
         changes = {}
-        for name in [name for name in names if not self.turns(name)]:
+        for name in names:
             own, double = (
                 pose_difference(self._parameters[name], values[name], factor) for factor in (1.0, 2.0)
             )

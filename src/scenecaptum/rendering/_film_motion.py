@@ -147,7 +147,8 @@ def _on_edges(
     """Return samples on the edges of pixels, across which the adjoint jumps, or on the border of the film."""
     height, width, _ = adjoint.shape
     upright, level = _edges(width, height)
-    middles = np.concatenate([[*upright, 0.0, 0.5], [*level, 0.5, 0.0]])
+    half = np.array([0.0, 0.5])
+    middles = np.concatenate([upright + half, level + half[::-1]])
     is_upright: npt.NDArray[np.bool_] = np.arange(len(middles)) < len(upright)
     if film.radius:
         on_border = np.flatnonzero(

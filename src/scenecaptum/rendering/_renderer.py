@@ -769,10 +769,12 @@ class SceneRenderer(torch.nn.Module):
         dict
             ``(replicates, …)`` tensors by the names of the poses among ``values``, with the shapes of the poses.
         """
-        names = [name for name in values if self._table[name].moves]
         engine = self._views[0].engine
+        names = [name for name in values if self._table[name].moves and not engine.turns(name)]
+        if not names:
+            return {}
         by_seed = [engine.step_changes(values, names, adjoint, seed, spp) for seed in seeds]
-        return {name: torch.stack([changes[name] for changes in by_seed]) for name in by_seed[0]}
+        return {name: torch.stack([changes[name] for changes in by_seed]) for name in names}
 
     def collisions(self, values: Mapping[str, torch.Tensor]) -> list[tuple[str, str]]:
         """Return the poses among ``values`` of objects whose bounds overlap others, each with the other's name."""

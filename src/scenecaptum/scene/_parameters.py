@@ -117,7 +117,7 @@ def _problem(
     """Return the reason why the parameter cannot be differentiated, or None."""
     type_name = type(value).__name__
     if kind == "geometry" and ("position" in role or "to_world" in role):
-        return "it is moved by the pose of its object, such as NAME.pose.translation"
+        return "it changes visibility; move its object instead, such as by NAME.pose.translation"
     if kind == "geometry":
         return "it belongs to the geometry, which cannot be differentiated yet"
     if kind == "camera":
@@ -132,7 +132,7 @@ def _problem(
     if "Transform" in type_name:
         return "it is a transformation; only materials, lights and media are differentiated"
     if kind == "emitters" and role in EMITTER_POSES:
-        return "it is moved by the pose of the light, such as NAME.pose.translation"
+        return "it positions a light; move the light instead, such as by NAME.pose.translation"
     if not (_is_array(value) or isinstance(value, float)):
         return f"it is a {type_name}, not a continuous quantity"
     if role == "S" and user.class_name().startswith("SGGX"):

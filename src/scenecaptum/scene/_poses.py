@@ -106,9 +106,9 @@ def _moved_box(one: SceneObject, values: Mapping[str, torch.Tensor]) -> torch.Te
 
 
 def _overlap(left: torch.Tensor, right: torch.Tensor) -> bool:
-    """Whether two boxes overlap by more than rounding."""
-    depth = torch.minimum(left[1], right[1]) - torch.maximum(left[0], right[0])
-    return bool((depth > 1e-6).all())
+    """Whether two boxes overlap by more than rounding, or a flat one cuts the other."""
+    rounding = 1e-6
+    return bool(((left[0] + rounding < right[1]) & (left[1] - rounding > right[0])).all())
 
 
 def _rotation(vector: torch.Tensor) -> torch.Tensor:
