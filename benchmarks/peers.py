@@ -204,9 +204,6 @@ def make_metrics(renderer: SceneRenderer, spp: int) -> dict[str, Metric]:
     return {
         "mean luminance": metrics.MeanLuminance(),
         "UGR": glare.held_at(image),
-        "smoothed class logit": metrics.ClassLogit(
-            metrics.ShapeClassifier.pretrained(), target="sphere", smoothing=0.3
-        ),
     }
 
 
