@@ -204,7 +204,6 @@ def make_metrics(renderer: SceneRenderer, spp: int) -> dict[str, Metric]:
     return {
         "mean luminance": metrics.MeanLuminance(),
         "UGR": glare.held_at(image),
-        "class logit": metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="sphere"),
     }
 
 

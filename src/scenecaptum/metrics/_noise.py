@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
+from ..backend import trim_heap
 from ..errors import SceneCaptumError, check_seed, whole_number
 from ..images import check_image_shape
 from ..visualization import rounded
@@ -23,6 +24,9 @@ OfBatch: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 DEFAULT_DRAWS = 256
 
 _BATCH = 8  # noisy pictures that are in memory at the same time
+# Bytes of a batch of pictures from which its memory is returned to the system before the next. For small pictures
+# it would take as long as a small network.
+_LARGE_BATCH = 2**22
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,8 @@ class PictureNoise:
         batches = [pairs[start : start + _BATCH // 2] for start in range(0, len(pairs), _BATCH // 2)]
 
         def sum_over(batch: list[tuple[int, int]]) -> torch.Tensor:
+            if _BATCH * image.nbytes >= _LARGE_BATCH:
+                trim_heap()
             return of_batch(self._noisy(image, batch)).sum(0)
 
         if len(batches) == 1:
