@@ -149,7 +149,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     )
     name = metric_symbol(ranked)
     fixed = _construction(renderer)
-    movable = [row for row in ranked.ranking() if row.saliency > 0 and row.name not in fixed]
+    movable = [row for row in ranked.ranking() if any(row.total) and row.name not in fixed]
     top_rows = movable[: whole_number("top", top)]
     if not top_rows:
         raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
@@ -37,6 +37,7 @@ from ..estimation import (
     jackknife,
     render_images,
     require_memory,
+    scaled,
     sum_gradients,
     with_image_transform,
 )
@@ -44,6 +45,7 @@ from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, make_attribution, surfaces_of
 from ._data import Tensors, metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
+from ._steps import step_errors
 
 Targets: TypeAlias = "Target | list[Target]"
 
@@ -186,6 +188,7 @@ class Run:
             dataclasses.replace(self.settings, spp=first_spp),
             against=against,
             prepare=lambda: surfaces_of(self.renderer, self.values),
+            unranked=self._jumps,
         )
         interrupted, rounds = planner.run(), planner.rounds
         evaluated = zip(self.metrics, planner.sums, self._evaluations(planner.sums, rounds), strict=True)
@@ -194,6 +197,11 @@ class Run:
             info["planner"] = planner.report(number, interrupted=interrupted)
             results.append(self.result(*arguments, rounds, interrupted, **info))
         return self.return_results(results, interrupted=interrupted)
+
+    def _jumps(self, total: GradientSum, adjoint: torch.Tensor, spp: int) -> Collection[str]:
+        """Return the poses that have no derivative."""
+        mean = {name: scaled(value, 1 / total.weight) for name, value in total.mean.items()}
+        return step_errors(self.renderer, mean, self.values, adjoint, spp, self.settings.seed).jumps
 
     def _evaluations(
         self, sums: Sequence[GradientSum], gradients: GradientEstimator

@@ -123,6 +123,7 @@ class Compared:
     )
     members: Mapping[str, tuple[str, ...]] | None = None  # of each group
     vectors: frozenset[str] = frozenset()  # the parameters whose effect is the length of a vector
+    excluded: frozenset[str] = frozenset()  # the parameters that are not ranked: those without a derivative
 
 
 def assess(
@@ -171,6 +172,8 @@ def totals(
     scale = 1 / gradients.weight
     vectors = {}
     for name, mean in gradients.mean.items():
+        if name in compared.excluded:
+            continue
         total = scale * channel_totals(mean).double()
         zeros = torch.zeros_like(total)
         deviations = scale * gradients.deviations(name) if gradients.degrees_of_freedom else zeros[None]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
+
+import torch
 
 from ..checkpoint import with_checkpoint
 from ..errors import SceneCaptumError, whole_number
@@ -57,7 +59,8 @@ class Planner:
 
     The ``sampling`` is that of the first round, by default few samples that cost nearly nothing; ``compared`` is
     what the goal refers to. With ``against``, another renderer, the gradients are compared at the end.
-    ``prepare`` is called before the time limit starts, for one-time costs.
+    ``prepare`` is called before the time limit starts, for one-time costs. ``unranked`` returns the parameters
+    without a derivative, given the gradients of the first round, the adjoint image and the samples.
 
     References
     ----------
@@ -65,7 +68,7 @@ class Planner:
     Mathematical Statistics 16(3), 1945.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 -- what a run consists of, and what only the methods know
         self,
         renderer: Renderer,
         metrics: Sequence[TargetedMetric],
@@ -77,6 +80,7 @@ class Planner:
         *,
         against: Any = None,
         prepare: Callable[[], object] = lambda: None,
+        unranked: Callable[[GradientSum, torch.Tensor, int], Collection[str]] | None = None,
     ) -> None:
         seed, replicates, first_spp = sampling.seed, sampling.replicates, sampling.spp
         if replicates < 2:
@@ -97,6 +101,7 @@ class Planner:
             None if against is None else with_checkpoint(against, Capabilities(renderer).checkpoint)
         )
         self.prepare = prepare
+        self.unranked = unranked
         self.changes: list[dict[str, Any] | None] = [None] * len(metrics)
         self.sums = [RoundSum(point.values) for _ in metrics]  # the gradients so far
         self.assessments: list[Assessment] = []
@@ -144,6 +149,8 @@ class Planner:
             raise KeyboardInterrupt
         for estimate, total in zip(estimates, self.sums, strict=True):
             total.add(estimate)
+        if not self.round_seconds and self.unranked is not None and self.compared.members is None:
+            self._exclude(self.unranked, replicates * spp)
         self.assessments = [
             assess(total, self.goal, self.compared, self._effective_samples(number))
             for number, total in enumerate(self.sums)
@@ -154,6 +161,13 @@ class Planner:
         self.replicate_time.record(spp, seconds / max(1, finished))
         return interrupted
 
+    def _exclude(self, unranked: Callable[..., Collection[str]], samples: int) -> None:
+        """Leave out the parameters without a derivative for any of the metrics."""
+        pairs = zip(self.sums, self.rounds.mean_adjoints, strict=True)
+        names = {name for total, adjoint in pairs for name in unranked(total, adjoint, samples)}
+        if len(names) < len(self.point.values):
+            self.compared = dataclasses.replace(self.compared, excluded=frozenset(names))
+
     def _settled(self) -> frozenset[str]:
         """Return the parameters that need no more renders of their own: no metric's goal depends on them.
 
@@ -163,7 +177,7 @@ class Planner:
         if not separate or not self.assessments or self.compared.members is not None:
             return frozenset()
         by_metric = (assessment.settled for assessment in self.assessments)
-        return frozenset(separate).intersection(*by_metric) | self.point.settled
+        return frozenset(separate).intersection(*by_metric) | self.compared.excluded
 
     def _effective_samples(self, number: int) -> Mapping[str, float]:
         """Return the effective samples behind the gradients of a metric, if the renderer provides them."""
