@@ -86,6 +86,9 @@ class Capabilities:
         "The poses that move objects into others, each with the name of the other."
     )
     touching = _Offer[Callable[[str], list[str]]]("The objects near to one that a pose moves.")
+    shown_moves = _Offer[Mapping[str, tuple[list[float], list[list[float]]]]](
+        "Where the picture shows the object of each translation, and how it moves there."
+    )
     rendered_separately = _Offer[Collection[str]]("The inputs whose derivatives take renders of their own.")
     vectors = _Offer[Collection[str]]("The inputs that are vectors in space, compared by their lengths.")
     info = _Offer[Mapping[str, Any]]("How it renders, for the ``info`` of results.")

@@ -318,6 +318,9 @@ def make_attribution(
             "metric_bias": adjoints.bias,
             "seen_through": seen_through(renderer, surfaces, names),
             "jumps": steps.jumps,
+            "shown_moves": {
+                n: m for n, m in (Capabilities(renderer).shown_moves or {}).items() if n in names
+            },
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **(Capabilities(renderer).info or {}),

@@ -54,6 +54,10 @@ class CheckpointedEngine:
         )
         return dict(zip(names, changes, strict=True))
 
+    def shown_at(self, place: Sequence[float]) -> tuple[list[float], list[list[float]]] | None:
+        """Return where the picture shows a place, and how it moves there."""
+        return self.engine.shown_at(place)
+
     def turns(self, name: str) -> bool:
         """Whether a parameter only moves the picture over the film."""
         return self.engine.turns(name)

@@ -225,11 +225,7 @@ class Engine:
         film = self._importance_maps.film
         assert film is not None
         width, height = self._live.resolution
-        corners, forward = (
-            self._live.call(partial(film_corners, self._live.sensor), values).cpu().double().split((3, 1))
-        )
-        fov = values[CAMERA_FOV].item()
-        motion = FilmMotion.of(corners.numpy(), forward[0].numpy(), self._live.resolution, fov)
+        motion = self._film_motion(values)
         total = np.zeros(4)
         for chunk in self._chunks(seed, spp):
             count = math.ceil(width * height * chunk.spp * TURN_SAMPLES)
@@ -241,6 +237,27 @@ class Engine:
         turned = turning(values[CAMERA_ROTATION].double().cpu().numpy()).T @ total[:3]
         found = {CAMERA_ROTATION: torch.from_numpy(turned), CAMERA_FOV: torch.tensor(total[3])}
         return {name: found[name].to(values[name]) for name in names}
+
+    def shown_at(self, place: Sequence[float]) -> tuple[list[float], list[list[float]]] | None:
+        """Return where the picture shows a place of the scene, in pixels, and how it moves there, ``(2, 3)``.
+
+        None outside the picture, or for another camera than a pinhole.
+        """
+        if self._live.sensor.class_name() != "PerspectiveCamera":
+            return None
+        with self._live.with_values({}):
+            origin = np.array(self._live.sensor.world_transform().matrix).reshape(4, 4, -1)[:3, 3, 0]
+            shown = self._film_motion(self._live.snapshot({})).project(np.array(place) - origin)
+        if shown is None or not ((shown[0] >= 0) & (shown[0] <= self._live.resolution)).all():
+            return None
+        return shown[0].tolist(), shown[1].tolist()
+
+    def _film_motion(self, values: Snapshot) -> FilmMotion:
+        """Return how points of the film move, for the camera in a pose."""
+        found = self._live.call(partial(film_corners, self._live.sensor), values)
+        corners, forward = found.cpu().double().split((3, 1))
+        fov = values[CAMERA_FOV].item()
+        return FilmMotion.of(corners.numpy(), forward[0].numpy(), self._live.resolution, fov)
 
     def _radiance_at(self, chunk: Chunk, points: Any) -> Any:
         array = owned(points.array)

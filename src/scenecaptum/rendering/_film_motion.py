@@ -79,6 +79,21 @@ class FilmMotion:
         centre = np.array([offset @ across / (across @ across), offset @ down / (down @ down)])
         return cls(plane[0], across, down, centre, -math.radians(1) / math.sin(math.radians(fov)))
 
+    def project(self, place: Array) -> tuple[Array, Array] | None:
+        """Return where the film shows a place relative to the camera, and its derivative ``(2, 3)``.
+
+        None for a place behind the camera.
+        """
+        normal = np.cross(self.across, self.down)
+        depth = float(normal @ place) / float(normal @ self.corner)
+        if depth <= 0:
+            return None
+        volume = float(normal @ normal)
+        duals = np.stack([np.cross(self.down, normal), np.cross(normal, self.across)]) / volume
+        point = duals @ (place / depth - self.corner)
+        along = np.outer(place, normal) / float(normal @ place)
+        return point, duals @ (np.eye(3) - along) / depth
+
     def velocity(self, points: Array) -> tuple[Array, Array]:
         """Return the velocities ``(4, N, 2)`` of points, and their divergences ``(4, N)``."""
         place = self.corner + points[:, :1] * self.across + points[:, 1:] * self.down

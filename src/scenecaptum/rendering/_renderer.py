@@ -415,6 +415,20 @@ class SceneRenderer(torch.nn.Module):
         return {name: self._table[name].label for name in self._names}
 
     @property
+    def shown_moves(self) -> dict[str, tuple[list[float], list[list[float]]]]:
+        """Where the picture shows the object of each translation, in pixels, and how it moves, ``(2, 3)``."""
+        if self._stacked:
+            return {}
+        moves: dict[str, tuple[list[float], list[list[float]]]] = {}
+        for name in self._names:
+            parameter = self._table[name]
+            one = self._objects.get(parameter.owners[0]) if parameter.role == "translation" else None
+            if parameter.moves and one is not None and one.name != "camera":
+                shown = self._views[0].engine.shown_at(one.pivot)
+                moves |= {} if shown is None else {name: shown}
+        return moves
+
+    @property
     def rendered_separately(self) -> tuple[str, ...]:
         """The inputs whose derivatives take renders of their own: poses."""
         return tuple(n for n in self._names if self._table[n].moves and not self._views[0].engine.turns(n))

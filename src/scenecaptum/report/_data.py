@@ -18,6 +18,7 @@ from ..visualization import (
     RAISES,
     UNCLEAR,
     Format,
+    arrows,
     axis_label,
     caution_groups,
     color_of,
@@ -138,6 +139,7 @@ def _result(
         # Including objects that no pixel shows, as in ``heatmap``.
         "largest": _number(max([row.saliency for row in ranking] + list(map(abs, saliencies)), default=0.0)),
         "texels": _texels(attribution, surfaces),
+        "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(attribution.info),
     }
 

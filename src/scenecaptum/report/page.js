@@ -67,7 +67,10 @@ function drawMarks() {
   drawOutlines();
 }
 
-const drawOutlines = () => drawLines(byId("lines"), view(), state.hovered, state.selection.objects);
+function drawOutlines() {
+  drawLines(byId("lines"), view(), state.hovered, state.selection.objects);
+  drawArrows(byId("lines"), view(), result().arrows);
+}
 
 function drawTable() {
   drawColumns(result(), state.sort, sortBy);

@@ -104,6 +104,30 @@ function drawLines(canvas, view, hovered, selected) {
   }
 }
 
+/** Draw where moving objects raises the metric, over what drawLines has drawn. */
+function drawArrows(canvas, view, arrows) {
+  const ratio = window.devicePixelRatio || 1;
+  const context = canvas.getContext("2d");
+  const [across, down] = [canvas.width / view.width, canvas.height / view.height];
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  for (const { x, y, dx, dy } of arrows) {
+    const [fromX, fromY, toX, toY] = [x * across, y * down, (x + dx) * across, (y + dy) * down];
+    const angle = Math.atan2(toY - fromY, toX - fromX);
+    const path = new Path2D();
+    path.moveTo(fromX, fromY);
+    path.lineTo(toX, toY);
+    for (const side of [-0.5, 0.5]) {
+      path.moveTo(toX, toY);
+      path.lineTo(toX - 9 * ratio * Math.cos(angle + side), toY - 9 * ratio * Math.sin(angle + side));
+    }
+    for (const [ink, width] of [["#ffffff", 4.5], ["#111111", 2]]) {
+      context.strokeStyle = ink;
+      context.lineWidth = width * ratio;
+      context.stroke(path);
+    }
+  }
+}
+
 /** Return the pixel at a place in the window, or null outside the picture. */
 function pixelAt(element, view, x, y) {
   const box = element.getBoundingClientRect();
@@ -141,9 +165,11 @@ function drawScale(result, scale) {
 
 function captionOf(result, scale) {
   const axis = result.axis.charAt(0).toUpperCase() + result.axis.slice(1);
-  if (!scale.signed) return [axis];
+  const pointing = result.arrows.length ? ["; arrows: where moving an object raises the metric most"] : [];
+  if (!scale.signed) return [axis, ...pointing];
   return [
     `${axis}; all parameters of an object together: `,
     make("span", { class: "sign lowers" }, "▼"), `${result.signs[1]}, `, make("span", { class: "sign raises" }, "▲"), result.signs[0],
+    ...pointing,
   ];
 }

@@ -18,6 +18,7 @@ __all__ = [
     "table_text",
 ]
 
+from ._arrows import arrows as arrows
 from ._bars import plot_bars as plot_bars
 from ._figures import DEFAULT_TOP as DEFAULT_TOP
 from ._figures import LOWERS as LOWERS

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneCaptumError
 from ..projection import DECADES, DEFAULT_NORM, MapNorm, heatmap, normalized
 from ..protocols import Attribution, Scale
+from ._arrows import arrows, draw_arrows
 from ._figures import (
     LOWERS,
     RAISES,
@@ -80,6 +81,7 @@ def plot_heatmap(
         left.imshow(render)
         left.set_title("render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
+    draw_arrows(ax, attribution)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
@@ -124,6 +126,7 @@ def plot_overlay(
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
+    draw_arrows(ax, attribution)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
 
@@ -221,7 +224,8 @@ def _panels(
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
     title = figure_title(attribution, characters_per_line(width - 0.2, TITLE))
-    notes = filter(None, [_invisible_note(attribution, scale), *noise_notes(attribution)])
+    pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
+    notes = filter(None, [_invisible_note(attribution, scale), pointing, *noise_notes(attribution)])
     line_length = characters_per_line(width - 0.2, SMALL)
     caption = [line for note in notes for line in wrapped_lines(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
