@@ -1093,8 +1093,12 @@ def test_surfaces_agree_with_a_ray_through_each_pixel_centre(mi: Any, cornell: S
 
 
 def test_an_object_lists_the_parameters_that_it_uses(cornell: SceneRenderer) -> None:
-    assert shown_by(cornell, "floor_shape") == {FLOOR}
-    assert shown_by(cornell, "light") == {"light.bsdf.reflectance.value", LIGHT}
+    assert shown_by(cornell, "floor_shape") == {FLOOR, *poses("floor_shape")}
+    assert shown_by(cornell, "light") == {"light.bsdf.reflectance.value", LIGHT, *poses("light")}
+
+
+def poses(name: str) -> set[str]:
+    return {f"{name}.pose.{component}" for component in ("translation", "rotation", "scale")}
 
 
 def test_shared_nested_and_twosided_materials_are_listed_on_every_shape_that_uses_them(mi: Any) -> None:

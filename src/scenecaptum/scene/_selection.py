@@ -37,7 +37,8 @@ def select(parameters: SceneParameters, inputs: Selection) -> tuple[str, ...]:
     inputs
         A kind (``"materials"``, ``"reflectance"``, …; ``"all"`` leaves out poses and camera), a glob
         (``"*.reflectance.*"``), an exact name, or a list of these. Kinds and globs skip parameters that cannot be
-        differentiated, and parameters whose values are not finite or physically impossible.
+        differentiated, and parameters whose values are not finite or physically impossible. A glob selects poses
+        only where it contains ``pose`` or ``fov``.
 
     Raises
     ------
@@ -62,7 +63,9 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
     if item in KINDS:
         matched = [p for p in parameters.values() if is_of_kind(p, item)]
     else:
-        matched = [p for p in parameters.values() if fnmatchcase(p.name, item)]
+        # Each number of a pose takes renders of its own, so a glob selects poses only where it names them.
+        names_poses = "pose" in item or "fov" in item
+        matched = [p for p in parameters.values() if fnmatchcase(p.name, item) and (names_poses or not p.moves)]
     differentiable = [p.name for p in matched if not p.problem]
     if not differentiable:
         raise SceneCaptumError(_no_match(parameters, item, matched))
