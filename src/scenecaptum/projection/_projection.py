@@ -159,7 +159,8 @@ def _entries(
     attribution: Attribution, surfaces: SurfaceMap, parameter: Names, texels: bool, scale: Scale | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return the saliency and sign of each entry of the surface map, and the largest saliency."""
-    selected = _select(attribution, parameter)
+    jumps = attribution.info.get("jumps", {})  # which have no derivative
+    selected = [name for name in _select(attribution, parameter) if name not in jumps]
     saliency = {name: value for name, value in attribution.saliency(scale).items() if name in selected}
     effects, factors = attribution.effects(scale), attribution.factors(scale)
     is_norm = attribution.ranks_by_norm(scale)

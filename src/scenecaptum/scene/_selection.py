@@ -65,7 +65,9 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
     else:
         # Each number of a pose takes renders of its own, so a glob selects poses only where it names them.
         names_poses = "pose" in item or "fov" in item
-        matched = [p for p in parameters.values() if fnmatchcase(p.name, item) and (names_poses or not p.moves)]
+        matched = [
+            p for p in parameters.values() if fnmatchcase(p.name, item) and (names_poses or not p.moves)
+        ]
     differentiable = [p.name for p in matched if not p.problem]
     if not differentiable:
         raise SceneCaptumError(_no_match(parameters, item, matched))

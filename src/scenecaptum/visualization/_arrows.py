@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _MAX_ARROWS = 8
 _LONGEST = 0.15  # of the picture's width, for the largest effect
-_SHORTEST = 0.25  # of that of the largest effect: a shorter arrow is not drawn
+_MOST_FORESHORTENED = 0.25  # of its length across the line of sight: a shorter arrow is not drawn
 
 
 class Arrow(NamedTuple):
@@ -28,9 +28,10 @@ class Arrow(NamedTuple):
 
 
 def arrows(attribution: Attribution) -> list[Arrow]:
-    """Return an arrow for each translation with a clear effect: its direction, and its length by the effect.
+    """Return an arrow for each translation with a clear effect.
 
-    It points to where the metric rises, as far as the picture shows that direction.
+    It points to where the metric rises, as far as the picture shows that direction. Its length is proportional to
+    the root of the effect, as the colours of the map.
     """
     shown, image = attribution.info.get("shown_moves") or {}, attribution.image
     rows = [
@@ -48,27 +49,28 @@ def arrows(attribution: Attribution) -> list[Arrow]:
         direction = torch.tensor(jacobian, dtype=torch.float64) @ (gradient / gradient.norm())
         # In a unit of the scene across the line of sight.
         unit = torch.linalg.matrix_norm(torch.tensor(jacobian, dtype=torch.float64), 2)
-        dx, dy = (longest * row.effect / rows[0].effect * direction / unit).tolist()
-        if math.hypot(dx, dy) >= _SHORTEST * longest * row.effect / rows[0].effect:
+        length = longest * math.sqrt(row.effect / rows[0].effect)
+        dx, dy = (length * direction / unit).tolist()
+        if math.hypot(dx, dy) >= _MOST_FORESHORTENED * length:
             found.append(Arrow(row.name, x, y, dx, dy))
     return found
 
 
 def draw_arrows(ax: Axes, attribution: Attribution) -> None:
     """Draw the arrows, dark with a bright edge so that they show on any map."""
+    from matplotlib.patheffects import withStroke
+
     for arrow in arrows(attribution):
-        for color, width, head in (("white", 3.0, 9), ("black", 1.4, 7)):
-            style = f"-|>,head_length={head / 10},head_width={head / 20}"
-            ax.annotate(
-                "",
-                xy=(arrow.x + arrow.dx, arrow.y + arrow.dy),
-                xytext=(arrow.x, arrow.y),
-                arrowprops={
-                    "arrowstyle": style,
-                    "color": color,
-                    "linewidth": width,
-                    "shrinkA": 0,
-                    "shrinkB": 0,
-                },
-                annotation_clip=False,
-            )
+        line = {"arrowstyle": "->", "color": "black", "linewidth": 1.5, "mutation_scale": 9}
+        ax.annotate(
+            "",
+            xy=(arrow.x + arrow.dx, arrow.y + arrow.dy),
+            xytext=(arrow.x, arrow.y),
+            arrowprops={
+                **line,
+                "shrinkA": 0,
+                "shrinkB": 0,
+                "path_effects": [withStroke(linewidth=3.5, foreground="white")],
+            },
+            annotation_clip=False,
+        )
