@@ -318,6 +318,8 @@ def make_attribution(
             "metric_bias": adjoints.bias,
             "seen_through": seen_through(renderer, surfaces, names),
             "jumps": steps.jumps,
+            "left_out": steps.left_out,
+            "left_out_notes": steps.notes,
             "shown_moves": {
                 n: m for n, m in (Capabilities(renderer).shown_moves or {}).items() if n in names
             },

@@ -126,10 +126,14 @@ class AttributionData(Mapping[str, torch.Tensor]):
         """
         chosen = self.scale_or_default(scale)
         if chosen == "unit" or not self.kind.is_gradient_per_unit:
-            return {name: torch.ones_like(channel_totals(value)) for name, value in self.items()}
-        if chosen == "range":
-            return {name: self.extents[name] for name in self}
-        return {name: self.parameter_values[name].reshape(-1) for name in self}
+            factors = {name: torch.ones_like(channel_totals(value)) for name, value in self.items()}
+        else:
+            given = self.extents if chosen == "range" else self.parameter_values
+            factors = {name: given[name].reshape(-1) for name in self}
+        # Directions of poses without a derivative do not count.
+        left_out = self.info.get("left_out", {})
+        masks = {name: factors[name].new_tensor(left_out[name]) for name in self if name in left_out}
+        return {**factors, **{name: factors[name] * mask for name, mask in masks.items()}}
 
     def weights(self, scale: Scale | None = None) -> dict[str, torch.Tensor]:
         """Return a ``(C,)`` tensor for each parameter: its effect is the sum of its channels times these.

@@ -188,7 +188,7 @@ class Run:
             dataclasses.replace(self.settings, spp=first_spp),
             against=against,
             prepare=lambda: surfaces_of(self.renderer, self.values),
-            unranked=self._jumps,
+            unranked=self._without_derivative,
         )
         interrupted, rounds = planner.run(), planner.rounds
         evaluated = zip(self.metrics, planner.sums, self._evaluations(planner.sums, rounds), strict=True)
@@ -198,10 +198,13 @@ class Run:
             results.append(self.result(*arguments, rounds, interrupted, **info))
         return self.return_results(results, interrupted=interrupted)
 
-    def _jumps(self, total: GradientSum, adjoint: torch.Tensor, spp: int) -> Collection[str]:
-        """Return the poses that have no derivative."""
+    def _without_derivative(
+        self, total: GradientSum, adjoint: torch.Tensor, spp: int
+    ) -> tuple[Collection[str], Mapping[str, Sequence[float]]]:
+        """Return the poses that have no derivative, and the directions that others have none in: 0, else 1."""
         mean = {name: scaled(value, 1 / total.weight) for name, value in total.mean.items()}
-        return step_errors(self.renderer, mean, self.values, adjoint, spp, self.settings.seed).jumps
+        found = step_errors(self.renderer, mean, self.values, adjoint, spp, self.settings.seed)
+        return found.jumps, found.left_out
 
     def _evaluations(
         self, sums: Sequence[GradientSum], gradients: GradientEstimator

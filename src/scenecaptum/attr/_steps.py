@@ -31,10 +31,16 @@ class StepErrors:
         Estimated errors of the gradients, due to their steps.
     jumps
         The poses without a derivative, each with the reason.
+    left_out
+        For other poses the directions without a derivative, which matter less than the others: 0 for these, else 1.
+    notes
+        The reasons why these directions are left out.
     """
 
     truncation: dict[str, torch.Tensor] = field(default_factory=dict)
     jumps: dict[str, str] = field(default_factory=dict)
+    left_out: dict[str, list[float]] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
 
 
 def step_errors(
@@ -60,8 +66,14 @@ def step_errors(
         is_far = (change.abs() > SIGNIFICANT * noise.sqrt()) & (change.abs() > LARGEST_CHANGE * larger)
         # What hardly matters beside the other directions does not make the whole pose a jump.
         is_far &= change.abs() > LARGEST_CHANGE * gradient.norm() / 2
-        if is_far.any():
-            found.jumps[name] = _reason(renderer, name, is_far)
+        if not is_far.any():
+            continue
+        reason = _reason(renderer, name, is_far)
+        if gradient[is_far].norm() < gradient[~is_far].norm():
+            found.left_out[name] = (~is_far).double().tolist()
+            found.notes[name] = reason
+        else:
+            found.jumps[name] = reason
     return found
 
 
@@ -73,4 +85,4 @@ def _reason(renderer: Renderer, name: str, is_far: torch.Tensor) -> str:
     )
     near = (Capabilities(renderer).touching or (lambda _: []))(name)
     cause = f": it touches {', '.join(near[:3])}" if near else ""
-    return f"the effect jumps or bends{axes} within the range{cause}; no derivative"
+    return f"the effect jumps or bends{axes} within the range{cause}"

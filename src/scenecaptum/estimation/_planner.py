@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 
@@ -39,6 +39,11 @@ MAX_TIMING_FRACTION = 0.5  # of the time limit, for a replicate that is only tim
 NEARLY_FREE_FACTOR = 1.25  # times the shortest replicate: samples that fit into this time are nearly free
 
 
+Unranked: TypeAlias = (
+    "Callable[[GradientSum, torch.Tensor, int], tuple[Collection[str], Mapping[str, Sequence[float]]]]"
+)
+
+
 def _first_spp_per_replicate(renderer: Renderer) -> int:
     """Return the samples per replicate of the first round: nearly free, but enough to estimate the noise."""
     width, height = Capabilities(renderer).resolution or (0, 0)
@@ -60,7 +65,8 @@ class Planner:
     The ``sampling`` is that of the first round, by default few samples that cost nearly nothing; ``compared`` is
     what the goal refers to. With ``against``, another renderer, the gradients are compared at the end.
     ``prepare`` is called before the time limit starts, for one-time costs. ``unranked`` returns the parameters
-    without a derivative, given the gradients of the first round, the adjoint image and the samples.
+    without a derivative, and for others which of their channels have one (1 or 0), given the gradients of the
+    first round, the adjoint image and the samples.
 
     References
     ----------
@@ -80,7 +86,7 @@ class Planner:
         *,
         against: Any = None,
         prepare: Callable[[], object] = lambda: None,
-        unranked: Callable[[GradientSum, torch.Tensor, int], Collection[str]] | None = None,
+        unranked: Unranked | None = None,
     ) -> None:
         seed, replicates, first_spp = sampling.seed, sampling.replicates, sampling.spp
         if replicates < 2:
@@ -161,12 +167,20 @@ class Planner:
         self.replicate_time.record(spp, seconds / max(1, finished))
         return interrupted
 
-    def _exclude(self, unranked: Callable[..., Collection[str]], samples: int) -> None:
-        """Leave out the parameters without a derivative for any of the metrics."""
-        pairs = zip(self.sums, self.rounds.mean_adjoints, strict=True)
-        names = {name for total, adjoint in pairs for name in unranked(total, adjoint, samples)}
+    def _exclude(self, unranked: Unranked, samples: int) -> None:
+        """Leave out what has no derivative for any of the metrics."""
+        names: set[str] = set()
+        factors = dict(self.compared.factors or {})
+        for total, adjoint in zip(self.sums, self.rounds.mean_adjoints, strict=True):
+            without, kept = unranked(total, adjoint, samples)
+            names |= set(without)
+            factors |= {
+                n: factors[n] * factors[n].new_tensor(mask) for n, mask in kept.items() if n in factors
+            }
         if len(names) < len(self.point.values):
-            self.compared = dataclasses.replace(self.compared, excluded=frozenset(names))
+            self.compared = dataclasses.replace(
+                self.compared, factors=factors or None, excluded=frozenset(names)
+            )
 
     def _settled(self) -> frozenset[str]:
         """Return the parameters that need no more renders of their own: no metric's goal depends on them.

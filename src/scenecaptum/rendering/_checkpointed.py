@@ -17,6 +17,7 @@ from ..checkpoint import Checkpoint, digest
 from ..scene import without_addresses
 from ._engine import Engine
 from ._live_scene import Values
+from ._turning_camera import TurningCamera
 
 
 @dataclass(eq=False)
@@ -54,13 +55,10 @@ class CheckpointedEngine:
         )
         return dict(zip(names, changes, strict=True))
 
-    def shown_at(self, place: Sequence[float]) -> tuple[list[float], list[list[float]]] | None:
-        """Return where the picture shows a place, and how it moves there."""
-        return self.engine.shown_at(place)
-
-    def turns(self, name: str) -> bool:
-        """Whether a parameter only moves the picture over the film."""
-        return self.engine.turns(name)
+    @property
+    def camera(self) -> TurningCamera:
+        """What the engine knows of its camera."""
+        return self.engine.camera
 
     def _take(
         self, kind: str, arguments: Any, render: Callable[[], tuple[torch.Tensor, ...]]

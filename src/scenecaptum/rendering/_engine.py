@@ -9,17 +9,16 @@ import math
 import operator
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, partial, reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 import torch
 from torch.nn.functional import pad
 
 from ..backend import dispose
-from ..scene import SceneParameters, pose_name
+from ..scene import SceneParameters
 from ._backward import AdjointSampledIntegrator
 from ._bridge import evaluate
 from ._chunks import Chunk, chunks
@@ -33,21 +32,16 @@ from ._derivative_routes import (
     uncorrected_routes,
 )
 from ._dr_arrays import flat, owned
-from ._film_motion import FilmMotion, film_samples, turning
 from ._frozen import make_kernels
 from ._importance_maps import ImportanceMaps, Maps, ReplayGroup
 from ._live_scene import LiveScene, Values
 from ._moved_materials import MovedParameter, batches, move
 from ._pixel_sampling import sample_pixels
 from ._plan import RenderPlan
-from ._sensors import film_corners
 from ._state import Snapshot
+from ._turning_camera import TurningCamera
 from .integrators.light_tracing import LightPaths
 from .integrators.path_differences import MovedMaterials, working_arrays
-
-CAMERA_ROTATION, CAMERA_FOV = pose_name("camera", "rotation"), pose_name("camera", "fov")
-# Samples of the light that moves over the film, for each sample of a backward pass.
-TURN_SAMPLES = 0.5
 
 
 class Engine:
@@ -71,6 +65,9 @@ class Engine:
         self._latest_adjoint: tuple[torch.Tensor, torch.Tensor] | None = None  # and its magnitude
         self._kernels = make_kernels(
             integrator, live.sensor, live.state.forget_gradients, freeze=plan.kind.freezable
+        )
+        self.camera = TurningCamera(
+            live, importance_maps.film if self._has_independent_samples else None, self._kernels.radiance_at
         )
         # The last reference may be dropped while another thread records a kernel.
         weakref.finalize(self, dispose, self.__dict__).atexit = False
@@ -147,7 +144,8 @@ class Engine:
         routes = self._find_routes(values, tracked)
         gradients: dict[str, torch.Tensor] = {}
         if importance_sampling and self._importance_maps.film:
-            gradients |= self._turn_camera(values, [n for n in routes if self.turns(n)], adjoint, seed, spp)
+            turned = [name for name in routes if self.camera.moves(name)]
+            gradients |= self.camera.gradients(values, turned, adjoint, self._chunks(seed, spp))
             for group in self._importance_maps.groups(values, routes):
                 gradients |= self._replay_sampled_pixels(values, routes, group, adjoint, seed, spp)
             moved = [name for name in self._moved if name in routes and routes[name].difference is not None]
@@ -210,63 +208,6 @@ class Engine:
             return torch.stack([product.sum() for product in products]).reshape(values[name].shape)
         # Each channel of the image depends only on the same channel of a colour.
         return products[0] if values[name].ndim else products[0].sum()
-
-    def turns(self, name: str) -> bool:
-        """Whether a parameter only moves the picture over the film, so that no difference of renders is needed."""
-        is_pinhole = self._live.sensor.class_name() == "PerspectiveCamera"
-        return name in (CAMERA_ROTATION, CAMERA_FOV) and is_pinhole and self._has_independent_samples
-
-    def _turn_camera(
-        self, values: Snapshot, names: Sequence[str], adjoint: torch.Tensor, seed: int, spp: int
-    ) -> dict[str, torch.Tensor]:
-        """Return the gradients of the camera's rotation and field of view, from the light that moves."""
-        if not names:
-            return {}
-        film = self._importance_maps.film
-        assert film is not None
-        width, height = self._live.resolution
-        motion = self._film_motion(values)
-        total = np.zeros(4)
-        for chunk in self._chunks(seed, spp):
-            count = math.ceil(width * height * chunk.spp * TURN_SAMPLES)
-            samples = film_samples(motion, film, adjoint, count, chunk.seed)
-            light = self._live.call(
-                partial(self._radiance_at, chunk), values, None, [torch.from_numpy(samples.points).float()]
-            )
-            total += chunk.weight * samples.integrate(light.double().cpu().numpy())
-        turned = turning(values[CAMERA_ROTATION].double().cpu().numpy()).T @ total[:3]
-        found = {CAMERA_ROTATION: torch.from_numpy(turned), CAMERA_FOV: torch.tensor(total[3])}
-        return {name: found[name].to(values[name]) for name in names}
-
-    def shown_at(self, place: Sequence[float]) -> tuple[list[float], list[list[float]]] | None:
-        """Return where the picture shows a place of the scene, in pixels, and how it moves there, ``(2, 3)``.
-
-        None outside the picture, or for another camera than a pinhole.
-        """
-        if self._live.sensor.class_name() != "PerspectiveCamera":
-            return None
-        with self._live.with_values({}):
-            origin = np.array(self._live.sensor.world_transform().matrix).reshape(4, 4, -1)[:3, 3, 0]
-            shown = self._film_motion(self._live.snapshot({})).project(np.array(place) - origin)
-        if shown is None or not ((shown[0] >= 0) & (shown[0] <= self._live.resolution)).all():
-            return None
-        return shown[0].tolist(), shown[1].tolist()
-
-    def _film_motion(self, values: Snapshot) -> FilmMotion:
-        """Return how points of the film move, for the camera in a pose."""
-        found = self._live.call(partial(film_corners, self._live.sensor), values)
-        corners, forward = found.cpu().double().split((3, 1))
-        fov = values[CAMERA_FOV].item()
-        return FilmMotion.of(corners.numpy(), forward[0].numpy(), self._live.resolution, fov)
-
-    def _radiance_at(self, chunk: Chunk, points: Any) -> Any:
-        array = owned(points.array)
-        index = dr.arange(mi.UInt32, points.shape[0])
-        point = mi.Point2f(dr.gather(mi.Float, array, 2 * index), dr.gather(mi.Float, array, 2 * index + 1))
-        dr.eval(point)
-        scalars = self._live.state.scalars
-        light = self._kernels.radiance_at(self._live.scene, _opaque_seed(chunk), point, scalars)
-        return mi.TensorXf(dr.ravel(light), shape=(points.shape[0], 3))
 
     def step_changes(
         self, values: Values, names: Iterable[str], adjoint: torch.Tensor, seed: int, spp: int

@@ -424,14 +424,16 @@ class SceneRenderer(torch.nn.Module):
             parameter = self._table[name]
             one = self._objects.get(parameter.owners[0]) if parameter.role == "translation" else None
             if parameter.moves and one is not None and one.name != "camera":
-                shown = self._views[0].engine.shown_at(one.pivot)
+                shown = self._views[0].engine.camera.shown_at(one.pivot)
                 moves |= {} if shown is None else {name: shown}
         return moves
 
     @property
     def rendered_separately(self) -> tuple[str, ...]:
         """The inputs whose derivatives take renders of their own: poses."""
-        return tuple(n for n in self._names if self._table[n].moves and not self._views[0].engine.turns(n))
+        return tuple(
+            n for n in self._names if self._table[n].moves and not self._views[0].engine.camera.moves(n)
+        )
 
     @property
     def vectors(self) -> tuple[str, ...]:
@@ -784,7 +786,7 @@ class SceneRenderer(torch.nn.Module):
             ``(replicates, …)`` tensors by the names of the poses among ``values``, with the shapes of the poses.
         """
         engine = self._views[0].engine
-        names = [name for name in values if self._table[name].moves and not engine.turns(name)]
+        names = [name for name in values if self._table[name].moves and not engine.camera.moves(name)]
         if not names:
             return {}
         by_seed = [engine.step_changes(values, names, adjoint, seed, spp) for seed in seeds]

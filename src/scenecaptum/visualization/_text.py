@@ -102,11 +102,17 @@ def noise_notes(attribution: Attribution) -> list[str]:
 
 
 def jump_notes(attribution: Attribution) -> list[str]:
-    """Return a note on each pose that has no derivative and is not ranked."""
-    return [
-        f"–  {attribution.labels.get(name, name)} is not ranked: {reason}"
-        for name, reason in attribution.info.get("jumps", {}).items()
+    """Return a note on each pose that has no derivative and is not ranked, or not in some directions."""
+    labels, info = attribution.labels, attribution.info
+    jumps = [
+        f"–  {labels.get(name, name)} is not ranked: {reason}; no derivative"
+        for name, reason in info.get("jumps", {}).items()
     ]
+    parts = [
+        f"–  {labels.get(name, name)}: {reason}; this direction is left out"
+        for name, reason in info.get("left_out_notes", {}).items()
+    ]
+    return jumps + parts
 
 
 def _advice(attribution: Attribution) -> list[str]:
