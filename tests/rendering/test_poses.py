@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -505,3 +506,26 @@ def test_the_map_shows_what_moves(mi: Any) -> None:
     heatmap = found.heatmap()
     assert heatmap[shown].min() > 0
     assert heatmap[torch.from_numpy(renderer.surfaces.mask("left_wall_shape")) > 0.9].max() == 0
+
+
+def test_a_direction_that_jumps_is_left_out_where_others_matter_more(mi: Any) -> None:
+    """The table says so, and the effect is that of the other directions."""
+    name = "ball.pose.translation"
+    renderer = SceneRenderer(
+        "cornell-box", name, resolution=(8, 8), spp=4, objects={"ball": "short_box_shape"}
+    )
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
+    info = {
+        **found.info,
+        "jumps": {},
+        "left_out": {name: [1.0, 1.0, 0.0]},
+        "left_out_notes": {name: "it jumps"},
+    }
+    marked = dataclasses.replace(found, info=info)
+    assert marked.factors()[name][2] == 0
+    assert "this direction is left out" in str(marked)
+    assert marked.effects()[name] <= 0.1 * float(found[name][:2].norm()) + 1e-6
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    grouped = method.attribute(seed=shifted(), groups={"moved": [name]})
+    assert grouped["moved"].shape == ()
+    assert [row.name for row in grouped.ranking()] == ["moved"]

@@ -175,6 +175,9 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
         info={
             **attribution.info,
             "quantity": kind.value,
+            "vectors": [],
+            "left_out": {},
+            "left_out_notes": {},
             "groups": {group: list(names) for group, names in members.items()},
         },
     )

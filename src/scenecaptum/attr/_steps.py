@@ -32,7 +32,7 @@ class StepErrors:
     jumps
         The poses without a derivative, each with the reason.
     left_out
-        For other poses the directions without a derivative, which matter less than the others: 0 for these, else 1.
+        For other poses the directions without a derivative, which matter less than the others: 0 for these, or 1.
     notes
         The reasons why these directions are left out.
     """
