@@ -11,7 +11,7 @@ import torch
 from tqdm import tqdm
 
 from .attr import VanillaSceneGradient, range_lengths, summarize
-from .errors import SceneCaptumError, whole_number
+from .errors import SceneCaptumError, near_misses, whole_number
 from .estimation import (
     DEFAULT_REPLICATES,
     Budget,
@@ -168,7 +168,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
     start = {row.name: values[row.name] for row in top_rows}
-    optimizer = _BoundedAdam(renderer, start, change, _chosen_limits(start, limits or {}))
+    optimizer = _BoundedAdam(renderer, start, change, _chosen_limits(values, start, limits or {}))
 
     def optimized() -> dict[str, torch.Tensor]:
         return values | {name: value.detach() for name, value in optimizer.values().items()}
@@ -208,13 +208,17 @@ def _construction(renderer: Renderer) -> set[str]:
 
 
 def _chosen_limits(
-    start: Mapping[str, torch.Tensor], limits: Mapping[str, tuple[Limit, Limit]]
+    values: Mapping[str, torch.Tensor],
+    start: Mapping[str, torch.Tensor],
+    limits: Mapping[str, tuple[Limit, Limit]],
 ) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Return the limits of the parameters that have some, as tensors; names take precedence over globs."""
+    """Return the limits of the parameters in ``start`` that have some; names take precedence over globs."""
     chosen = {}
-    for key, interval in sorted(limits.items(), key=lambda item: item[0] in start):
-        names = [key] if key in start else [name for name in start if fnmatchcase(name, key)]
-        for name in names:
+    for key, interval in sorted(limits.items(), key=lambda item: item[0] in values):
+        names = [key] if key in values else [name for name in values if fnmatchcase(name, key)]
+        if not names:
+            raise SceneCaptumError(f"limits names {key!r}, which no input matches.{near_misses(key, values)}")
+        for name in start.keys() & set(names):
             low, high = (torch.as_tensor(limit).to(start[name]) for limit in interval)
             if not bool((low <= high).all()) or low.ndim > 1 or start[name].ndim > 1:
                 raise SceneCaptumError(

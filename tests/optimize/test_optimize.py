@@ -165,6 +165,8 @@ def test_an_object_stays_within_its_limits(mi: Any) -> None:
     found = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, limits=limits, steps=10, seed=shifted())
     assert (found.values[name].abs() <= torch.tensor([0.0201, 0.0501, 1e-6])).all()
     assert found.values[name].abs().max() > 0.01
+    with pytest.raises(SceneCaptumError, match="no input matches"):
+        optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, limits={"short_box.*": (0.0, 0.1)}, steps=1)
     with pytest.raises(SceneCaptumError, match="low <= high"):
         optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, limits={name: (0.1, -0.1)}, steps=1)
 
