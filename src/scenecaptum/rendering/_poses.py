@@ -123,7 +123,6 @@ def moving_camera(sensors: Sequence[Any]) -> Moving:
     camera = SceneObject(
         name="camera",
         shapes=(),
-        nodes=(sensors[0],),
         keys=keys,
         components=("translation", "rotation", *(["fov"] if "x_fov" in keys else [])),
         box=None,

@@ -38,8 +38,6 @@ class SceneObject:
         The first part of the names of its poses: ``"desk"`` of ``"desk.pose.translation"``.
     shapes
         The names of its shapes; none for a light without geometry.
-    nodes
-        The Mitsuba objects that move.
     keys
         The ``mi.traverse`` names of their positions.
     components
@@ -54,7 +52,6 @@ class SceneObject:
 
     name: str
     shapes: tuple[str, ...]
-    nodes: tuple[Any, ...]
     keys: tuple[str, ...]
     components: tuple[str, ...]
     box: npt.NDArray[np.float64] | None
@@ -208,7 +205,6 @@ def _shape_object(
     return SceneObject(
         name=name,
         shapes=tuple(shapes),
-        nodes=tuple(shapes.values()),
         keys=tuple(key for node in shapes.values() for key in keys.get(node, ())),
         components=_ALL,
         box=box,
@@ -246,7 +242,6 @@ def _light(graph: SceneGraph, node: Any, keys: Mapping[Any, tuple[str, ...]], ta
     return SceneObject(
         name=name,
         shapes=(),
-        nodes=(node,),
         keys=keys.get(node, ()),
         components=_LIGHTS.get(kind, ("rotation",)),
         box=None,
