@@ -308,6 +308,9 @@ class Attribution(Protocol):
     def factors(self, scale: Scale | None = None) -> Mapping[str, torch.Tensor]:
         """Return what turns the channels of each parameter into effects."""
 
+    def weights(self, scale: Scale | None = None) -> Mapping[str, torch.Tensor]:
+        """Return the same, along the largest effect for a vector in space: the change that an effect is of."""
+
     def effects(self, scale: Scale | None = None) -> dict[str, float]:
         """Return the signed effect of each parameter."""
 

@@ -217,10 +217,10 @@ class Explanation:
 
     def _along(self, name: str) -> str:
         """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""
-        component, extents = pose_component(name), getattr(self.attribution, "extents", {})
-        if component is None or name not in extents:
+        component = pose_component(name)
+        if component is None or self.attribution.scale_or_default() != "range":
             return ""
-        return f" for {_move(component, extents[name] * _unit(self.attribution[name]))}"
+        return f" for {_move(component, self.attribution.weights()[name])}"
 
     def _in_unit(self, number: str) -> str:
         return f"{number} {metric_unit(self.attribution)}".rstrip()
@@ -280,14 +280,10 @@ def _move(component: str, change: torch.Tensor) -> str:
     length = change.norm().item()
     size = f"{rounded(math.degrees(length))}°" if component == "rotation" else f"{rounded(length)} units"
     direction = ", ".join(
-        f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−") for number in _unit(change).tolist()
+        f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−")
+        for number in (change / (length or 1.0)).tolist()
     )
     return f"{size} {_MOVES[component]} ({direction})"
-
-
-def _unit(vector: torch.Tensor) -> torch.Tensor:
-    norm = vector.norm()
-    return vector / norm if vector.ndim and norm > 0 else torch.ones_like(vector)
 
 
 def _in_words(label: str) -> str:

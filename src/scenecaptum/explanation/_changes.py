@@ -40,7 +40,8 @@ def propose(
         over = ranges.get(row.name, unlimited)
         after: torch.Tensor | None
         if row.name in attribution.vectors:
-            after = value + sign * (over[1] - over[0]) / 2 * unit_direction(attribution[row.name]).to(value)
+            # Half of its range, in the direction of its largest effect.
+            after = value + sign / 2 * attribution.weights("range")[row.name].to(value)
         else:
             after = _moved(value, direction, over, (low, high))
         if after is None:
@@ -49,12 +50,6 @@ def propose(
         if abs(predicted) > SIGNIFICANT * error:
             changes.append(Change(row.name, row.label, value, after, predicted, error))
     return sorted(changes, key=lambda change: -abs(change.predicted))[:count]
-
-
-def unit_direction(vector: torch.Tensor) -> torch.Tensor:
-    """Return the direction of a vector."""
-    direction: torch.Tensor = vector / vector.norm().clamp_min(1e-30)
-    return direction
 
 
 def rendered(scenes: Scenes, change: Change) -> Change:

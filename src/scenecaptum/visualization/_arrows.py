@@ -42,11 +42,11 @@ def arrows(attribution: Attribution) -> list[Arrow]:
     if not rows or image is None:
         return []
     longest = _LONGEST * image.shape[1]
-    found = []
+    found, weights = [], attribution.weights("range")
     for row in rows[:_MAX_ARROWS]:
         (x, y), jacobian = shown[row.name]
-        gradient = attribution[row.name].double().cpu()
-        direction = torch.tensor(jacobian, dtype=torch.float64) @ (gradient / gradient.norm())
+        towards = weights[row.name].double().cpu()
+        direction = torch.tensor(jacobian, dtype=torch.float64) @ (towards / towards.norm())
         # In a unit of the scene across the line of sight.
         unit = torch.linalg.matrix_norm(torch.tensor(jacobian, dtype=torch.float64), 2)
         length = longest * math.sqrt(row.effect / rows[0].effect)
