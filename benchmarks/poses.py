@@ -1,11 +1,12 @@
 """Check and time the derivatives of poses.
 
 ``differences`` compares them with central differences of Mitsuba's own renders, which are moved by code of this
-script, with other seeds and two steps. ``coverage`` counts how often the 95 % intervals hold the result of long
-runs. ``cost`` times the poses of 30 objects of the office to a stable top 5, with and without leaving out the
-objects that cannot reach it, and the camera beside a plain attribution.
+script, with other seeds and two steps: in the office, in the Cornell box, and in a Cornell box with meshes that
+have face or vertex normals, instances and small lamps. ``coverage`` counts how often the 95 % intervals hold the
+result of long runs. ``cost`` times the poses of 30 objects of the office to a stable top 5, with and without
+leaving out the objects that cannot reach it, and the camera beside a plain attribution.
 
-    python benchmarks/poses.py differences [--scene office] [--seeds 8]
+    python benchmarks/poses.py differences [--scene office|cornell-box|meshes] [--seeds 8]
     python benchmarks/poses.py coverage [--seeds 100]
     python benchmarks/poses.py cost
 """
@@ -13,9 +14,13 @@ objects that cannot reach it, and the camera beside a plain attribution.
 from __future__ import annotations
 
 import argparse
+import atexit
 import math
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,10 +30,12 @@ from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, a
 from scenecaptum.scene import BUNDLED, SceneGraph, find_objects, load_scene
 
 SIZE, DEPTH = (64, 36), 4
+SMALL_STEP = 0.005  # radians, a tenth of a pixel
 OBJECTS = {
     "office": [
         "desk",
         "chair",
+        "lamp",
         "screen",
         "keyboard",
         "book",
@@ -40,52 +47,138 @@ OBJECTS = {
         "picture",
     ],
     "cornell-box": ["tall_box_shape", "short_box_shape"],
+    "meshes": ["faceted", "smooth", "vase", "bowl"],
 }
 LAMPS = {
     "office": ["luminaire_left", "luminaire_right", "luminaire_back", "bulb", "sky"],
     "cornell-box": ["light"],
+    "meshes": ["panel", "point", "spot"],
 }
-GROUPS = {"office": {"lamp": ["lamp_*"]}, "cornell-box": {}}
+GROUPS = {"office": {"lamp": ["lamp_*"]}, "cornell-box": {}, "meshes": {}}
+
+
+def bumpy_sphere(folder: Path, name: str, *, face_normals: bool) -> dict[str, Any]:
+    """Return a mesh of a sphere with bumps, written to a file and loaded from it."""
+    mi = activate()
+    rows, columns = 12, 16
+    down, across = np.meshgrid(
+        np.linspace(0.02, np.pi - 0.02, rows + 1), np.arange(columns) * 2 * np.pi / columns, indexing="ij"
+    )
+    radius = 0.25 * (1 + 0.15 * np.sin(3 * across) * np.sin(2 * down))
+    points = radius[..., None] * np.stack(
+        [np.sin(down) * np.cos(across), np.sin(down) * np.sin(across), np.cos(down)], -1
+    )
+    index = np.arange((rows + 1) * columns).reshape(rows + 1, columns)
+    here, right = index, np.roll(index, -1, 1)
+    quads = np.stack([here[:-1], here[1:], right[1:], right[:-1]], -1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    mesh = mi.Mesh(name, points[..., 0].size, len(faces), has_vertex_normals=not face_normals)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = points.ravel().astype(np.float32)
+    params["faces"] = faces.ravel().astype(np.uint32)
+    params.update()
+    path = folder / f"{name}.ply"
+    mesh.write_ply(str(path))
+    return {"type": "ply", "filename": str(path), "face_normals": face_normals}
+
+
+def meshes(folder: Path) -> dict[str, Any]:
+    """Return the Cornell box with two meshes and two instances in place of its boxes, and three small lamps."""
+    mi = activate()
+    place = mi.ScalarTransform4f
+    scene = {
+        key: value for key, value in BUNDLED["cornell-box"]().items() if "box" not in key and key != "light"
+    }
+
+    def grey(value: float) -> dict[str, Any]:
+        return {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
+
+    group = {
+        "type": "shapegroup",
+        "part": bumpy_sphere(folder, "part", face_normals=False) | {"bsdf": grey(0.6)},
+    }
+    faceted, smooth = (
+        bumpy_sphere(folder, name, face_normals=name == "faceted") for name in ("faceted", "smooth")
+    )
+    reference = {"type": "ref", "id": "group"}
+    panel = {
+        "type": "rectangle",
+        "to_world": place().translate([0.2, 0.1, 0.7]).rotate([1, 0, 0], 180).scale(0.2),
+    }
+    return scene | {
+        "faceted": faceted | {"to_world": place().translate([-0.5, 0.1, -0.5]), "bsdf": grey(0.7)},
+        "smooth": smooth | {"to_world": place().translate([0.45, -0.2, -0.45]), "bsdf": grey(0.5)},
+        "group": group,
+        "vase": {"type": "instance", "shapes": reference, "to_world": place().translate([-0.1, 0.5, 0.1])},
+        "bowl": {
+            "type": "instance",
+            "shapes": reference,
+            "to_world": place().translate([0.5, 0.4, 0.2]).scale(0.7),
+        },
+        "panel": panel | {"emitter": {"type": "area", "radiance": {"type": "rgb", "value": 12.0}}},
+        "point": {"type": "point", "position": [-0.5, -0.4, 0.4], "intensity": {"type": "rgb", "value": 0.6}},
+        "spot": {
+            "type": "spot",
+            "to_world": place().look_at(origin=[0.6, -0.7, 0.6], target=[0.0, 0.3, -1.0], up=[0, 0, 1]),
+            "intensity": {"type": "rgb", "value": 4.0},
+            "cutoff_angle": 30.0,
+        },
+    }
+
+
+def scene_of(name: str) -> Any:
+    """Return a bundled scene or the one with meshes, as a dict that loads the same at each call."""
+    if name != "meshes":
+        return BUNDLED[name]()
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    return meshes(folder)
 
 
 class Stock:
-    """Mitsuba's own renders of a bundled scene in which objects are moved."""
+    """Mitsuba's own renders of a scene in which objects and the camera are moved."""
 
-    def __init__(self, name: str, size: tuple[int, int], groups: Mapping[str, Any]) -> None:
+    def __init__(self, scene: Any, size: tuple[int, int], groups: Mapping[str, Any]) -> None:
         mi = activate()
-        self.scene = mi.load_dict(BUNDLED[name](), optimize=False)
+        self.scene = mi.load_dict(scene, optimize=False)
         self.params = mi.traverse(self.scene)
         film = mi.traverse(self.scene.sensors()[0])
         film["film.size"] = list(size)
         film.update()
         self.integrator = mi.load_dict({"type": "path", "max_depth": DEPTH, "rr_depth": DEPTH + 1})
-        self.objects = {one.name: one for one in find_objects(SceneGraph(load_scene(name)), groups)}
+        found = {one.name: one for one in find_objects(SceneGraph(load_scene(scene)), groups)}
+        self.keys = {name: one.keys for name, one in found.items()}
+        self.pivots = {name: np.array(one.pivot) for name, one in found.items()}
+        (sensor,) = (key.removesuffix(".x_fov") for key in self.params.properties if key.endswith(".x_fov"))
+        self.keys["camera"] = (f"{sensor}.to_world",)
+        self.pivots["camera"] = np.array(self.params[f"{sensor}.to_world"].matrix).reshape(4, 4, -1)[:3, 3, 0]
         self.base: dict[str, Any] = {}
 
     def place(self, name: str, component: str, axis: int, amount: float) -> None:
         """Move an object by an amount along or about an axis, from where it was loaded."""
         mi = activate()
-        one = self.objects[name]
-        unit = [float(axis == k) for k in range(3)]
+        unit, pivot = [float(axis == k) for k in range(3)], self.pivots[name]
         place = mi.ScalarTransform4f()
         if component == "translation":
             place = place.translate([amount * x for x in unit])
         else:
-            about = place.translate(list(one.pivot))
+            about = place.translate(pivot.tolist())
             about = (
                 about.rotate(unit, math.degrees(amount))
                 if component == "rotation"
                 else about.scale(1 + amount)
             )
-            place = about.translate([-x for x in one.pivot])
+            place = about.translate((-pivot).tolist())
         matrix = np.array(place.matrix)
-        for key in one.keys:
+        for key in self.keys[name]:
             if key not in self.base:
                 self.base[key] = type(self.params[key])(self.params[key])
             base = self.base[key]
             if key.endswith("to_world"):
                 own = np.array(base.matrix).reshape(4, 4, -1)[..., 0]
                 self.params[key] = mi.ScalarTransform4f((matrix @ own).tolist())
+            elif key.endswith(".position"):
+                self.params[key] = mi.Point3f(*(matrix @ [*np.array(base).ravel(), 1.0])[:3].tolist())
             else:
                 points = np.array(base).reshape(-1, 3)
                 shift = matrix[:3, 3] if key.endswith("positions") else 0.0
@@ -114,18 +207,23 @@ def metric(image: torch.Tensor) -> torch.Tensor:
 def differences(options: argparse.Namespace) -> None:
     """Compare with differences of stock renders; print each z-score and their distribution."""
     groups = GROUPS[options.scene]
-    stock = Stock(options.scene, SIZE, groups)
+    scene = scene_of(options.scene)
+    stock = Stock(scene, SIZE, groups)
     names = [f"{one}.pose.{kind}" for one in OBJECTS[options.scene] for kind in ("translation", "rotation")]
     names += [f"{one}.pose.translation" for one in LAMPS[options.scene]]
-    renderer = SceneRenderer(options.scene, names, objects=groups, resolution=SIZE, spp=512, max_depth=DEPTH)
+    names += ["spot.pose.rotation"] if options.scene == "meshes" else []
+    names += ["camera.pose.translation", "camera.pose.rotation"]
+    renderer = SceneRenderer(scene, names, objects=groups, resolution=SIZE, spp=512, max_depth=DEPTH)
     found = VanillaSceneGradient(renderer, metric).attribute(seed=1, replicates=16)
     scores: list[float] = []
     for name in names:
         one, _, kind = name.split(".")
         low, high = renderer.ranges[name]
+        # The derivative with respect to the camera's rotation is that at a point, not a mean over a range.
+        step = SMALL_STEP if name == "camera.pose.rotation" else (high - low) / 2
         for axis in range(3):
             parts = []
-            for h in ((high - low) / 2, (high - low) / 4):
+            for h in (step, step / 2):
                 slopes = []
                 for seed in range(1000, 1000 + options.seeds):
                     ends = []
@@ -134,10 +232,10 @@ def differences(options: argparse.Namespace) -> None:
                         ends.append(metric(stock.render(seed, 64)).item())
                     slopes.append((ends[0] - ends[1]) / (2 * h))
                 mean, error = np.mean(slopes), np.std(slopes, ddof=1) / math.sqrt(len(slopes))
-                own = found.standard_error[name][axis].item() if found.standard_error else 0.0
+                own = found.standard_error[name][axis].item()
                 z = (found[name][axis].item() - mean) / math.hypot(error, own)
                 parts.append(f"h {h:.3g}: {mean:+.4f} ± {error:.4f}, z {z:+.1f}")
-                if h == (high - low) / 2 and name not in found.info["jumps"]:
+                if h == step and name not in found.info["jumps"]:
                     scores.append(z)
             stock.place(one, kind, axis, 0.0)
             mark = " (marked)" if name in found.info["jumps"] else ""

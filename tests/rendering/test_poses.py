@@ -138,8 +138,9 @@ def test_a_moved_shape_is_that_of_a_scene_loaded_so(mi: Any, kind: str) -> None:
     same_pictures(scene(thing=shape), scene(thing=other), pose("thing"))
 
 
-def test_a_mesh_keeps_its_normals(mi: Any, tmp_path: Path) -> None:
-    mesh = {"type": "ply", "filename": bent_mesh(tmp_path)}
+@pytest.mark.parametrize("face_normals", [False, True])
+def test_a_mesh_keeps_its_normals(mi: Any, tmp_path: Path, face_normals: bool) -> None:
+    mesh = {"type": "ply", "filename": bent_mesh(tmp_path), "face_normals": face_normals}
     other = {**mesh, "to_world": moved(centre(mesh))}
     same_pictures(scene(thing=mesh), scene(thing=other), pose("thing"))
 

@@ -185,8 +185,11 @@ def _position_keys(graph: SceneGraph) -> dict[Any, tuple[str, ...]]:
     """Return for each Mitsuba object the names of its positions."""
     mi = activate()
     found: dict[Any, list[str]] = {}
-    for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items():
-        if name.rpartition(".")[2] in POSITIONS:
+    params = mi.traverse(graph.scene)
+    for name, (_, _, node, _) in params.properties.items():
+        kind = name.rpartition(".")[2]
+        # A mesh with the normals of its faces has an empty buffer of vertex normals.
+        if kind in POSITIONS and (kind != "vertex_normals" or len(params[name])):
             found.setdefault(node, []).append(name)
     return {node: tuple(names) for node, names in found.items()}
 
