@@ -37,7 +37,7 @@ FLOORS = (
     ("metrics",),
     ("visualization",),
     ("projection", "denoising"),
-    ("camera", "checkpoint"),
+    ("camera", "checkpoint", "grid"),
     ("backend", "files", "finite", "images", "ranks"),
     ("protocols",),
     ("errors",),

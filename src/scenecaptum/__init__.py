@@ -21,6 +21,7 @@ from .backend import activate as activate
 from .camera import Camera as Camera
 from .errors import BackendError as BackendError
 from .errors import SceneCaptumError as SceneCaptumError
+from .grid import SensorGrid as SensorGrid
 from .rendering import SceneRenderer as SceneRenderer
 
 __version__ = "0.2.0"

@@ -96,6 +96,7 @@ class Capabilities:
     spp = _Offer[int]("Samples per pixel where none are asked for.")
     resolution = _Offer[tuple[int, int]]("Width and height of the images.")
     plan = _Offer[Any]("Integrator, depth and derivatives.")
+    shows_a_view = _Offer[bool]("Whether neighbouring pixels show neighbouring directions.")
     guides = _Offer[Any]("Noise-free albedo and normals for the denoiser.")
     surfaces = _Offer[Any]("What each pixel shows.")
     checkpoint = _Offer[Any]("Where finished renders are stored.")

@@ -109,8 +109,13 @@ class TransformSelector:
     def __init__(self, mode: Denoise, renderer: Renderer, *, smoothed: bool) -> None:
         if mode not in ("auto", True, False):
             raise SceneCaptumError(f'denoise must be "auto", True or False, not {mode!r}.')
+        shows_a_view = Capabilities(renderer).shows_a_view is not False
+        if mode is True and not shows_a_view:
+            raise SceneCaptumError(
+                "denoise=True requires a picture, and this sensor shows none. Leave denoise out."
+            )
         self.mode = mode
-        self._denoises = not smoothed or mode is True
+        self._denoises = shows_a_view and (not smoothed or mode is True)
         self._renderer = renderer
         self._last = IDENTITY
 

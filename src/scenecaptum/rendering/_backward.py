@@ -17,7 +17,38 @@ from ._sampler import SobolSampler
 
 
 class AdjointSampledIntegrator(RBIntegrator):
-    """A path replay integrator whose backward pass can sample given pixels, e.g. in proportion to the adjoint."""
+    """A path replay integrator whose backward pass can sample given pixels, e.g. in proportion to the adjoint.
+
+    ``receiver`` is where the latest rays start on a sensor grid, a surface interaction, and None for cameras:
+    ``sample`` adds the direct light there. It is an attribute because Mitsuba's own passes call ``sample_rays``
+    and then ``sample``, and pass on nothing but the rays.
+    """
+
+    receiver: Any = None
+
+    def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> tuple[Any, Any, Any]:
+        """Return rays through all pixels, their weights, and the points of the film; for Mitsuba's own passes."""
+        ray, weight, point = super().sample_rays(scene, sensor, sampler)
+        self.receiver = _receiver(sensor, point)
+        return ray, weight, point
+
+    def random_rays(self, sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
+        """Return rays through random points of pixels, the sensor response to each, and the points."""
+        size = sensor.film().crop_size()
+        point = mi.Point2f(pixel % size.x, pixel // size.x) + mi.Point2f(sampler.next_2d())
+        return *self.rays_through(sensor, sampler, point), point
+
+    def rays_through(self, sensor: Any, sampler: Any, point: Any) -> tuple[Any, Any]:
+        """Return rays through points of the film, in pixels, and the sensor response to each."""
+        size = sensor.film().crop_size()
+        lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+        open_time = sensor.shutter_open_time()
+        time = sensor.shutter_open() + (sampler.next_1d() * open_time if open_time > 0 else 0)
+        wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
+        position = point * dr.rcp(mi.ScalarVector2f(size))  # rounded as in Mitsuba
+        ray, response = sensor.sample_ray_differential(time, wavelength, position, lens)
+        self.receiver = _receiver(sensor, point)
+        return ray, response
 
     def render_samples(self, scene: Any, sensor: Any, seed: Any, pixel: Any) -> Any:
         """Render an image as ``render`` does, given the row-major pixel index of each sample.
@@ -30,7 +61,7 @@ class AdjointSampledIntegrator(RBIntegrator):
             # Seeded here: a sampler in memory takes half as long again as one whose state is computed.
             sampler = sensor.sampler().clone()
             sampler.seed(seed, dr.width(pixel))
-            ray, response, point = random_camera_rays(sensor, sampler, pixel)
+            ray, response, point = self.random_rays(sensor, sampler, pixel)
             radiance, valid, *_ = self.sample(
                 mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True)
             )
@@ -46,7 +77,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         with dr.suspend_grad():
             sampler = sensor.sampler().clone()
             sampler.seed(seed, dr.width(point))
-            ray, response = camera_rays_through(sensor, sampler, point)
+            ray, response = self.rays_through(sensor, sampler, point)
             radiance, *_ = self.sample(
                 mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True)
             )
@@ -78,7 +109,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         pixel, weight = samples
         with dr.suspend_grad():
             sampler = SobolSampler.of(dr.width(pixel), seed)
-            ray, response, point = random_camera_rays(sensor, sampler, pixel)
+            ray, response, point = self.random_rays(sensor, sampler, pixel)
             adjoint_radiance = response * dr.gather(mi.Float, weight, pixel)
             adjoint_radiance *= filtered_adjoint(sensor.film(), adjoint, *profile, pixel, point)
             fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
@@ -96,7 +127,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         with dr.suspend_grad():
             pixel = dr.arange(mi.UInt32, width * height * spp) // spp
             sampler = SobolSampler.of(dr.width(pixel), seed)
-            ray, response, _ = random_camera_rays(sensor, sampler, pixel)
+            ray, response, _ = self.random_rays(sensor, sampler, pixel)
             fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
             *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
             derivative, *_ = self.sample(mode=dr.ADMode.Forward, sampler=sampler, state_in=state, **fixed)
@@ -113,7 +144,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         """
         with dr.suspend_grad():
             sampler = SobolSampler.at(dr.arange(mi.UInt32, dr.width(pixel)), seed)
-            ray, response, _ = random_camera_rays(sensor, sampler, pixel)
+            ray, response, _ = self.random_rays(sensor, sampler, pixel)
             fixed = {"mode": dr.ADMode.Primal, "scene": scene, "ray": ray, "active": mi.Bool(True)}
             *_, state = self.sample(sampler=sampler.clone(), **fixed)
             self.sample(sampler=sampler, state_in=state, moments=make_moments(response), **fixed)
@@ -198,23 +229,10 @@ def _weight_sum(profile: torch.Tensor, radius: int, pixels: int) -> torch.Tensor
     return inside.to(weight) @ weight
 
 
-def random_camera_rays(sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
-    """Return rays through random points of pixels, the sensor response to each, and the points."""
-    size = sensor.film().crop_size()
-    point = mi.Point2f(pixel % size.x, pixel // size.x) + mi.Point2f(sampler.next_2d())
-    return *camera_rays_through(sensor, sampler, point), point
-
-
-def camera_rays_through(sensor: Any, sampler: Any, point: Any) -> tuple[Any, Any]:
-    """Return rays through points of the film, in pixels, and the sensor response to each."""
-    size = sensor.film().crop_size()
-    lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-    open_time = sensor.shutter_open_time()
-    time = sensor.shutter_open() + (sampler.next_1d() * open_time if open_time > 0 else 0)
-    wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
-    position = point * dr.rcp(mi.ScalarVector2f(size))  # rounded as in Mitsuba
-    ray, response = sensor.sample_ray_differential(time, wavelength, position, lens)
-    return ray, response
+def _receiver(sensor: Any, point: Any) -> Any:
+    """Return where the rays through points of the film start, if that is a surface of a sensor grid."""
+    receiver = getattr(sensor, "receiver", None)
+    return None if receiver is None else receiver(point)
 
 
 def filtered_adjoint(film: Any, adjoint: Any, profile: Any, radius: int, pixel: Any, point: Any) -> Any:

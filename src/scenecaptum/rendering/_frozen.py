@@ -94,7 +94,7 @@ def make_kernels(
     functions = (render, render_samples, radiance_at, render_backward, render_backward_pixels, differences)
     if not freeze:
         return Kernels(*functions)
-    return Kernels(*(FrozenFunction(function, reset) for function in functions))
+    return Kernels(*(FrozenFunction(function, reset, sensor) for function in functions))
 
 
 def clear(arguments: Any) -> None:
@@ -106,7 +106,7 @@ def clear(arguments: Any) -> None:
             clear(argument)
 
 
-def _registries(*arguments: Any, **options: Any) -> Any:
+def _registries() -> list[Any]:
     """Return pointers of all types that have virtual functions.
 
     Virtual functions are recorded for every object in the process, in other scenes too, and also for a material
@@ -120,11 +120,16 @@ def _registries(*arguments: Any, **options: Any) -> Any:
 class FrozenFunction:
     """A frozen function, or the plain function where a plugin hides objects that freezing would have to see."""
 
-    def __init__(self, function: Callable[..., Any], reset: Callable[..., None]) -> None:
+    def __init__(self, function: Callable[..., Any], reset: Callable[..., None], sensor: Any) -> None:
         self._function = function
+
+        def state(*arguments: Any, **options: Any) -> list[Any]:
+            # Nor does it see the arrays of a sensor written in Python.
+            return [*_registries(), *getattr(sensor, "arrays", ())]
+
         # Takes the arguments of a recording that has failed, and undoes what it accumulated.
         self._reset = reset
-        self._call = dr.freeze(function, state_fn=_registries, warn_after=1000, limit=MAX_RECORDINGS)
+        self._call = dr.freeze(function, state_fn=state, warn_after=1000, limit=MAX_RECORDINGS)
 
     def __call__(self, *arguments: Any) -> Any:
         try:

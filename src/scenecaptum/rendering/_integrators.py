@@ -18,6 +18,7 @@ class IntegratorKind:
     media: bool  # whether it renders participating media
     reason: str  # why a plan chooses it
     light_tracing: bool = False  # whether derivatives of low roughnesses can be left to light tracing
+    sensor_grids: bool = False  # whether it lights the surfaces of a sensor grid
     path_differences: bool = False  # whether it traces paths with moved materials
     freezable: bool = True  # whether frozen kernels see every change of a scene; they see no phase functions
 
@@ -45,6 +46,7 @@ INTEGRATORS = {
             media=False,
             reason="path replay, mirrors included; no medium in the scene",
             light_tracing=True,
+            sensor_grids=True,
             path_differences=True,
         ),
         IntegratorKind(

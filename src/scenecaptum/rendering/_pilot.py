@@ -259,7 +259,9 @@ class Pilots:
             integrator.accumulate_moments(scene, sensor, seed, pixel, make_moments)
 
         freeze = self.plan.kind.freezable
-        return FrozenFunction(accumulate, lambda *arguments: clear(arguments)) if freeze else accumulate
+        return (
+            FrozenFunction(accumulate, lambda *arguments: clear(arguments), sensor) if freeze else accumulate
+        )
 
 
 def _pixels_in_chunks(pixels: int, spp: int) -> Iterator[Any]:

@@ -17,6 +17,7 @@ from ..checkpoint import Checkpoint, Folder, digest
 from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..finite import NotFiniteError
+from ..grid import GridPoints, SensorGrid
 from ..projection import SurfaceMap
 from ..scene import (
     OPEN_MARGIN,
@@ -43,7 +44,14 @@ from ..scene import (
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
-from ._sensors import camera_of, choose_sensor, common_resolution
+from ._sensors import (
+    GRID_SIZE,
+    camera_of,
+    choose_sensor,
+    common_resolution,
+    grid_of,
+    shows_a_view,
+)
 
 
 class SceneRenderer(torch.nn.Module):
@@ -81,7 +89,8 @@ class SceneRenderer(torch.nn.Module):
     sensor
         Index of the sensor, or a type of sensor, which gets the pose of the first one and is square unless
         ``resolution`` is given: ``"fisheye"``, a 180° equidistant fisheye. A list of these renders a stack
-        ``(cameras, H, W, 3)``, which the metric reduces; its results have no heatmap.
+        ``(cameras, H, W, 3)``, which the metric reduces; its results have no heatmap. ``"grid"`` or a
+        ``SensorGrid``: irradiance at points of the room, a pixel for each.
     parameters
         Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
     ranges
@@ -123,7 +132,7 @@ class SceneRenderer(torch.nn.Module):
         resolution: tuple[int, int] | None = None,
         spp: int | None = None,
         max_depth: int | None = None,
-        sensor: int | str | list[int | str] = 0,
+        sensor: int | str | SensorGrid | list[int | str] = 0,
         parameters: XmlParameters | None = None,
         ranges: Mapping[str, tuple[float, float]] | None = None,
         objects: Objects | None = None,
@@ -148,7 +157,7 @@ class SceneRenderer(torch.nn.Module):
         self,
         scene: SceneLike,
         parameters: XmlParameters | None,
-        sensor: int | str | list[int | str],
+        sensor: int | str | SensorGrid | list[int | str],
         resolution: tuple[int, int] | None,
         spp: int | None,
     ) -> tuple[int, int]:
@@ -160,7 +169,11 @@ class SceneRenderer(torch.nn.Module):
         check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
         self._stacked = isinstance(sensor, list)
-        chosen = sensor if isinstance(sensor, list) else [sensor]
+        chosen: list[Any] = sensor if isinstance(sensor, list) else [sensor]
+        if len(chosen) > 1 and any(which == "grid" or isinstance(which, SensorGrid) for which in chosen):
+            raise SceneCaptumError(
+                "A sensor grid is a renderer's only sensor: create another renderer for views."
+            )
         self._sensors = [choose_sensor(loaded, which, resolution) for which in chosen]
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
@@ -203,6 +216,11 @@ class SceneRenderer(torch.nn.Module):
         from ._live_scene import LiveScene
         from ._view import make_view
 
+        if not self.shows_a_view and not plan.kind.sensor_grids:
+            raise SceneCaptumError(
+                f"A sensor grid cannot be rendered by {plan.integrator}: use a scene without participating media, "
+                "and the default integrator."
+            )
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
         self._guides: Guides | None = None
@@ -338,6 +356,8 @@ class SceneRenderer(torch.nn.Module):
             If a setting is invalid.
         """
         with exclusively(self._variant):
+            if resolution is not None and not self.shows_a_view:
+                raise SceneCaptumError(GRID_SIZE)
             size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
             plan = self.plan if max_depth is None else self._plan_for(max_depth)
             wanted = self.plan.integrator if integrator is None else integrator
@@ -417,7 +437,7 @@ class SceneRenderer(torch.nn.Module):
     @property
     def shown_moves(self) -> dict[str, tuple[list[float], list[list[float]]]]:
         """Where the picture shows the object of each translation, in pixels, and how it moves, ``(2, 3)``."""
-        if self._stacked:
+        if self._stacked or not self.shows_a_view:
             return {}
         moves: dict[str, tuple[list[float], list[list[float]]]] = {}
         for name in self._names:
@@ -454,6 +474,22 @@ class SceneRenderer(torch.nn.Module):
                 f"This renderer has a list of {len(self._sensors)} sensors: renderer.cameras lists their cameras."
             )
         return self.cameras[0]
+
+    @property
+    def grid(self) -> GridPoints:
+        """The points of a renderer with a sensor grid: what each pixel measures.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the renderer has another sensor.
+        """
+        return grid_of(self._sensors[0])
+
+    @property
+    def shows_a_view(self) -> bool:
+        """Whether neighbouring pixels show neighbouring directions, as in a picture, unlike on a sensor grid."""
+        return all(shows_a_view(sensor) for sensor in self._sensors)
 
     @property
     def cameras(self) -> list[Camera]:
@@ -501,7 +537,7 @@ class SceneRenderer(torch.nn.Module):
 
     @property
     def surfaces(self) -> SurfaceMap | None:
-        """The objects that each pixel shows; None for a list of sensors."""
+        """The objects that each pixel shows; None for a list of sensors or a sensor grid."""
         return self._surface_map(())
 
     def mask(self, objects: str | Collection[str]) -> torch.Tensor:
@@ -530,6 +566,8 @@ class SceneRenderer(torch.nn.Module):
         SceneCaptumError
             If a name matches no object of the scene.
         """
+        if not self.shows_a_view:
+            raise SceneCaptumError("The pixels of a sensor grid show no objects, so it has no mask of them.")
         maps = [view.surface_map((), False) for view in self._views]
         masks = torch.stack([torch.from_numpy(surfaces.mask(objects)) for surfaces in maps]).to(self._device)
         return masks if self._stacked else masks[0]
@@ -571,8 +609,8 @@ class SceneRenderer(torch.nn.Module):
         return self._guides
 
     def _surface_map(self, names: Iterable[str] | None, *, through: bool = False) -> SurfaceMap | None:
-        """Return the sensor's surface map with the texels of these inputs; None for a list of sensors."""
-        if self._stacked:
+        """Return the sensor's surface map with the texels of these inputs; None where pixels show no view."""
+        if self._stacked or not self.shows_a_view:
             return None
         wanted = self._names if names is None else names
         in_scene = (name for name in wanted if name in self._state.original)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from ..camera import Camera
 from ..errors import SceneCaptumError, whole_number
+from ..grid import GridPoints, SensorGrid
 from ..scene import rgb_film
 
 
@@ -21,6 +22,7 @@ class SensorType(NamedTuple):
     description: str  # for the help text
     class_names: tuple[str, ...]  # in Mitsuba
     plugin: str | None = None
+    has_camera: bool = True  # whether its pixels are directions from one point
     connectable: bool = False  # whether light tracing can use its ``sample_direction`` and ``near_clip``
 
 
@@ -29,7 +31,13 @@ SENSORS = {
         "pinhole or thin-lens camera", ("PerspectiveCamera", "ThinLensCamera"), connectable=True
     ),
     "fisheye": SensorType("180° equidistant fisheye", ("FisheyeSensor",), "scenecaptum_fisheye"),
+    "grid": SensorType("irradiance on a sensor grid", ("GridSensor",), "scenecaptum_grid", has_camera=False),
 }
+
+
+GRID_SIZE = (
+    "A sensor grid has a pixel for each point: leave resolution= out, and choose spacing= of the SensorGrid."
+)
 
 
 def named_sensors() -> dict[str, SensorType]:
@@ -47,9 +55,15 @@ def camera_of(sensor: Any) -> Camera:
     """Return the geometry of a sensor's pixels."""
     name = _type_name(sensor)
     if name is None:
+        cameras = {name: one for name, one in named_sensors().items() if one.has_camera}
         raise SceneCaptumError(
             f"The geometry of a {sensor.class_name()} is not known, only that of {_list(SENSORS)} sensors. Select "
-            f"another with sensor=: {_list(named_sensors())} has the pose of the scene's first sensor."
+            f"another with sensor=: {_list(cameras)} has the pose of the scene's first sensor."
+        )
+    if not SENSORS[name].has_camera:
+        raise SceneCaptumError(
+            "The pixels of a sensor grid are points, which have no camera: renderer.grid has their positions. "
+            "Metrics of views need another sensor."
         )
     camera: Camera = _module(name).camera_of(sensor)
     return camera
@@ -67,9 +81,25 @@ def _list(names: Iterable[str]) -> str:
     return " or ".join(f'"{name}"' for name in names)
 
 
-def choose_sensor(scene: Any, which: int | str, resolution: tuple[int, int] | None) -> Any:
+def grid_of(sensor: Any) -> GridPoints:
+    """Return the points of a sensor grid."""
+    if _type_name(sensor) != "grid":
+        raise SceneCaptumError('Only a renderer with sensor="grid" or a SensorGrid has a grid.')
+    points: GridPoints = sensor.points
+    return points
+
+
+def shows_a_view(sensor: Any) -> bool:
+    """Whether neighbouring pixels show neighbouring directions: maps and denoisers need that."""
+    name = _type_name(sensor)
+    return name is None or SENSORS[name].has_camera
+
+
+def choose_sensor(scene: Any, which: int | str | SensorGrid, resolution: tuple[int, int] | None) -> Any:
     """Return a sensor of the scene by its index, or one of a named type with the pose of the first."""
     sensors = scene.sensors()
+    if which == "grid" or isinstance(which, SensorGrid):
+        return _create_grid(scene, which if isinstance(which, SensorGrid) else SensorGrid(), resolution)
     if isinstance(which, str):
         if which not in named_sensors():
             raise SceneCaptumError(
@@ -84,6 +114,24 @@ def choose_sensor(scene: Any, which: int | str, resolution: tuple[int, int] | No
             "pass the scene's file or dict, which is loaded with an RGB film."
         )
     return sensors[index]
+
+
+def _create_grid(scene: Any, grid: SensorGrid, resolution: tuple[int, int] | None) -> Any:
+    """Create the sensor of a grid, whose film has a pixel for each point."""
+    import mitsuba as mi
+
+    from ._grid import place_grid
+
+    if resolution is not None:
+        raise SceneCaptumError(GRID_SIZE)
+    _module("grid")  # registers the plugin
+    points = place_grid(grid, scene)
+    count = scene.sensors()[0].sampler().sample_count()
+    sampler = {"type": "independent", "sample_count": count}
+    film = rgb_film(points.width, points.height)
+    sensor = mi.load_dict({"type": SENSORS["grid"].plugin, "film": film, "sampler": sampler})
+    sensor.place(points)
+    return sensor
 
 
 def _create(name: str, pose: Any, resolution: tuple[int, int]) -> Any:

@@ -91,10 +91,28 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         eta = mi.Float(1)
         depth = mi.UInt32(0)
         valid_ray = mi.Bool(False)
-        seen_directly = mi.Bool(True)  # from the camera, through nothing but masks
+        seen_directly = mi.Bool(self.receiver is None)  # from the camera, through nothing but masks
         si_prev = dr.zeros(mi.SurfaceInteraction3f)
         bsdf_pdf_prev = mi.Float(1)
         bsdf_delta_prev = mi.Bool(True)
+
+        # On a sensor grid, rays start at a white surface, which is lit like any other.
+        if dr.hint(self.receiver is not None, mode="scalar"):
+            si_prev, bsdf_delta_prev = self.receiver, mi.Bool(False)
+            bsdf_pdf_prev = _white_value(si_prev, ray.d)
+            random = sampler.next_2d()
+            Lr_dir = _light_on_white(scene, random, si_prev, active, primal)
+            if dr.hint(moments is not None, mode="scalar"):
+                L -= Lr_dir
+                emitter = _sampled_emitter(scene, random)
+                moments.add(si_prev, emitter, mi.Spectrum(0), emitter, Lr_dir, mi.Spectrum(0))
+            elif dr.hint(primal, mode="scalar"):
+                L += Lr_dir
+            else:
+                L -= dr.detach(Lr_dir)
+                with dr.resume_grad():
+                    if dr.hint(dr.grad_enabled(Lr_dir), mode="scalar"):  # materials do not change it
+                        delta_L = _propagate(mode, delta_L, Lr_dir)
 
         while dr.hint(active, max_iterations=self.max_depth, label=f"Path replay ({mode.name})"):
             si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=active)
@@ -202,22 +220,44 @@ def emitted_radiance(
 def _direct_light(scene: Any, random: Any, vertex: Vertex, primal: bool) -> Any:
     """Return ``Lr_dir``, the reflected light of a sampled emitter."""
     active = vertex.active_next & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
-    ds, emitter_weight = scene.sample_emitter_direction(vertex.si, random, True, active)
-    active &= ds.pdf != 0
+    ds, emitter_weight, active = _sample_emitter_direction(scene, random, vertex.si, active, primal)
     with dr.resume_grad(when=not primal):
-        if primal:
-            pass
-        elif any(emitter.class_name() == "DirectionalArea" for emitter in scene.emitters()):
-            # This emitter cannot be evaluated in a direction, so it is sampled again.
-            emitter_weight = scene.sample_emitter_direction(vertex.si, random, True, active)[1]
-        else:
-            attached = scene.eval_emitter_direction(vertex.si, ds, active)
-            emitter_weight = dr.replace_grad(
-                emitter_weight, dr.select(active, attached / dr.detach(ds.pdf), 0)
-            )
         value, pdf = vertex.bsdf.eval_pdf(mi.BSDFContext(), vertex.si, vertex.si.to_local(ds.d), active)
         mis = dr.detach(dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf)))
         return vertex.throughput * mis * value * emitter_weight
+
+
+def _sample_emitter_direction(
+    scene: Any, random: Any, si: Any, active: Any, primal: bool
+) -> tuple[Any, Any, Any]:
+    """Return a sampled direction to an emitter, its weight with derivatives, and where there is one."""
+    ds, emitter_weight = scene.sample_emitter_direction(si, random, True, active)
+    active = active & (ds.pdf != 0)
+    if primal:
+        return ds, emitter_weight, active
+    with dr.resume_grad():
+        if any(emitter.class_name() == "DirectionalArea" for emitter in scene.emitters()):
+            # This emitter cannot be evaluated in a direction, so it is sampled again.
+            return ds, scene.sample_emitter_direction(si, random, True, active)[1], active
+        attached = scene.eval_emitter_direction(si, ds, active)
+        weight = dr.replace_grad(emitter_weight, dr.select(active, attached / dr.detach(ds.pdf), 0))
+        return ds, weight, active
+
+
+def _white_value(receiver: Any, direction: Any) -> Any:
+    """Return the value and the density of a white diffuse surface: the cosine over π."""
+    return dr.maximum(dr.dot(receiver.n, direction), 0) * dr.inv_pi
+
+
+def _light_on_white(scene: Any, random: Any, receiver: Any, active: Any, primal: bool) -> Any:
+    """Return what a white diffuse surface reflects of a sampled emitter."""
+    ds, weight, active = _sample_emitter_direction(
+        scene, random, receiver, active & receiver.is_valid(), primal
+    )
+    value = _white_value(receiver, ds.d)
+    mis = dr.detach(dr.select(ds.delta, 1, mis_weight(ds.pdf, value)))
+    with dr.resume_grad(when=not primal):
+        return dr.select(active, mis * value * weight, 0)
 
 
 def is_rounding_error(remainder: Any, total: Any) -> Any:

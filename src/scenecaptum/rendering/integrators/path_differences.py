@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .._backward import CameraAdjoint, filtered_adjoint, random_camera_rays
+from .._backward import CameraAdjoint, filtered_adjoint
 from .._sampler import SobolSampler
 
 MAX_MATERIALS = 32  # bits of a number
@@ -66,7 +66,7 @@ def difference_backward(
     lanes = dr.width(pixel)
     with dr.suspend_grad():
         sampler = SobolSampler.of(lanes, seed)
-        ray, *_ = random_camera_rays(camera.sensor, sampler, pixel)
+        ray, *_ = integrator.random_rays(camera.sensor, sampler, pixel)
         integrator.sample(
             mode=dr.ADMode.Primal,
             scene=scene,
@@ -91,7 +91,7 @@ def difference_backward(
         active = weight != 0
         sampler = SobolSampler.at(lane, seed)
         pixel = dr.gather(mi.UInt32, pixel, lane)
-        ray, response, film_point = random_camera_rays(camera.sensor, sampler, pixel)
+        ray, response, film_point = integrator.random_rays(camera.sensor, sampler, pixel)
         original = dr.gather(mi.UInt32, moved.index, dr.gather(mi.UInt32, material, lane), active)
         radiance, *_ = integrator.sample(
             mode=dr.ADMode.Primal,

@@ -1,0 +1,351 @@
+"""Sensor grids: irradiance at points of a room, against closed forms, differences and stock renders."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from seeds import seeds, shifted
+
+from scenecaptum import SceneCaptumError, SceneRenderer, SensorGrid, VanillaSceneGradient
+from scenecaptum.grid import en_12464_spacing
+
+Config = dict[str, Any]
+
+
+def room(**parts: Config) -> Config:
+    import mitsuba as mi
+
+    to_world = mi.ScalarTransform4f().look_at(origin=[0, -1.4, 1], target=[0, 1, 1], up=[0, 0, 1])
+    film = {"type": "hdrfilm", "width": 8, "height": 8}
+    return {"type": "scene", "sensor": {"type": "perspective", "to_world": to_world, "film": film}, **parts}
+
+
+def grey(value: float) -> Config:
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
+
+
+def rgb(value: float) -> Config:
+    return {"type": "rgb", "value": value}
+
+
+def at(*points: tuple[float, float, float], facing: tuple[float, float, float] = (0, 0, 1)) -> SensorGrid:
+    return SensorGrid(points=torch.tensor(points), normals=torch.tensor([facing] * len(points)).float())
+
+
+def box(mi: Any, floor: float = 0.5) -> Config:
+    """Return a room of 4 × 3 × 2 with a lamp under its ceiling; its first sensor shows that z is up."""
+    place = mi.ScalarTransform4f
+    sides = {
+        "ceiling": place().translate([0, 0, 2]).rotate([1, 0, 0], 180).scale([2, 1.5, 1]),
+        "floor": place().scale([2, 1.5, 1]),
+        "left": place().translate([-2, 0, 1]).rotate([0, 1, 0], 90).scale([1, 1.5, 1]),
+        "right": place().translate([2, 0, 1]).rotate([0, 1, 0], -90).scale([1, 1.5, 1]),
+        "back": place().translate([0, 1.5, 1]).rotate([1, 0, 0], 90).scale([2, 1, 1]),
+        "front": place().translate([0, -1.5, 1]).rotate([1, 0, 0], -90).scale([2, 1, 1]),
+    }
+    walls = {
+        name: {"type": "rectangle", "to_world": to_world, "bsdf": grey(floor if name == "floor" else 0.5)}
+        for name, to_world in sides.items()
+    }
+    lamp = {
+        "type": "rectangle",
+        "to_world": place().translate([0.5, 0, 1.9]).rotate([1, 0, 0], 180).scale(0.3),
+    }
+    lamp["emitter"] = {"type": "area", "radiance": rgb(20.0)}
+    return room(**walls, lamp=lamp)
+
+
+def measured(
+    scene: Config, grid: SensorGrid, *, spp: int = 256, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the mean irradiance of each point over several seeds, with its standard error."""
+    renderer = SceneRenderer(scene, "emitters", sensor=grid, spp=spp, **options)
+    runs = torch.stack([renderer(seed=seed)[..., 1].double() for seed in seeds(16)])
+    return runs.mean(0).flatten(), (runs.std(0) / 4).flatten()
+
+
+def held(found: torch.Tensor, error: torch.Tensor, expected: torch.Tensor, relative: float = 0.02) -> None:
+    assert ((found - expected).abs() <= 4 * error + 1e-6).all(), f"{found} ± {error}, expected {expected}"
+    assert (error < relative * expected).all(), "the errors are too large to tell"
+
+
+def test_a_uniform_sky_gives_pi_times_its_radiance(mi: Any) -> None:
+    sky = {"type": "constant", "radiance": rgb(2.0)}
+    ground = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(5), "bsdf": grey(0.9)}
+    found, error = measured(room(sky=sky, ground=ground), at((0, 0, 0.1), (1, 2, 3)))
+    held(found, error, torch.full((2,), 2 * math.pi).double())
+
+
+def test_a_furnace_has_the_same_irradiance_everywhere(mi: Any) -> None:
+    """A closed room of emission e and reflectance ρ has the radiance e / (1 - ρ)."""
+    # Mitsuba's sphere is 0.3 % too bright inside.
+    wall = {
+        "type": "cube",
+        "to_world": mi.ScalarTransform4f().scale(2),
+        "flip_normals": True,
+        "bsdf": grey(0.5),
+    }
+    wall["emitter"] = {"type": "area", "radiance": rgb(1.0)}
+    found, error = measured(room(wall=wall), at((0, 0, 0), (0.5, 0.2, -1.0)), max_depth=-1)
+    held(found, error, torch.full((2,), 2 * math.pi).double())
+
+
+def test_a_point_light_follows_the_inverse_square_and_the_cosine(mi: Any) -> None:
+    """Rays of a sensor never hit a point: its light comes by emitter sampling at the grid."""
+    lamp = {"type": "point", "position": [0, 0, 3], "intensity": rgb(5.0)}
+    floor = {"type": "rectangle", "bsdf": grey(0.0)}
+    points = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 1.0, 0.5]]).double()
+    box = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(4), "bsdf": grey(0.0)}
+    scene = room(lamp=lamp, floor=floor, box=box)
+    renderer = SceneRenderer(scene, "emitters", sensor=at(*points.tolist()), spp=4)
+    away = torch.tensor([0.0, 0.0, 3.0]) - points
+    distance = away.norm(dim=1)
+    expected = 5 * away[:, 2] / distance**3
+    torch.testing.assert_close(renderer(seed=shifted(0))[0, :, 0].double(), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_small_lamp_has_its_form_factor(mi: Any) -> None:
+    """A disc of radius r at the height h over a point: ``E = π L r² / (r² + h²)``."""
+    lamp = {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, 2]).rotate([1, 0, 0], 180)}
+    lamp["emitter"] = {"type": "area", "radiance": rgb(10.0)}
+    ground = {"type": "rectangle", "bsdf": grey(0.0)}
+    found, error = measured(room(lamp=lamp, ground=ground), at((0, 0, 0), (0, 0, 1)))
+    held(found, error, torch.tensor([math.pi * 10 / 5, math.pi * 10 / 2]).double())
+
+
+def test_a_grid_on_a_white_floor_sees_what_the_floor_reflects(mi: Any) -> None:
+    """Irradiance is π times the radiance of a white diffuse surface: of a stock render of the room from above."""
+    scene = box(mi, floor=1.0)
+    camera = {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin=[0.3, -0.2, 0.5], target=[0.3, -0.2, 0], up=[0, 1, 0]
+        ),
+        "fov": 0.01,
+        "film": {
+            "type": "hdrfilm",
+            "width": 1,
+            "height": 1,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+        },
+    }
+    stock = mi.load_dict({**scene, "sensor": camera, "integrator": {"type": "path", "max_depth": 6}})
+    renders = torch.stack(
+        [mi.render(stock, seed=seed, spp=4096).torch()[0, 0, 1].double() for seed in seeds(16)]
+    )
+    found, error = measured(scene, at((0.3, -0.2, 1e-3)), max_depth=5)
+    expected, own = math.pi * renders.mean(), math.pi * renders.std() / 4
+    assert abs(found - expected) < 4 * error.hypot(own)
+
+
+# --- Where points are -----------------------------------------------------------------------------
+
+
+def test_points_are_spread_over_the_floor(mi: Any) -> None:
+    grid = SceneRenderer(box(mi), "emitters", sensor=SensorGrid(height=0.75, spacing=0.5, margin=0.5)).grid
+    assert (grid.width, grid.height) == (6, 4)
+    assert grid.inside.all()
+    assert grid.positions[0, 0].tolist() == pytest.approx([-1.25, 0.75, 0.75])
+    assert grid.positions[-1, -1].tolist() == pytest.approx([1.25, -0.75, 0.75])
+    assert grid.normals.unique(dim=0).tolist() == [[0, 0, 1]] or (grid.normals[..., 2] == 1).all()
+
+
+def test_the_default_spacing_is_that_of_the_standard(mi: Any) -> None:
+    """EN 12464-1: 0.2 · 5^log10(d), of the longer side, or of the shorter one of a long room."""
+    assert en_12464_spacing(1.0, 1.0) == pytest.approx(0.2)
+    assert en_12464_spacing(10.0, 8.0) == pytest.approx(1.0)
+    assert en_12464_spacing(100.0, 10.0) == pytest.approx(1.0)
+    assert en_12464_spacing(1e6, 1e6) == 10.0
+    grid = SceneRenderer(box(mi), "emitters", sensor="grid").grid
+    assert (grid.width, grid.height) == (
+        math.ceil(3 / en_12464_spacing(3, 2)),
+        math.ceil(2 / en_12464_spacing(3, 2)),
+    )
+
+
+def test_an_l_shaped_floor_leaves_its_corner_out(mi: Any) -> None:
+    scene = box(mi)
+    del scene["floor"]
+    place = mi.ScalarTransform4f
+    mesh = mi.Mesh("l", 6, 4)
+    params = mi.traverse(mesh)
+    corners = [(-2, -1.5), (2, -1.5), (2, 0), (0, 0), (0, 1.5), (-2, 1.5)]
+    params["vertex_positions"] = [x for corner in corners for x in (*corner, 0.0)]
+    params["faces"] = [0, 1, 3, 1, 2, 3, 0, 3, 5, 3, 4, 5]
+    params.update()
+    scene["floor"] = mesh
+    scene["camera"] = {"type": "perspective", "to_world": place()}
+    inside = SceneRenderer(scene, "emitters", sensor=SensorGrid(spacing=0.5, margin=0.0)).grid.inside
+    assert inside.shape == (6, 8)
+    assert not inside[:3, 4:].any()
+    assert inside[:3, :4].all()
+    assert inside[3:].all()
+
+
+def test_points_inside_furniture_are_left_out(mi: Any) -> None:
+    scene = box(mi)
+    block = mi.ScalarTransform4f().translate([-1, 0, 0.4]).scale([0.5, 0.5, 0.4])
+    scene["block"] = {"type": "cube", "to_world": block}
+    with pytest.warns(UserWarning, match="lie inside objects"):
+        renderer = SceneRenderer(scene, "emitters", sensor=SensorGrid(height=0.5, spacing=0.5))
+    assert (~renderer.grid.inside).sum() == 4
+    picture = renderer(seed=1)
+    assert (picture[~renderer.grid.inside] == 0).all()
+    assert (picture[renderer.grid.inside] > 0).all()
+
+
+def test_points_lie_on_a_surface(mi: Any) -> None:
+    scene = box(mi)
+    block = mi.ScalarTransform4f().translate([-1, 0, 0.4]).scale([0.5, 0.5, 0.4])
+    scene["block"] = {"type": "cube", "to_world": block}
+    top = SceneRenderer(
+        scene, "emitters", sensor=SensorGrid(surface="block", facing=(0, 0, 1), count=20), spp=16
+    )
+    assert top.grid.positions.shape == (1, 20, 3)
+    assert (top.grid.positions[..., 2] - 0.8).abs().max() < 1e-3
+    assert (top().mean(-1) > 0).all()
+
+
+def test_points_of_a_file(mi: Any, tmp_path: Path) -> None:
+    path = tmp_path / "points.pts"
+    path.write_text("# x y z nx ny nz\n0 0 0.8 0 0 2\n1 0.5 0.8 0 1 0\n")
+    grid = SceneRenderer(box(mi), "emitters", sensor=SensorGrid.from_file(path)).grid
+    assert grid.positions.tolist() == [[[0, 0, 0.8], [1, 0.5, 0.8]]]
+    assert grid.normals.tolist() == [[[0, 0, 1], [0, 1, 0]]]
+
+
+BAD_GRIDS = {
+    "outside": (lambda: at((5, 0, 0.8)), "1 of 1 points of the grid lie outside the scene's bounds"),
+    "hidden": (lambda: at((-1, 0, 0.4), (1, 0, 0.8)), "1 of 2 points of the grid lie inside an object"),
+    "too high": (lambda: SensorGrid(height=7.0), "No point of the sensor grid is in the room"),
+    "no floor": (lambda: SensorGrid(floor="flor"), "Did you mean 'floor'"),
+    "a wall as floor": (lambda: SensorGrid(floor="left"), "'left' has no level part"),
+    "no surface": (lambda: SensorGrid(surface="desk"), "no shape of this name"),
+    "facing away": (lambda: SensorGrid(surface="floor", facing=(0, 0, -1)), "no part of it faces"),
+    "no area": (lambda: SensorGrid(rectangle=((0, 0), (0, 1))), "has no area"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_GRIDS)
+def test_a_bad_grid_is_one_clear_line(mi: Any, case: str) -> None:
+    make, message = BAD_GRIDS[case]
+    scene = box(mi)
+    block = mi.ScalarTransform4f().translate([-1, 0, 0.4]).scale([0.5, 0.5, 0.4])
+    scene["block"] = {"type": "cube", "to_world": block}
+    with pytest.raises(SceneCaptumError, match=message) as raised:
+        SceneRenderer(scene, "emitters", sensor=make())
+    assert "\n" not in str(raised.value)
+
+
+BAD_SPECS = {
+    "height": ({"height": -1.0}, "height of a SensorGrid must be at least 0"),
+    "spacing": ({"spacing": 0.0}, "spacing of a SensorGrid must be above 0"),
+    "not a number": ({"margin": math.nan}, "margin of a SensorGrid"),
+    "two": ({"floor": "floor", "surface": "desk"}, "got floor= and surface="),
+    "normals": ({"points": torch.zeros(1, 3)}, "belong together"),
+    "zero": ({"points": torch.zeros(1, 3), "normals": torch.zeros(1, 3)}, "is \\(0, 0, 0\\)"),
+    "shapes": ({"points": torch.zeros(1, 3), "normals": torch.ones(2, 3)}, "must both be"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_SPECS)
+def test_a_bad_setting_is_one_clear_line(case: str) -> None:
+    options, message = BAD_SPECS[case]
+    with pytest.raises(SceneCaptumError, match=message):
+        SensorGrid(**options)
+
+
+def test_a_bad_file_of_points_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "points.pts"
+    for text, message in (("", "has no points"), ("0 0 0 1\n", "Line 1"), ("0 0 0 0 0 up\n", "Line 1")):
+        path.write_text(text)
+        with pytest.raises(SceneCaptumError, match=message):
+            SensorGrid.from_file(path)
+    with pytest.raises(SceneCaptumError, match="cannot be read"):
+        SensorGrid.from_file(tmp_path / "none.pts")
+
+
+def test_what_needs_a_view_says_so(mi: Any) -> None:
+    renderer = SceneRenderer(box(mi), "reflectance", sensor=SensorGrid(spacing=1.0), spp=4)
+    with pytest.raises(SceneCaptumError, match="have no camera"):
+        _ = renderer.camera
+    with pytest.raises(SceneCaptumError, match="leave resolution= out"):
+        SceneRenderer(box(mi), "reflectance", sensor="grid", resolution=(8, 8))
+    with pytest.raises(SceneCaptumError, match="leave resolution= out"):
+        renderer.replace(resolution=(8, 8))
+    with pytest.raises(SceneCaptumError, match="cannot be rendered by prb"):
+        renderer.replace(integrator="prb")
+    with pytest.raises(SceneCaptumError, match="only sensor"):
+        SceneRenderer(box(mi), "reflectance", sensor=["grid", 0])
+    with pytest.raises(SceneCaptumError, match="no mask"):
+        renderer.mask("floor")
+    with pytest.raises(SceneCaptumError, match="requires a picture"):
+        VanillaSceneGradient(renderer, torch.mean).attribute(denoise=True)
+    with pytest.raises(SceneCaptumError, match="Only a renderer with"):
+        _ = SceneRenderer(box(mi), "reflectance").grid
+
+
+# --- Derivatives ----------------------------------------------------------------------------------
+
+
+def weighted(image: torch.Tensor) -> torch.Tensor:
+    rows, columns = image.shape[:2]
+    return (
+        (image[..., 1] * torch.linspace(1, 2, rows * columns).reshape(rows, columns).to(image)).mean().log()
+    )
+
+
+def test_derivatives_are_those_of_differences(mi: Any) -> None:
+    """Reflectances, lamps and poses at once, by a non-linear metric, against plain renders with other seeds."""
+    scene = box(mi)
+    names = ["floor.bsdf.reflectance.value", "left.bsdf.reflectance.value", "lamp.emitter.radiance.value"]
+    poses = ["lamp.pose.translation"]
+    renderer = SceneRenderer(scene, [*names, *poses], sensor=SensorGrid(spacing=1.0), spp=512)
+    found = VanillaSceneGradient(renderer, weighted).attribute(seed=shifted(3))
+    for name, h in [*((name, 0.05) for name in names[:2]), (names[2], 2.0), (poses[0], 0.05)]:
+        value = renderer.inputs[name]
+        step = torch.zeros_like(value)
+        step[-1 if name in poses else 1] = h
+        slopes = torch.stack(
+            [
+                (
+                    weighted(renderer({name: value + step}, seed=s))
+                    - weighted(renderer({name: value - step}, seed=s))
+                )
+                / (2 * h)
+                for s in seeds(8, 1000)
+            ]
+        ).double()
+        own = found[name][-1 if name in poses else 1].item()
+        own_error = found.standard_error[name][-1 if name in poses else 1].item()
+        # The step of the reflectances bends the logarithm by less than 1 %.
+        error = math.hypot(own_error, slopes.std().item() / math.sqrt(8), 0.01 * own)
+        assert abs(own - slopes.mean().item()) < 4 * error, f"{name}: {own} ± {own_error}, {slopes.mean()}"
+
+
+def test_plain_autograd_differentiates_the_number_that_was_rendered(mi: Any) -> None:
+    renderer = SceneRenderer(box(mi), ["floor.*", "lamp.emitter.*"], sensor=SensorGrid(spacing=1.5), spp=4)
+    values = {name: value.requires_grad_() for name, value in renderer.inputs.items()}
+    weighted(renderer(values, seed=shifted(5))).backward()
+    for name, value in values.items():
+        step = 0.01 * torch.eye(3)[1]
+        with torch.no_grad():
+            up, down = (
+                weighted(renderer({name: value + sign * step}, seed=shifted(5))).item() for sign in (1, -1)
+            )
+        assert value.grad is not None
+        assert value.grad[1].item() == pytest.approx((up - down) / 0.02, rel=0.02, abs=2e-5)
+
+
+def test_lamps_add_up_to_the_irradiance(mi: Any) -> None:
+    renderer = SceneRenderer(box(mi), "emitters", sensor=SensorGrid(spacing=1.0), spp=64)
+    found = VanillaSceneGradient(renderer, torch.mean).attribute(seed=shifted(2), denoise=False)
+    (row,) = found.ranking()
+    assert row.effect == pytest.approx(
+        found.metric_value, abs=4 * (row.effect_error + found.metric_standard_error)
+    )
