@@ -1,0 +1,8 @@
+"""Daylight over a year: sky patches, weather, sky matrices, and metrics of daylight coefficients.
+
+Pure torch. A renderer delivers daylight coefficients ``(points, P, 3)``, the irradiance at each point per unit
+radiance of each sky patch; everything else follows from them.
+"""
+
+from ._patches import PatchRows as PatchRows
+from ._patches import SkyPatches as SkyPatches
