@@ -6,3 +6,6 @@ radiance of each sky patch; everything else follows from them.
 
 from ._patches import PatchRows as PatchRows
 from ._patches import SkyPatches as SkyPatches
+from ._sun import sun_directions as sun_directions
+from ._synthetic import synthetic_weather as synthetic_weather
+from ._weather import Weather as Weather
