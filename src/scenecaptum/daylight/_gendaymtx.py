@@ -12,6 +12,7 @@ from typing import Literal
 import torch
 
 from ..errors import SceneCaptumError
+from ._checks import choice
 from ._patches import SkyPatches
 from ._radiance_matrix import parse_matrix
 from ._weather import Weather
@@ -27,11 +28,10 @@ def run_gendaymtx(weather: Weather, patches: SkyPatches, sun: Sun) -> torch.Tens
     The sky is grey (``-c 1 1 1``), so that the three channels are equal and no choice of primaries matters. The
     values are photometric (``-O0``): the luminance in cd/m² divided by 179 lm/W.
     """
-    if sun not in _SUN_OPTIONS:
-        raise SceneCaptumError(f"sun must be one of {', '.join(map(repr, _SUN_OPTIONS))}, not {sun!r}.")
+    options = _SUN_OPTIONS[choice("sun", sun, tuple(_SUN_OPTIONS))]
     command = [_program(), "-m", str(patches.subdivision), "-O0", "-of", "-c", "1", "1", "1"]
     done = subprocess.run(
-        [*command, *_SUN_OPTIONS[sun]], input=weather.to_wea().encode(), capture_output=True, check=False
+        [*command, *options], input=weather.to_wea().encode(), capture_output=True, check=False
     )
     said = done.stderr.decode("utf-8", errors="replace").strip().splitlines()
     if done.returncode != 0:

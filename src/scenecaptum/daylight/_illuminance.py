@@ -14,10 +14,10 @@ def illuminance(coefficients: torch.Tensor, sky: SkyMatrix) -> torch.Tensor:
 
     Example
     -------
-    >>> sky = SkyMatrix.uniform(SkyPatches.tregenza(), horizontal_illuminance=5000.0)
+    >>> sky = SkyMatrix.uniform(horizontal_illuminance=5000.0)
     >>> outdoors = sky.patches.projected_solid_angles.float()[None, :, None].expand(1, -1, 3)
-    >>> illuminance(outdoors, sky)
-    tensor([[5000.0000]])
+    >>> illuminance(outdoors, sky).round()
+    tensor([[5000.]])
 
     Parameters
     ----------

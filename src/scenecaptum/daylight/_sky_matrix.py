@@ -6,13 +6,13 @@ import dataclasses
 import math
 import os
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 import torch
 
 from ..errors import SceneCaptumError
 from ..images import LUMINANCE_WEIGHTS
+from ._checks import positive, share
 from ._gendaymtx import Sun, run_gendaymtx
 from ._patches import SkyPatches
 from ._radiance_matrix import read_matrix
@@ -30,7 +30,7 @@ class SkyMatrix:
     Example
     -------
     >>> sky = SkyMatrix.cie_overcast(SkyPatches.tregenza())
-    >>> sky.radiance.shape, sky.horizontal_illuminance()
+    >>> sky.radiance.shape, sky.horizontal_illuminance().round()
     (torch.Size([146, 1, 3]), tensor([10000.]))
 
     Attributes
@@ -171,12 +171,8 @@ class SkyMatrix:
     def _standard(
         cls, relative: torch.Tensor, patches: SkyPatches, illuminance: float, reflectance: float
     ) -> SkyMatrix:
-        if not isinstance(illuminance, Real) or not 0 < illuminance < math.inf:
-            raise SceneCaptumError(
-                f"horizontal_illuminance must be a number above 0 in lx, not {illuminance!r}."
-            )
-        if not isinstance(reflectance, Real) or not 0 <= reflectance <= 1:
-            raise SceneCaptumError(f"ground_reflectance must be from 0 to 1, not {reflectance!r}.")
+        illuminance = positive("horizontal_illuminance", illuminance)
+        reflectance = share("ground_reflectance", reflectance)
         luminance = relative * illuminance / (relative * patches.projected_solid_angles).sum()
         luminance[0] = reflectance * illuminance / math.pi
         radiance = luminance / EFFICACY / sum(LUMINANCE_WEIGHTS)

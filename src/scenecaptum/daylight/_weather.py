@@ -22,6 +22,7 @@ class Weather:
 
     Example
     -------
+    >>> from scenecaptum.daylight import synthetic_weather
     >>> weather = synthetic_weather()
     >>> weather
     Weather('SYNTHETIC, made up', latitude=48, longitude=11, 8760 hours)
