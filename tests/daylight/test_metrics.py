@@ -251,6 +251,22 @@ def test_the_bands_of_useful_illuminance_add_up():
         assert total.item() == pytest.approx(100)
 
 
+@pytest.mark.parametrize(
+    ("level", "target", "minimum"), [("minimum", 300, 100), ("medium", 500, 300), ("high", 750, 500)]
+)
+def test_levels_of_daylight_provision_want_half_at_the_target_and_nearly_all_at_the_minimum(
+    level, target, minimum
+):
+    def value(*brightness: float) -> float:
+        coefficients, sky = setup([[one, one, 0.0] for one in brightness])  # two of three hours
+        return DaylightProvision(sky, level, during="all").hard(coefficients).item()
+
+    assert value(1.01 * target, 1.01 * minimum) == pytest.approx(100)  # half, and 100 / 0.95
+    assert value(0.99 * target, 0.99 * target) == 0
+    assert value(1.01 * target, 0.99 * minimum) == pytest.approx(100 * 0.5 / 0.95)
+    assert value(*[1.01 * target] * 19, 0.0) == pytest.approx(100)
+
+
 # Daylight factors
 
 

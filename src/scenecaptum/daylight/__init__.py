@@ -4,6 +4,25 @@ Pure torch. A renderer delivers daylight coefficients ``(points, P, 3)``, the ir
 radiance of each sky patch; everything else follows from them.
 """
 
+# What users see; the other names are for the rooms above.
+__all__ = [
+    "AnnualSunlightExposure",
+    "ContinuousDaylightAutonomy",
+    "DaylightAutonomy",
+    "DaylightFactor",
+    "DaylightMetric",
+    "DaylightProvision",
+    "PatchRows",
+    "SkyMatrix",
+    "SkyPatches",
+    "SpatialDaylightAutonomy",
+    "TotalAnnualIllumination",
+    "UsefulDaylightIlluminance",
+    "Weather",
+    "illuminance",
+    "synthetic_weather",
+]
+
 from ._annual_sunlight_exposure import AnnualSunlightExposure as AnnualSunlightExposure
 from ._daylight_autonomy import ContinuousDaylightAutonomy as ContinuousDaylightAutonomy
 from ._daylight_autonomy import DaylightAutonomy as DaylightAutonomy

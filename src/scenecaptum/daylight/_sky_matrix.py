@@ -143,8 +143,21 @@ class SkyMatrix:
     ) -> SkyMatrix:
         """Return the CIE standard overcast sky, one hour: three times as bright at the zenith as at the horizon.
 
-        The luminance ``(1 + 2 sin γ) / 3`` at the altitude γ is averaged over each patch and scaled to the
-        horizontal illuminance in lx. The ground is diffuse.
+        The luminance ``(1 + 2 sin γ) / 3`` at the altitude γ is averaged over each patch, and scaled.
+
+        Parameters
+        ----------
+        patches
+            By default Tregenza's.
+        horizontal_illuminance
+            Outdoors, by the whole sky, in lx.
+        ground_reflectance
+            Of the ground, which is diffuse.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the illuminance is not above 0, or the reflectance not from 0 to 1.
 
         References
         ----------
@@ -162,7 +175,18 @@ class SkyMatrix:
         *,
         ground_reflectance: float = 0.2,
     ) -> SkyMatrix:
-        """Return a sky of equal luminance everywhere, one hour, with a horizontal illuminance in lx."""
+        """Return a sky of equal luminance everywhere, one hour.
+
+        Parameters
+        ----------
+        patches, horizontal_illuminance, ground_reflectance
+            As for `cie_overcast`.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the illuminance is not above 0, or the reflectance not from 0 to 1.
+        """
         patches = patches or SkyPatches.tregenza()
         ones = torch.ones(patches.count, dtype=torch.float64)
         return cls._standard(ones, patches, horizontal_illuminance, ground_reflectance)

@@ -36,6 +36,11 @@ class UsefulDaylightIlluminance(PointMetric):
     limits
         The three limits in lx, ascending.
 
+    Raises
+    ------
+    SceneCaptumError
+        If the band is unknown, or the limits are not three ascending numbers above 0.
+
     References
     ----------
     Nabil and Mardaljevic, "Useful daylight illuminance: a new paradigm for assessing daylight in buildings", 2005,

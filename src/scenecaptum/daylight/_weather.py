@@ -85,7 +85,12 @@ class Weather:
         """Return which hours are between two times of every day, ``(hours,)`` bool.
 
         The default, 8 am to 6 pm, is the period of IES LM-83: 3650 hours, with weekends. LM-83 means clock time;
-        these are hours of standard time, since EPW files do not know daylight saving time.
+        these are hours of standard time: daylight saving time is not applied.
+
+        Parameters
+        ----------
+        first, last
+            Start and end in hours of the day.
 
         Raises
         ------
