@@ -1,7 +1,16 @@
 """What is in a scene: loading it, its parameters with kind, bounds and owner, and the bundled rooms."""
 
 # What users see; the other names are for the rooms above.
-__all__ = ["BUNDLED", "Parameter", "SceneParameters", "discover", "load_scene", "select"]
+__all__ = [
+    "BUNDLED",
+    "Parameter",
+    "Photometry",
+    "SceneParameters",
+    "discover",
+    "load_scene",
+    "read_ies",
+    "select",
+]
 
 from ._checks import check_scale as check_scale
 from ._graph import SceneGraph as SceneGraph
@@ -35,3 +44,5 @@ from ._selection import Selection as Selection
 from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED
 from .bundled import rgb_film as rgb_film
+from .photometry import Photometry as Photometry
+from .photometry import read_ies as read_ies
