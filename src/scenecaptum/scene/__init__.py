@@ -7,6 +7,7 @@ __all__ = [
     "Photometry",
     "SceneParameters",
     "discover",
+    "ies_lamp",
     "load_scene",
     "read_ies",
     "select",
@@ -45,4 +46,5 @@ from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED
 from .bundled import rgb_film as rgb_film
 from .photometry import Photometry as Photometry
+from .photometry import ies_lamp as ies_lamp
 from .photometry import read_ies as read_ies
