@@ -64,7 +64,22 @@ def test_illuminances_are_those_of_radiance(radiance, kind, tmp_path):
         candela = rng.uniform(100, 1000, (len(planes), len(VERTICAL)))
         factors = {"multiplier": 1.7, "ballast": 0.85} if kind == "factors" else {}
         write_ies(path, VERTICAL, planes, candela, **factors)
+    np.testing.assert_allclose(computed(path), traced(radiance, path), rtol=1e-3)
+
+
+def test_planes_from_90_to_270_are_those_of_radiance_for_the_full_turn(radiance, tmp_path):
+    """Of the file with half of the planes itself, ies2rad puts the plane C = 90 to −y: mirrored."""
+    half = np.random.default_rng(shifted(2)).uniform(100, 1000, (5, len(VERTICAL)))
+    across = write_ies(tmp_path / "across.ies", VERTICAL, [90, 120, 180, 200, 270], half)
+    turn = [0, 60, 90, 120, 180, 200, 270, 340, 360]
+    planes = half[[2, 1, 0, 1, 2, 3, 4, 3, 2]]  # C and 180 − C are the same
+    full = write_ies(tmp_path / "full.ies", VERTICAL, turn, planes)
+    np.testing.assert_allclose(computed(across), computed(full), rtol=1e-9)
+    np.testing.assert_allclose(computed(across), traced(radiance, full), rtol=1e-3)
+
+
+def computed(path: Path) -> np.ndarray:
+    """Return the illuminances at the points by I(γ, C) cos θ / d²."""
     rays = torch.tensor(POINTS, dtype=torch.float64)
-    distance = rays.norm(dim=-1)
-    ours = read_ies(path).candela(rays) * rays[:, 2].abs() / distance**3
-    np.testing.assert_allclose(ours.numpy(), traced(radiance, path), rtol=1e-3)
+    illuminances = read_ies(path).candela(rays) * rays[:, 2].abs() / rays.norm(dim=-1) ** 3
+    return illuminances.numpy()
