@@ -34,6 +34,7 @@ FLOORS = (
     ("estimation",),
     ("rendering",),
     ("scene",),
+    ("daylight",),
     ("metrics",),
     ("visualization",),
     ("projection", "denoising"),

@@ -1,7 +1,17 @@
 """What is in a scene: loading it, its parameters with kind, bounds and owner, and the bundled rooms."""
 
 # What users see; the other names are for the rooms above.
-__all__ = ["BUNDLED", "Parameter", "SceneParameters", "discover", "load_scene", "select"]
+__all__ = [
+    "BUNDLED",
+    "Parameter",
+    "Photometry",
+    "SceneParameters",
+    "discover",
+    "ies_lamp",
+    "load_scene",
+    "read_ies",
+    "select",
+]
 
 from ._checks import check_scale as check_scale
 from ._graph import SceneGraph as SceneGraph
@@ -35,3 +45,6 @@ from ._selection import Selection as Selection
 from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED
 from .bundled import rgb_film as rgb_film
+from .photometry import Photometry as Photometry
+from .photometry import ies_lamp as ies_lamp
+from .photometry import read_ies as read_ies

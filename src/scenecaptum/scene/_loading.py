@@ -262,6 +262,8 @@ def _make_differentiable(state: Any) -> None:
             from . import _plastics, dielectric  # noqa: F401 -- registers the plugins
 
             props.set_plugin_name(f"scenecaptum_{props.plugin_name()}")
+        if props.plugin_name() == "scenecaptum_ies":
+            from .photometry import _emitter  # noqa: F401 -- registers the plugin
 
 
 def _clean_message(error: Exception) -> str:

@@ -23,6 +23,7 @@ _LIGHTS = {
     "PointLight": ("translation",),
     "SpotLight": ("translation", "rotation"),
     "Projector": ("translation", "rotation"),
+    "IesLamp": ("translation", "rotation"),
     "DirectionalEmitter": ("rotation",),
     "EnvironmentMapEmitter": ("rotation",),
 }

@@ -1,0 +1,90 @@
+"""Daylight provision of EN 17037."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+
+from ..metrics import Band, Measure
+from ._checks import choice
+from ._lower_limits import LowerLimits
+from ._metric import RELAXATION, DaylightMetric, Hours, mean_over_hours
+from ._sky_matrix import SkyMatrix
+from ._step import step
+
+Level = Literal["minimum", "medium", "high"]
+
+# Target illuminance and minimum target illuminance in lx: table A.1.
+_ILLUMINANCES = {"minimum": (300.0, 100.0), "medium": (500.0, 300.0), "high": (750.0, 500.0)}
+_SHARES_OF_POINTS = (0.5, 0.95)
+_SHARE_OF_HOURS = 0.5
+
+
+class DaylightProvision(DaylightMetric):
+    """Daylight provision of EN 17037 in %: how much of the required points are daylit; from 100 on, all of them.
+
+    A point is daylit at an illuminance if it has at least that in at least half of the daylight hours. EN 17037
+    wants half of the points daylit at a target, and 95 % at a minimum target: 300 and 100 lx for the level
+    ``"minimum"``, 500 and 300 lx for ``"medium"``, 750 and 500 lx for ``"high"``. The value is the smaller of the
+    two ratios of the daylit to the required share.
+
+    Parameters
+    ----------
+    sky, during, relaxation
+        See `DaylightMetric`; by default the 4380 daylight hours. The share of the hours is relaxed by the same
+        width, in units of its logarithm.
+    level
+        ``"minimum"``, ``"medium"`` or ``"high"``.
+
+    Notes
+    -----
+    The half of the hours is counted for each point. Some programs count the hours in which enough points reach the
+    target at once, which can give another result where different points are bright at different times. Points
+    within 0.5 m of the walls, which EN 17037 excludes, are for the caller to leave out.
+
+    References
+    ----------
+    EN 17037:2018, "Daylight in buildings", table A.1, for vertical and inclined openings, by method 2 (calculation
+    of illuminance).
+    """
+
+    def __init__(
+        self,
+        sky: SkyMatrix,
+        level: Level = "minimum",
+        *,
+        during: Hours = "daylight",
+        relaxation: float = RELAXATION,
+    ) -> None:
+        super().__init__(sky, during=during, relaxation=relaxation)
+        self.level = choice("level", level, tuple(_ILLUMINANCES))
+
+    @property
+    def measure(self) -> Measure:
+        """Name and unit, and the limit of 100 %."""
+        return LowerLimits(
+            f"daylight provision, level {self.level}",
+            unit="%",
+            better="higher",
+            bands=(Band(100.0, f"below the level {self.level}"),),
+            above=f"at least the level {self.level}",
+            source="EN 17037, table A.1",
+        )
+
+    def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        target, minimum = (
+            _daylit(values, illuminance, relaxation) / required
+            for illuminance, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
+        )
+        return 100 * torch.minimum(target, minimum)
+
+    def extra_repr(self) -> str:
+        """Show the settings."""
+        return f"{super().extra_repr()}, level={self.level!r}"
+
+
+def _daylit(values: torch.Tensor, illuminance: float, relaxation: float) -> torch.Tensor:
+    """Return the share of the points that are daylit at an illuminance."""
+    hours = mean_over_hours(step(values, illuminance, relaxation))
+    return step(hours, _SHARE_OF_HOURS, relaxation).mean()

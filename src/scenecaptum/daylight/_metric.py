@@ -1,0 +1,123 @@
+"""Base classes of the metrics of daylight coefficients."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Literal, TypeAlias
+
+import torch
+
+from ..errors import SceneCaptumError
+from ..metrics import Measure
+from ._checks import choice, positive
+from ._illuminance import illuminance
+from ._sky_matrix import SkyMatrix
+
+Hours: TypeAlias = "Literal['occupied', 'daylight', 'all'] | torch.Tensor"
+
+# Measured in side-lit rooms (DaylightMetric, Notes). Spatial metrics need the width: with 3 % of noise in the
+# coefficients of 40 points, the derivative of sDA spreads by 60 % at 0.02, by 20 % at 0.05, and by 4 % at 0.1.
+RELAXATION = 0.1
+
+
+class DaylightMetric(torch.nn.Module):
+    """Base class of the metrics of daylight coefficients: a number from the illuminance of points over hours.
+
+    All points have the same weight.
+
+    Parameters
+    ----------
+    sky
+        The sky of every hour.
+    during
+        The hours that count: ``"occupied"`` for 8 am to 6 pm of every day (`Weather.occupied`), ``"daylight"`` for
+        the 4380 brightest of a year (`Weather.daylight`), ``"all"``, or a ``(hours,)`` bool mask. The first two
+        need a sky with weather.
+    relaxation
+        Width of the transition at each threshold in units of ``ln illuminance``, so that the metric has a
+        derivative: between ``exp(−3 relaxation)`` and ``exp(3 relaxation)`` times the threshold, what counts rises
+        from 0 to 1 as a sigmoid (a cubic smoothstep). 0 gives the published definition, as does ``hard``.
+
+    Attributes
+    ----------
+    sky
+        The sky in the hours that count.
+
+    Notes
+    -----
+    In side-lit rooms, the default relaxation changes metrics that average over hours by up to 0.15 percentage
+    points, and their derivatives are within 5 % of exact differences. Metrics that count points differ from the
+    exact value by up to 3 percentage points with 200 points, and by up to 6 with 40 points: near a
+    limit, ``hard`` decides.
+
+    Raises
+    ------
+    SceneCaptumError
+        If a setting is invalid, or the dates of the hours are needed and unknown; from ``forward``, if the
+        coefficients do not fit the sky, or have values that are negative or not finite.
+    """
+
+    def __init__(self, sky: SkyMatrix, *, during: Hours = "occupied", relaxation: float = RELAXATION) -> None:
+        super().__init__()
+        self.sky = sky.select(hours_mask(sky, during))
+        self.relaxation = positive("relaxation", relaxation, or_zero=True)
+
+    @property
+    @abstractmethod
+    def measure(self) -> Measure:
+        """Name, unit, direction and classes."""
+
+    def forward(self, coefficients: torch.Tensor) -> torch.Tensor:
+        """Return the value for daylight coefficients ``(points, P, 3)``, a 0-d tensor."""
+        return _cast(self._value(illuminance(coefficients, self.sky), self.relaxation), coefficients)
+
+    def hard(self, coefficients: torch.Tensor) -> torch.Tensor:
+        """Return the value by the published definition, without relaxation and without a derivative."""
+        with torch.no_grad():
+            return _cast(self._value(illuminance(coefficients, self.sky), 0.0), coefficients)
+
+    @abstractmethod
+    def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        """Return the value for the illuminance ``(points, hours)`` in lx, a 0-d tensor."""
+
+    def extra_repr(self) -> str:
+        """Show the sky and the relaxation."""
+        return f"{self.sky!r}, relaxation={self.relaxation:g}"
+
+
+class PointMetric(DaylightMetric):
+    """Base class of the metrics that have a value for each point, whose mean is the metric."""
+
+    def of_points(self, coefficients: torch.Tensor) -> torch.Tensor:
+        """Return the value of each point, ``(points,)``, in the unit of the metric."""
+        return _cast(self._of_points(illuminance(coefficients, self.sky), self.relaxation), coefficients)
+
+    @abstractmethod
+    def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        """Return the value of each point for the illuminance ``(points, hours)`` in lx."""
+
+    def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        return self._of_points(values, relaxation).mean()
+
+
+def hours_mask(sky: SkyMatrix, during: Hours) -> torch.Tensor:
+    """Return which hours of a sky count, ``(hours,)`` bool."""
+    if isinstance(during, torch.Tensor):
+        return during
+    if choice("during", during, ("occupied", "daylight", "all")) == "all":
+        return torch.ones(sky.hours, dtype=torch.bool)
+    if sky.weather is None:
+        raise SceneCaptumError(
+            f"during={during!r} needs the dates of the hours, which this sky does not have: create it with "
+            "weather=, or give during='all' or a mask."
+        )
+    return sky.weather.occupied() if during == "occupied" else sky.weather.daylight()
+
+
+def mean_over_hours(values: torch.Tensor) -> torch.Tensor:
+    """Average ``(points, hours)`` in float64: shares of thousands of hours are compared with a threshold."""
+    return values.mean(-1, dtype=torch.float64)
+
+
+def _cast(value: torch.Tensor, coefficients: torch.Tensor) -> torch.Tensor:
+    return value.to(torch.promote_types(coefficients.dtype, torch.float32))

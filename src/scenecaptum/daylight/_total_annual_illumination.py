@@ -1,0 +1,37 @@
+"""Total annual illumination."""
+
+from __future__ import annotations
+
+import torch
+
+from ..metrics import Measure
+from ._metric import Hours, PointMetric
+from ._sky_matrix import SkyMatrix
+
+
+class TotalAnnualIllumination(PointMetric):
+    """Total annual illumination in lx·h: the sum of the illuminance over all hours, as the mean over the points.
+
+    It is linear in the coefficients, and not relaxed.
+
+    Parameters
+    ----------
+    sky, during
+        See `DaylightMetric`; by default all hours.
+
+    References
+    ----------
+    CIE 157:2004, "Control of damage to museum objects by optical radiation", for limits of the annual exposure.
+    """
+
+    measure = Measure("total annual illumination", "TAI", unit="lx·h")
+
+    def __init__(self, sky: SkyMatrix, *, during: Hours = "all") -> None:
+        super().__init__(sky, during=during, relaxation=0.0)
+
+    def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        return values.sum(-1, dtype=torch.float64)
+
+    def extra_repr(self) -> str:
+        """Show the sky."""
+        return repr(self.sky)
