@@ -148,12 +148,17 @@ def _check_points(points: torch.Tensor, normals: torch.Tensor) -> None:
 def en_12464_spacing(longer: float, shorter: float) -> float:
     """Return the largest distance between points of a grid by EN 12464-1: ``0.2 · 5^log10(d)``, 10 m at most.
 
-    ``d`` is the longer side of the area in metres, or the shorter one if the longer is twice as long or more.
+    ``d`` is the longer side of the area, or the shorter one if the longer is twice as long or more.
 
     Example
     -------
     >>> round(en_12464_spacing(5.0, 4.0), 2)
     0.62
+
+    Parameters
+    ----------
+    longer, shorter
+        The sides of the area in metres.
     """
     side = shorter if longer >= 2 * shorter else longer
     return min(0.2 * 5 ** math.log10(side), MAX_SPACING)
@@ -177,6 +182,12 @@ class GridPoints:
     normals: torch.Tensor = field(repr=False)
     inside: torch.Tensor = field(repr=False)
     plan: torch.Tensor = field(repr=False)
+
+    def as_list(self) -> GridPoints:
+        """Return the points that are inside, in rows of one point."""
+        inside = self.inside
+        rest = (part[inside][:, None] for part in (self.positions, self.normals, self.inside, self.plan))
+        return GridPoints(*rest)
 
     @property
     def width(self) -> int:

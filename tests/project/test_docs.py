@@ -38,7 +38,7 @@ MODULES = sorted(
 )
 
 # Modules that users import by name; the other public names are those that packages re-export.
-NAMED = ("scenecaptum.denoising", "scenecaptum.optimize")
+NAMED = ("scenecaptum.denoising", "scenecaptum.grid", "scenecaptum.optimize")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:

@@ -14,6 +14,7 @@ import torch
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
 from ._sampler import SobolSampler
+from ._sky import PatchIndex, RecordedSky, WeightedSky
 
 
 class AdjointSampledIntegrator(RBIntegrator):
@@ -115,6 +116,42 @@ class AdjointSampledIntegrator(RBIntegrator):
             fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "light_traced": light_traced}
             *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
             fixed |= {"state_in": state, "δL": adjoint_radiance}
+            self.sample(mode=dr.ADMode.Backward, sampler=sampler, **fixed)
+            dr.eval()
+
+    def render_coefficients(
+        self, scene: Any, sensor: Any, seed: Any, samples: tuple[Any, Any], index: PatchIndex
+    ) -> Any:
+        """Return daylight coefficients, ``(points, patches, 3)``.
+
+        ``samples`` are the pixel of each sample, whose row is its point, and the weight of a sample.
+        """
+        pixel, weight = samples
+        points, patches = sensor.film().crop_size().y, index.patches.count
+        with dr.suspend_grad():
+            sampler = sensor.sampler().clone()
+            sampler.seed(seed, dr.width(pixel))
+            ray, response, point = self.random_rays(sensor, sampler, pixel)
+            target = dr.zeros(mi.Float, 3 * points * patches)
+            sky = RecordedSky(index, mi.UInt32(point.y), target, response.x * weight)
+            self.sample(
+                mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True), sky=sky
+            )
+            return mi.TensorXf(target, (points, patches, 3))
+
+    def differentiate_coefficients(
+        self, scene: Any, sensor: Any, adjoint: Any, seed: Any, samples: tuple[Any, Any], index: PatchIndex
+    ) -> None:
+        """Backpropagate an adjoint of daylight coefficients with the samples of ``render_coefficients``."""
+        pixel, weight = samples
+        with dr.suspend_grad():
+            sampler = sensor.sampler().clone()
+            sampler.seed(seed, dr.width(pixel))
+            ray, response, point = self.random_rays(sensor, sampler, pixel)
+            sky = WeightedSky(index, mi.UInt32(point.y), adjoint.array)
+            fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "sky": sky}
+            *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
+            fixed |= {"state_in": state, "δL": response * weight}
             self.sample(mode=dr.ADMode.Backward, sampler=sampler, **fixed)
             dr.eval()
 

@@ -98,7 +98,7 @@ class Engine:
     def _render_chunk(self, chunk: Chunk) -> Any:
         scene, scalars = self._live.scene, self._live.state.scalars
         if not self._has_independent_samples:
-            return self._kernels.render(scene, _opaque_seed(chunk), chunk.spp, scalars)
+            return self._kernels.render(scene, opaque_seed(chunk), chunk.spp, scalars)
         width, height = self._live.resolution
         samples = width * height * chunk.spp
         lane = dr.arange(mi.UInt32, samples + 1)
@@ -109,7 +109,7 @@ class Engine:
         dr.eval(pixel)
         # The first render would otherwise be the only one of a film without pixels.
         self._live.sensor.film().prepare([])
-        return self._kernels.render_samples(scene, _opaque_seed(chunk), pixel, scalars)
+        return self._kernels.render_samples(scene, opaque_seed(chunk), pixel, scalars)
 
     @cached_property
     def _has_independent_samples(self) -> bool:
@@ -258,7 +258,7 @@ class Engine:
         def replay(chunk: Chunk) -> None:
             image = owned(mi.TensorXf(chunk.weight * adjoint))
             self._kernels.render_backward(
-                self._live.scene, image, _opaque_seed(chunk), chunk.spp, self._live.state.scalars
+                self._live.scene, image, opaque_seed(chunk), chunk.spp, self._live.state.scalars
             )
 
         return self._replay(replay, values, routes, replayed_names(routes), self._chunks(seed, spp))
@@ -336,7 +336,7 @@ class Engine:
             samples = owned(mi.UInt32(pixel)), owned(mi.Float(weight))
             profile = owned(mi.Float(film.profile.to(weight))), film.radius
             image = owned(mi.TensorXf(chunk.weight * adjoint / film.filter_weight_sum.to(weight)))
-            return image, _opaque_seed(chunk), self._live.state.scalars, samples, profile
+            return image, opaque_seed(chunk), self._live.state.scalars, samples, profile
 
         return arguments
 
@@ -369,7 +369,7 @@ class Engine:
             return _sum(
                 evaluate(
                     self._integrator.render_forward(
-                        self._live.scene, None, self._live.sensor, seed=_opaque_seed(chunk), spp=chunk.spp
+                        self._live.scene, None, self._live.sensor, seed=opaque_seed(chunk), spp=chunk.spp
                     )
                     * chunk.weight
                 )
@@ -412,7 +412,8 @@ def _replay_values(routes: Routes, names: Iterable[str]) -> Values:
     return {name: routes[name].replay_value for name in names}
 
 
-def _opaque_seed(chunk: Chunk) -> Any:
+def opaque_seed(chunk: Chunk) -> Any:
+    """Return a chunk's seed as an array, which is not compiled into kernels."""
     return dr.opaque(mi.UInt32, chunk.seed)
 
 

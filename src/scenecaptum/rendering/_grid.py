@@ -100,7 +100,7 @@ def _surface_points(grid: SensorGrid, shape: Any) -> GridPoints:
 
 
 def _floor_points(grid: SensorGrid, shapes: Mapping[str, Any], scene: Any) -> GridPoints:
-    up = _up_axis(scene)
+    up = up_axis(scene)
     across, along = _plan_axes(up)
     name, triangles = _floor(grid, shapes, up)
     level = float(triangles[..., up].max())
@@ -165,7 +165,7 @@ def _centres(low: Array, high: Array, spacing: float | None) -> list[Array]:
 # --- Floors ---------------------------------------------------------------------------------------
 
 
-def _up_axis(scene: Any) -> int:
+def up_axis(scene: Any) -> int:
     """Return the axis that points up: the one nearest to that of the scene's first sensor."""
     up = scene.sensors()[0].world_transform() @ mi.Vector3f(0, 1, 0)
     return int(np.abs(np.array(up).ravel()).argmax())
@@ -236,7 +236,7 @@ def _within(scene: Any, positions: torch.Tensor) -> torch.Tensor:
     box = scene.bbox()
     low, high = (torch.tensor(list(corner), dtype=torch.float64) for corner in (box.min, box.max))
     if scene.environment() is not None:
-        high[_up_axis(scene)] = math.inf
+        high[up_axis(scene)] = math.inf
     return ((positions >= low) & (positions <= high)).all(-1)
 
 
@@ -247,7 +247,7 @@ def _hidden(scene: Any, positions: torch.Tensor) -> torch.Tensor:
     """
     camera = scene.sensors()[0].world_transform() @ mi.Point3f(0, 0, 0)
     eye = torch.from_numpy(np.array(camera, dtype=np.float64).reshape(1, 1, 3))
-    up = _up_axis(scene)
+    up = up_axis(scene)
     hidden: torch.Tensor = _back_faces_above(scene, positions, up) > MOST_BACK_FACES
     return hidden & (_back_faces_above(scene, eye, up) <= MOST_BACK_FACES)
 

@@ -14,6 +14,7 @@ import torch
 from ..backend import device, exclusively
 from ..camera import Camera
 from ..checkpoint import Checkpoint, Folder, digest
+from ..daylight import SkyPatches
 from ..denoising import Guides
 from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
 from ..finite import NotFiniteError
@@ -100,6 +101,10 @@ class SceneRenderer(torch.nn.Module):
     objects
         Names or globs of shapes that move as one, by the name of the object: ``{"lamp": ["lamp_*", "bulb"]}``.
         Other shapes are grouped by the first word of their names.
+    sky_patches
+        With a sensor grid: the picture is then the daylight coefficients, ``(points, patches, 3)``, the irradiance
+        at each point of the grid per unit radiance of each patch of the sky. See ``scenecaptum.daylight`` for
+        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count.
 
     Attributes
     ----------
@@ -124,7 +129,7 @@ class SceneRenderer(torch.nn.Module):
         file's placeholders, or ``ranges`` has a name that matches nothing or an invalid interval.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 -- what a scene, its inputs and its picture are
         self,
         scene: SceneLike,
         inputs: Selection = "materials",
@@ -136,6 +141,7 @@ class SceneRenderer(torch.nn.Module):
         parameters: XmlParameters | None = None,
         ranges: Mapping[str, tuple[float, float]] | None = None,
         objects: Objects | None = None,
+        sky_patches: SkyPatches | None = None,
     ) -> None:
         super().__init__()
         with exclusively(_variant_of(scene)) as mi:
@@ -143,6 +149,7 @@ class SceneRenderer(torch.nn.Module):
             self._borrowed = isinstance(scene, mi.Scene)
             self.checkpoint: Checkpoint | None = None
             self._granted_memory = 0  # bytes that were found to be available
+            self.sky_patches = sky_patches
             try:
                 size = self._load(scene, parameters, sensor, resolution, spp)
                 self._find_parameters(inputs, ranges, objects)
@@ -174,7 +181,7 @@ class SceneRenderer(torch.nn.Module):
             raise SceneCaptumError(
                 "A sensor grid is a renderer's only sensor: create another renderer for views."
             )
-        self._sensors = [choose_sensor(loaded, which, resolution) for which in chosen]
+        self._sensors = [choose_sensor(loaded, which, resolution, self.sky_patches) for which in chosen]
         size = common_resolution(self._sensors, resolution)
         self.spp = whole_number("spp", self._sensors[0].sampler().sample_count() if spp is None else spp)
         return size
@@ -229,6 +236,7 @@ class SceneRenderer(torch.nn.Module):
                 LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
                 self._table,
                 self.plan,
+                self.sky_patches,
             )
             for sensor in self._sensors
         ]

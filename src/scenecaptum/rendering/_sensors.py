@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from ..camera import Camera
+from ..daylight import SkyPatches
 from ..errors import SceneCaptumError, whole_number
 from ..grid import GridPoints, SensorGrid
 from ..scene import rgb_film
@@ -95,11 +96,24 @@ def shows_a_view(sensor: Any) -> bool:
     return name is None or SENSORS[name].has_camera
 
 
-def choose_sensor(scene: Any, which: int | str | SensorGrid, resolution: tuple[int, int] | None) -> Any:
-    """Return a sensor of the scene by its index, or one of a named type with the pose of the first."""
+def choose_sensor(
+    scene: Any,
+    which: int | str | SensorGrid,
+    resolution: tuple[int, int] | None,
+    patches: SkyPatches | None = None,
+) -> Any:
+    """Return a sensor of the scene by its index, or one of a named type with the pose of the first.
+
+    With ``patches``, the picture of a sensor grid has a row for each point and a column for each patch of the sky.
+    """
     sensors = scene.sensors()
     if which == "grid" or isinstance(which, SensorGrid):
-        return _create_grid(scene, which if isinstance(which, SensorGrid) else SensorGrid(), resolution)
+        grid = which if isinstance(which, SensorGrid) else SensorGrid()
+        return _create_grid(scene, grid, resolution, patches)
+    if patches is not None:
+        raise SceneCaptumError(
+            'sky_patches= needs the points of a sensor grid: give sensor="grid" or a SensorGrid.'
+        )
     if isinstance(which, str):
         if which not in named_sensors():
             raise SceneCaptumError(
@@ -116,8 +130,10 @@ def choose_sensor(scene: Any, which: int | str | SensorGrid, resolution: tuple[i
     return sensors[index]
 
 
-def _create_grid(scene: Any, grid: SensorGrid, resolution: tuple[int, int] | None) -> Any:
-    """Create the sensor of a grid, whose film has a pixel for each point."""
+def _create_grid(
+    scene: Any, grid: SensorGrid, resolution: tuple[int, int] | None, patches: SkyPatches | None
+) -> Any:
+    """Create the sensor of a grid, whose film has a pixel for each point, or for each point and patch."""
     import mitsuba as mi
 
     from ._grid import place_grid
@@ -128,9 +144,11 @@ def _create_grid(scene: Any, grid: SensorGrid, resolution: tuple[int, int] | Non
     points = place_grid(grid, scene)
     count = scene.sensors()[0].sampler().sample_count()
     sampler = {"type": "independent", "sample_count": count}
-    film = rgb_film(points.width, points.height)
+    if patches is not None:
+        points = points.as_list()
+    film = rgb_film(points.width if patches is None else patches.count, points.height)
     sensor = mi.load_dict({"type": SENSORS["grid"].plugin, "film": film, "sampler": sampler})
-    sensor.place(points)
+    sensor.place(points, by_row=patches is not None)
     return sensor
 
 

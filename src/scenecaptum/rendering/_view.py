@@ -10,6 +10,7 @@ from functools import cache, partial
 import torch
 
 from ..checkpoint import Checkpoint
+from ..daylight import SkyPatches
 from ..projection import SurfaceMap
 from ..scene import SceneParameters
 from ._checkpointed import CheckpointedEngine
@@ -19,6 +20,7 @@ from ._live_scene import LiveScene
 from ._moved_materials import copy_materials, movable_materials
 from ._pilot import Pilots
 from ._plan import RenderPlan
+from ._sky_engine import SkyEngine
 from ._texels import find_textures
 from ._visibility import trace_surfaces
 
@@ -47,8 +49,10 @@ class View:
         return f" They show {', '.join(names[:3])}{more}: look for an extreme value there, or in the lights."
 
 
-def make_view(live: LiveScene, parameters: SceneParameters, plan: RenderPlan) -> View:
-    """Create what the plan requires to render a live scene."""
+def make_view(
+    live: LiveScene, parameters: SceneParameters, plan: RenderPlan, sky_patches: SkyPatches | None = None
+) -> View:
+    """Create what the plan requires to render a live scene, or its daylight coefficients by ``sky_patches``."""
 
     @cache  # because no input moves geometry
     def surface_map(textures: tuple[str, ...], through: bool) -> SurfaceMap:
@@ -62,10 +66,12 @@ def make_view(live: LiveScene, parameters: SceneParameters, plan: RenderPlan) ->
     importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False))
     moved = (
         copy_materials(movable_materials(live.graph, parameters, dict(plan.differences)))
-        if plan.kind.path_differences and importance_maps.film
+        if plan.kind.path_differences and importance_maps.film and sky_patches is None
         else {}
     )
     arguments = (live, parameters, plan, integrator, importance_maps, moved)
+    if sky_patches is not None:
+        return View(live, SkyEngine(*arguments, patches=sky_patches), None, surface_map)
     if plan.kind.is_stock:
         return View(live, StockEngine(*arguments), None, surface_map)
     pilots = Pilots(live, parameters, plan, integrator, importance_maps, moved)

@@ -67,6 +67,8 @@ class ReplayIntegrator(AdjointSampledIntegrator):
             Where to mark the materials that each path meets: see ``path_differences.mark_met``.
         moved
             A material for each path and the copy that replaces it: see ``path_differences.moved_bsdf``.
+        sky
+            What becomes of the light of the sky, which alone counts: see ``SkyLight``.
         moments
             The accumulator of a pilot, which gets the contributions of every vertex. Needs ``state_in``; nothing
             is differentiated.
@@ -77,6 +79,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
         incident = options.get("incident")
         met: Any = options.get("met")
         moved: Any = options.get("moved")
+        sky: Any = options.get("sky")
         moments: Any = options.get("moments")
         has_delta_lobes = may_have_delta_lobes(scene)
 
@@ -101,7 +104,7 @@ class ReplayIntegrator(AdjointSampledIntegrator):
             si_prev, bsdf_delta_prev = self.receiver, mi.Bool(False)
             bsdf_pdf_prev = _white_value(si_prev, ray.d)
             random = sampler.next_2d()
-            Lr_dir = _light_on_white(scene, random, si_prev, active, primal)
+            Lr_dir = _light_on_white(scene, random, si_prev, active, primal, sky)
             if dr.hint(moments is not None, mode="scalar"):
                 L -= Lr_dir
                 emitter = _sampled_emitter(scene, random)
@@ -127,10 +130,12 @@ class ReplayIntegrator(AdjointSampledIntegrator):
             # Emission
             visible = active & ~(seen_directly & mi.Bool(self.hide_emitters))
             Le = emitted_radiance(scene, vertex, visible, si_prev, bsdf_pdf_prev, bsdf_delta_prev, primal)
+            if dr.hint(sky is not None, mode="scalar"):
+                Le = sky.escaped(Le, si, ray.d)
 
             # Emitter sampling
             emitter_random = sampler.next_2d()
-            Lr_dir = _direct_light(scene, emitter_random, vertex, primal)
+            Lr_dir = _direct_light(scene, emitter_random, vertex, primal, sky)
 
             # BSDF sampling; the random numbers are kept to sample a delta lobe again for its derivative
             bsdf_random = sampler.next_1d(), sampler.next_2d()
@@ -217,14 +222,15 @@ def emitted_radiance(
         return vertex.throughput * mis * ds.emitter.eval(vertex.si, visible)
 
 
-def _direct_light(scene: Any, random: Any, vertex: Vertex, primal: bool) -> Any:
+def _direct_light(scene: Any, random: Any, vertex: Vertex, primal: bool, sky: Any = None) -> Any:
     """Return ``Lr_dir``, the reflected light of a sampled emitter."""
     active = vertex.active_next & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     ds, emitter_weight, active = _sample_emitter_direction(scene, random, vertex.si, active, primal)
     with dr.resume_grad(when=not primal):
         value, pdf = vertex.bsdf.eval_pdf(mi.BSDFContext(), vertex.si, vertex.si.to_local(ds.d), active)
         mis = dr.detach(dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf)))
-        return vertex.throughput * mis * value * emitter_weight
+        light = vertex.throughput * mis * value * emitter_weight
+        return light if sky is None else sky.sampled(light, ds)
 
 
 def _sample_emitter_direction(
@@ -249,7 +255,7 @@ def _white_value(receiver: Any, direction: Any) -> Any:
     return dr.maximum(dr.dot(receiver.n, direction), 0) * dr.inv_pi
 
 
-def _light_on_white(scene: Any, random: Any, receiver: Any, active: Any, primal: bool) -> Any:
+def _light_on_white(scene: Any, random: Any, receiver: Any, active: Any, primal: bool, sky: Any) -> Any:
     """Return what a white diffuse surface reflects of a sampled emitter."""
     ds, weight, active = _sample_emitter_direction(
         scene, random, receiver, active & receiver.is_valid(), primal
@@ -257,7 +263,8 @@ def _light_on_white(scene: Any, random: Any, receiver: Any, active: Any, primal:
     value = _white_value(receiver, ds.d)
     mis = dr.detach(dr.select(ds.delta, 1, mis_weight(ds.pdf, value)))
     with dr.resume_grad(when=not primal):
-        return dr.select(active, mis * value * weight, 0)
+        light = dr.select(active, mis * value * weight, 0)
+        return light if sky is None else sky.sampled(light, ds)
 
 
 def is_rounding_error(remainder: Any, total: Any) -> Any:

@@ -22,9 +22,10 @@ class GridSensor(mi.Sensor):
         # Of each pixel. Frozen functions get them as an argument: they do not see those of a Python sensor.
         self.arrays: tuple[Any, ...] = ()
 
-    def place(self, points: GridPoints) -> None:
-        """Set the points, one for each pixel."""
+    def place(self, points: GridPoints, *, by_row: bool = False) -> None:
+        """Set the points, one for each pixel, or one for each row of the picture."""
         self.points = points
+        self._by_row = by_row
         weight = math.pi * points.inside.double()
         columns = (*points.positions.unbind(-1), *points.normals.unbind(-1), weight)
         self.arrays = tuple(mi.Float(column.flatten().float().contiguous()) for column in columns)
@@ -63,7 +64,8 @@ class GridSensor(mi.Sensor):
             mi.UInt32(dr.clip(value, 0, count - 1)) for value, count in ((point.x, size.x), (point.y, size.y))
         )
         x, y, z, nx, ny, nz, weight = (
-            dr.gather(mi.Float, array, row * size.x + column) for array in self.arrays
+            dr.gather(mi.Float, array, row if self._by_row else row * size.x + column)
+            for array in self.arrays
         )
         return mi.Point3f(x, y, z), mi.Normal3f(nx, ny, nz), weight
 
