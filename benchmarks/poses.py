@@ -84,8 +84,7 @@ def bumpy_sphere(folder: Path, name: str, *, face_normals: bool) -> dict[str, An
 
 def meshes(folder: Path) -> dict[str, Any]:
     """Return the Cornell box with two meshes and two instances in place of its boxes, and three small lamps."""
-    mi = activate()
-    place = mi.ScalarTransform4f
+    place = activate().ScalarTransform4f
     scene = {
         key: value for key, value in BUNDLED["cornell-box"]().items() if "box" not in key and key != "light"
     }
@@ -128,6 +127,7 @@ def meshes(folder: Path) -> dict[str, Any]:
 
 def scene_of(name: str) -> Any:
     """Return a bundled scene or the one with meshes, as a dict that loads the same at each call."""
+    activate()
     if name != "meshes":
         return BUNDLED[name]()
     folder = Path(tempfile.mkdtemp())
