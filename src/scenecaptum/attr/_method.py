@@ -199,11 +199,11 @@ class Run:
         return self.return_results(results, interrupted=interrupted)
 
     def _without_derivative(
-        self, total: GradientSum, adjoint: torch.Tensor, spp: int
+        self, names: Collection[str], total: GradientSum, adjoint: torch.Tensor, spp: int
     ) -> tuple[Collection[str], Mapping[str, Sequence[float]]]:
-        """Return the poses that have no derivative, and the directions that others have none in: 0, else 1."""
+        """Return which of these poses have no derivative, and the directions that others have none in: 0 or 1."""
         mean = {name: scaled(value, 1 / total.weight) for name, value in total.mean.items()}
-        found = step_errors(self.renderer, mean, self.values, adjoint, spp, self.settings.seed)
+        found = step_errors(self.renderer, mean, self.values, adjoint, spp, self.settings.seed, names=names)
         return found.jumps, found.left_out
 
     def _evaluations(

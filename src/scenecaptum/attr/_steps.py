@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -44,12 +44,20 @@ class StepErrors:
 
 
 def step_errors(
-    renderer: Renderer, gradients: Tensors, values: Tensors, adjoint: torch.Tensor, spp: int, seed: int
+    renderer: Renderer,
+    gradients: Tensors,
+    values: Tensors,
+    adjoint: torch.Tensor,
+    spp: int,
+    seed: int,
+    *,
+    names: Collection[str] | None = None,
 ) -> StepErrors:
     """Compare the gradients of poses with those at twice the step.
 
     The mean of a smooth derivative over ``±h`` differs from its value in the middle by ``c h²``, and over ``±2h``
     by ``4 c h²``: the error is a third of the change. ``adjoint`` and ``gradients`` are those of the result.
+    ``names``: only of these parameters.
     """
     measure = Capabilities(renderer).step_changes
     if measure is None:
@@ -57,7 +65,7 @@ def step_errors(
     seeds = derived_seeds(seed, Stream.STEP_CHANGES, REPLICATES)
     samples = max(1, math.ceil(spp / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))
     found = StepErrors()
-    for name, changes in measure(values, adjoint, seeds=seeds, spp=samples).items():
+    for name, changes in measure(values, adjoint, seeds=seeds, spp=samples, names=names).items():
         change = changes.double().mean(0)
         noise = changes.double().var(0) / len(changes)
         found.truncation[name] = ((change.square() - noise).clamp_min(0).sqrt() / 3).to(gradients[name])

@@ -40,7 +40,8 @@ NEARLY_FREE_FACTOR = 1.25  # times the shortest replicate: samples that fit into
 
 
 Unranked: TypeAlias = (
-    "Callable[[GradientSum, torch.Tensor, int], tuple[Collection[str], Mapping[str, Sequence[float]]]]"
+    "Callable[[Collection[str], GradientSum, torch.Tensor, int], "
+    "tuple[Collection[str], Mapping[str, Sequence[float]]]]"
 )
 
 
@@ -155,24 +156,29 @@ class Planner:
             raise KeyboardInterrupt
         for estimate, total in zip(estimates, self.sums, strict=True):
             total.add(estimate)
+        self.assessments = self._assess()
         if not self.round_seconds and self.unranked is not None and self.compared.members is None:
             self._exclude(self.unranked, replicates * spp)
-        self.assessments = [
-            assess(total, self.goal, self.compared, self._effective_samples(number))
-            for number, total in enumerate(self.sums)
-        ]
+            self.assessments = self._assess()
         seconds = self.time.now() - start
         self.round_seconds.append(seconds)
         finished = min(estimate.replicates for estimate in estimates)
         self.replicate_time.record(spp, seconds / max(1, finished))
         return interrupted
 
+    def _assess(self) -> list[Assessment]:
+        return [
+            assess(total, self.goal, self.compared, self._effective_samples(number))
+            for number, total in enumerate(self.sums)
+        ]
+
     def _exclude(self, unranked: Unranked, samples: int) -> None:
-        """Leave out what has no derivative for any of the metrics."""
+        """Leave out what has no derivative for any of the metrics, among what the goal depends on."""
         names: set[str] = set()
+        undecided = self.point.values.keys() - self._settled()
         factors = dict(self.compared.factors or {})
         for total, adjoint in zip(self.sums, self.rounds.mean_adjoints, strict=True):
-            without, kept = unranked(total, adjoint, samples)
+            without, kept = unranked(undecided, total, adjoint, samples)
             names |= set(without)
             factors |= {
                 n: factors[n] * factors[n].new_tensor(mask) for n, mask in kept.items() if n in factors

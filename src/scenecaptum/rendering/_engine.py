@@ -158,7 +158,9 @@ class Engine:
                 gradients[name] = torch.zeros_like(values[name])
             elif name not in gradients and route.difference is not None:
                 fewer = max(1, spp // DIFFERENCE_SPP_DIVISOR) if importance_sampling else spp
-                gradients[name] = self._difference_vjp(name, route.difference, values, adjoint, seed, fewer)
+                (gradients[name],) = self._difference_vjps(
+                    name, route.difference, values, adjoint, [seed], fewer
+                )
         return tuple(gradients[name].to(values[name]) for name in tracked)
 
     def jvp(self, values: Values, tangents: Values, seed: int, spp: int) -> torch.Tensor:
@@ -192,38 +194,54 @@ class Engine:
             self._latest_routes = values, routes
         return routes
 
-    def _difference_vjp(
+    def _difference_vjps(
         self,
         name: str,
         difference: FiniteDifference,
         values: Snapshot,
         adjoint: torch.Tensor,
-        seed: int,
+        seeds: Sequence[int],
         spp: int,
     ) -> torch.Tensor:
-        """Return the gradient of ``⟨adjoint, image⟩`` by a finite difference."""
-        quotients = self._difference_quotients(name, difference, values, seed, spp)
-        products = [(adjoint * quotient).sum((0, 1)) for quotient in quotients]
+        """Return the gradients of ``⟨adjoint, image⟩`` by a finite difference, one for each seed."""
+        weighted = adjoint.double()
+
+        def products(point: torch.Tensor) -> torch.Tensor:
+            images = self._moved_images(name, difference, values, point, seeds, spp)
+            return torch.stack([(weighted * image).sum((0, 1)) for image in images])
+
+        gradients: list[torch.Tensor] = [
+            _sum(products(point) * weight for point, weight in points)
+            for points in self._moved_points(difference, values[name])
+        ]
         if difference.by_element:
-            return torch.stack([product.sum() for product in products]).reshape(values[name].shape)
+            totals = torch.stack([gradient.sum(-1) for gradient in gradients], 1)
+            return totals.reshape(len(seeds), *values[name].shape)
         # Each channel of the image depends only on the same channel of a colour.
-        return products[0] if values[name].ndim else products[0].sum()
+        return gradients[0] if values[name].ndim else gradients[0].sum(-1)
 
     def step_changes(
-        self, values: Values, names: Iterable[str], adjoint: torch.Tensor, seed: int, spp: int
+        self, values: Values, names: Iterable[str], adjoint: torch.Tensor, seeds: Sequence[int], spp: int
     ) -> dict[str, torch.Tensor]:
-        """Return for each pose by how much its gradient changes if the step of its difference is doubled."""
+        """Return for each pose by how much its gradients change if the step of the difference is doubled.
+
+        There is one for each seed.
+        """
         values = self._live.snapshot(values)
         changes = {}
         for name in names:
             own, double = (
-                pose_difference(self._parameters[name], values[name], factor) for factor in (1.0, 2.0)
+                self._difference_vjps(
+                    name,
+                    pose_difference(self._parameters[name], values[name], factor),
+                    values,
+                    adjoint,
+                    seeds,
+                    spp,
+                )
+                for factor in (1.0, 2.0)
             )
-            products = [
-                self._difference_vjp(name, difference, values, adjoint, seed, spp)
-                for difference in (own, double)
-            ]
-            changes[name] = products[1] - products[0]
+            changes[name] = double - own
         return changes
 
     def _difference_quotients(
@@ -233,22 +251,45 @@ class Engine:
 
         There is one for a scalar or colour, or one for each element.
         """
-        value = values[name]
-        off = {other: torch.zeros_like(self._live.original[other]) for other in difference.off}
+        for points in self._moved_points(difference, values[name]):
+            quotient: torch.Tensor = _sum(
+                image.double() * weight
+                for point, weight in points
+                for image in self._moved_images(name, difference, values, point, [seed], spp)
+            )
+            yield quotient
+
+    def _moved_points(
+        self, difference: FiniteDifference, value: torch.Tensor
+    ) -> Iterator[list[tuple[torch.Tensor, torch.Tensor]]]:
+        """Yield the values of a difference with their weights: once, or for each element."""
         ones = torch.ones_like(value)
         units = (
             torch.eye(value.numel()).reshape(-1, *value.shape).to(value) if difference.by_element else [ones]
         )
         for unit in units:
-            moved = [
+            yield [
                 (value + unit * shift, weight.reshape(-1)[0] if difference.by_element else weight)
                 for shift, weight in difference.points
             ]
-            quotient: torch.Tensor = _sum(
-                self.primal(values.replace({**off, name: point}), seed, spp).double() * weight
-                for point, weight in moved
-            )
-            yield quotient
+
+    def _moved_images(
+        self,
+        name: str,
+        difference: FiniteDifference,
+        values: Snapshot,
+        point: torch.Tensor,
+        seeds: Sequence[int],
+        spp: int,
+    ) -> Iterator[torch.Tensor]:
+        """Yield the images with another value of a parameter, one for each seed.
+
+        The seeds come last, because moving an object takes as long as a small render.
+        """
+        off = {other: torch.zeros_like(self._live.original[other]) for other in difference.off}
+        moved = values.replace({**off, name: point})
+        for seed in seeds:
+            yield self.primal(moved, seed, spp)
 
     def _replay_all_pixels(
         self, values: Snapshot, routes: Routes, adjoint: torch.Tensor, seed: int, spp: int

@@ -814,6 +814,7 @@ class SceneRenderer(torch.nn.Module):
         *,
         seeds: Sequence[int],
         spp: int,
+        names: Collection[str] | None = None,
     ) -> dict[str, torch.Tensor]:
         """Return by how much the gradient of each pose changes if the step of its difference is doubled.
 
@@ -825,6 +826,8 @@ class SceneRenderer(torch.nn.Module):
             The derivative of a metric with respect to the image.
         seeds, spp
             The seed of each replicate, and the samples per pixel of each.
+        names
+            The poses to measure; by default all that are among ``values``.
 
         Returns
         -------
@@ -832,11 +835,9 @@ class SceneRenderer(torch.nn.Module):
             ``(replicates, …)`` tensors by the names of the poses among ``values``, with the shapes of the poses.
         """
         engine = self._views[0].engine
-        names = [name for name in values if self._table[name].moves and not engine.camera.moves(name)]
-        if not names:
-            return {}
-        by_seed = [engine.step_changes(values, names, adjoint, seed, spp) for seed in seeds]
-        return {name: torch.stack([changes[name] for changes in by_seed]) for name in names}
+        wanted = values if names is None else [name for name in values if name in names]
+        moving = [name for name in wanted if self._table[name].moves and not engine.camera.moves(name)]
+        return engine.step_changes(values, moving, adjoint, seeds, spp) if moving else {}
 
     def collisions(self, values: Mapping[str, torch.Tensor]) -> list[tuple[str, str]]:
         """Return the poses among ``values`` of objects whose bounds overlap others, each with the other's name."""
