@@ -166,14 +166,9 @@ def _centres(low: Array, high: Array, spacing: float | None) -> list[Array]:
 
 
 def up_axis(scene: Any) -> int:
-    """Return the axis that points up: the one nearest to that of the scene's first sensor.
-
-    It is z for the sensor that Mitsuba adds to a scene without one.
-    """
-    pose = scene.sensors()[0].world_transform()
-    if np.array_equal(np.array(pose.matrix).reshape(4, 4), np.eye(4)):
-        return 2
-    return int(np.abs(np.array(pose @ mi.Vector3f(0, 1, 0)).ravel()).argmax())
+    """Return the axis that points up: the one nearest to that of the scene's first sensor."""
+    up = scene.sensors()[0].world_transform() @ mi.Vector3f(0, 1, 0)
+    return int(np.abs(np.array(up).ravel()).argmax())
 
 
 def _plan_axes(up: int) -> tuple[int, int]:
