@@ -7,7 +7,7 @@ result of long runs. ``cost`` times the poses of 30 objects of the office to a s
 leaving out the objects that cannot reach it, and the camera beside a plain attribution.
 
     python benchmarks/poses.py differences [--scene office|cornell-box|meshes] [--seeds 8]
-    python benchmarks/poses.py coverage [--seeds 100]
+    python benchmarks/poses.py coverage [--seeds 100] [--metric UGR]
     python benchmarks/poses.py cost
 """
 
@@ -260,15 +260,20 @@ POSES = [
 def coverage(options: argparse.Namespace) -> None:
     """Count how often intervals hold the result of long runs."""
     renderer = SceneRenderer("office", POSES, resolution=SIZE, spp=64, max_depth=DEPTH)
-    for name, chosen in (
-        ("mean luminance", metrics.MeanLuminance()),
-        ("UGR", metrics.UnifiedGlareRating(renderer.camera)),
-    ):
+    known = {"luminance": metrics.MeanLuminance(), "UGR": metrics.UnifiedGlareRating(renderer.camera)}
+    for name, chosen in known.items():
+        if options.metric not in (None, name):
+            continue
         method = VanillaSceneGradient(renderer, chosen)
         long = [method.attribute(seed=10_000 + seed, spp=512) for seed in range(8)]
         truth = {pose: torch.stack([run[pose] for run in long]) for pose in POSES}
         held: dict[str, list[float]] = {pose: [] for pose in POSES}
         for seed in range(options.seeds):
+            if seed and seed % 20 == 0:
+                print(
+                    f"{name}, {seed} runs: {100 * np.mean([np.mean(h) for h in held.values()]):.1f} %",
+                    flush=True,
+                )
             run = method.attribute(seed=seed)
             for pose, (low, high) in run.interval().items():
                 mean = truth[pose].mean(0)
@@ -331,6 +336,7 @@ def main() -> None:
     parser.add_argument("section", choices=SECTIONS)
     parser.add_argument("--scene", default="office", choices=list(OBJECTS))
     parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--metric", choices=("luminance", "UGR"), help="of coverage (default: both)")
     options = parser.parse_args()
     SECTIONS[options.section](options)
 
