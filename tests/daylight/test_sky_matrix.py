@@ -14,7 +14,8 @@ import torch
 from refusals import message
 from seeds import shifted
 
-from scenecaptum.daylight import EFFICACY, SkyMatrix, SkyPatches, illuminance
+from scenecaptum import SceneCaptumError
+from scenecaptum.daylight import EFFICACY, SkyMatrix, SkyPatches, illuminance, synthetic_weather
 
 from .matrices import write_matrix
 
@@ -277,3 +278,26 @@ def test_a_year_of_many_points_fits_into_little_memory(skies):
         found = illuminance(coefficients, skies["patches"])
     assert found.shape == (100, 8760)
     assert max(sizes) <= skies["patches"].radiance.numel() * 4  # not points × patches × hours
+
+
+def test_a_room_whose_y_axis_points_east_has_the_sun_at_noon_on_its_right(radiance):
+    """South is to the right of east."""
+    weather = synthetic_weather()
+    noon = weather.select(np.asarray(weather.hour) == 12)
+    patches = SkyPatches.tregenza()
+
+    def towards(north: float) -> torch.Tensor:
+        sun = SkyMatrix.from_weather(noon, patches, sun="only", north=north).radiance[..., 1].double().mean(1)
+        return sun @ patches.directions
+
+    (x, y, z), (right, ahead, up) = towards(0.0).tolist(), towards(90.0).tolist()
+    assert y < -2 * abs(x)
+    # Rotated by 7.5 patches of the lower rows: the sun is spread over other patches.
+    assert right == pytest.approx(-y, rel=0.02)
+    assert ahead == pytest.approx(x, abs=0.02 * abs(y))
+    assert up == pytest.approx(z, rel=0.02)
+
+
+def test_a_bearing_that_is_no_angle_is_one_clear_line(radiance):
+    with pytest.raises(SceneCaptumError, match="north must be an angle"):
+        SkyMatrix.from_weather(synthetic_weather(), north=math.nan)

@@ -22,14 +22,27 @@ Sun = Literal["patches", "none", "only"]
 _SUN_OPTIONS: dict[str, list[str]] = {"patches": [], "none": ["-s"], "only": ["-d"]}
 
 
-def run_gendaymtx(weather: Weather, patches: SkyPatches, sun: Sun) -> torch.Tensor:
+def run_gendaymtx(weather: Weather, patches: SkyPatches, sun: Sun, north: float = 0.0) -> torch.Tensor:
     """Return the radiance of each patch in each hour by the sky model of Perez, ``(P, hours, 3)`` float32.
 
     The sky is grey (``-c 1 1 1``), so that the three channels are equal and no choice of primaries matters. The
-    values are photometric (``-O0``): the luminance in cd/m² divided by 179 lm/W.
+    values are photometric (``-O0``): the luminance in cd/m² divided by 179 lm/W. ``north`` is the bearing of the
+    scene's y axis, in degrees clockwise from north.
     """
     options = _SUN_OPTIONS[choice("sun", sun, tuple(_SUN_OPTIONS))]
-    command = [_program(), "-m", str(patches.subdivision), "-O0", "-of", "-c", "1", "1", "1"]
+    command = [
+        _program(),
+        "-m",
+        str(patches.subdivision),
+        "-O0",
+        "-of",
+        "-c",
+        "1",
+        "1",
+        "1",
+        "-r",
+        f"{north:g}",
+    ]
     done = subprocess.run(
         [*command, *options], input=weather.to_wea().encode(), capture_output=True, check=False
     )

@@ -72,6 +72,7 @@ class SkyMatrix:
         patches: SkyPatches | None = None,
         *,
         sun: Sun = "patches",
+        north: float = 0.0,
     ) -> SkyMatrix:
         """Return the sky of each hour by the all-weather model of Perez, computed by Radiance's ``gendaymtx``.
 
@@ -85,11 +86,14 @@ class SkyMatrix:
             ``"patches"``: spread over the four nearest patches; ``"none"``: only the sky, and the ground in the
             light of both; ``"only"``: only the sun, and a black ground. Four Tregenza patches are 2400 times as
             large as the sun and blur its shadows: for direct sunlight, use a fine subdivision.
+        north
+            Where the scene's y axis points, in degrees clockwise from north: 90 for east.
 
         Raises
         ------
         SceneCaptumError
-            If the file is not valid, or pyradiance, which bundles ``gendaymtx``, is not installed.
+            If the file is not valid, ``north`` is not finite, or pyradiance, which bundles ``gendaymtx``, is not
+            installed.
 
         Notes
         -----
@@ -104,7 +108,9 @@ class SkyMatrix:
         """
         year = weather if isinstance(weather, Weather) else Weather.from_epw(weather)
         patches = patches or SkyPatches.tregenza()
-        return cls(run_gendaymtx(year, patches, sun), patches, year)
+        if not math.isfinite(north):
+            raise SceneCaptumError(f"north must be an angle in degrees, not {north!r}.")
+        return cls(run_gendaymtx(year, patches, sun, north), patches, year)
 
     @classmethod
     def from_radiance(
