@@ -283,7 +283,7 @@ def test_a_year_of_many_points_fits_into_little_memory(skies):
 def test_a_room_whose_y_axis_points_east_has_the_sun_at_noon_on_its_right(radiance):
     """South is to the right of east."""
     weather = synthetic_weather()
-    noon = weather.select(np.asarray(weather.hour) == 12)
+    noon = weather.select(torch.as_tensor(weather.hour) == 12)
     patches = SkyPatches.tregenza()
 
     def towards(north: float) -> torch.Tensor:
