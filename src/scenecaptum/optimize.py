@@ -130,7 +130,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     Raises
     ------
     SceneCaptumError
-        If an option is invalid, or no parameter affects the metric.
+        If an option is invalid, no parameter affects the metric, or an object starts inside another.
 
     References
     ----------
@@ -245,7 +245,8 @@ class _BoundedAdam:
     ) -> None:
         self.start = start
         self._collisions = Capabilities(renderer).collisions
-        self._touching = self._pairs(start)
+        self._touching = self._pairs({name: torch.zeros_like(value) for name, value in start.items()})
+        self._check_start()
         self._ranges = {name: length.item() for name, length in range_lengths(renderer, start).items()}
         bounds = Capabilities(renderer).bounds or {}
         self._bounds = {name: bounds[name] for name in start}
@@ -289,6 +290,13 @@ class _BoundedAdam:
         if self._collisions is None:
             return set()
         return set(self._collisions({name: value.detach() for name, value in values.items()}))
+
+    def _check_start(self) -> None:
+        for name, other in sorted(self._pairs(self.start) - self._touching):
+            raise SceneCaptumError(
+                f"{name!r} starts with its object inside the bounds of {other!r}, which it does not touch as "
+                "loaded: start from other values."
+            )
 
     def _colliding(self) -> set[str]:
         """Return the inputs that have moved an object into another."""

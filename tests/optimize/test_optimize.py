@@ -178,6 +178,11 @@ def test_no_object_is_moved_into_another(mi: Any) -> None:
     assert wall in renderer.collisions({name: torch.tensor([-0.4, 0.0, 0.0])})
     assert wall not in renderer.collisions(apart)
 
+    with pytest.raises(SceneCaptumError, match="inside the bounds of 'left_wall_shape'"):
+        optimize.minimize(
+            renderer, metrics.MeanLuminance(), 0.0, inputs={name: torch.tensor([-0.4, 0.0, 0.0])}, steps=1
+        )
+
     limits = {name: (torch.tensor(-2.0), torch.tensor(2.0))}
     optimizer = optimize._BoundedAdam(renderer, apart, 1.0, limits)
     pull = torch.tensor([1.0, 0.0, 0.0])  # its negative leads into the wall
