@@ -345,6 +345,14 @@ def test_filters_select_parameters(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(row["name"].startswith("desk.") for row in rows)
     assert cli.main(["parameters", "office", "--kind", "emitters", "--json"]) == 0
     assert {row["kind"] for row in json.loads(capsys.readouterr().out)} == {"emitters"}
+    assert cli.main(["parameters", "office", "desk.pose.*", "camera.fov", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["name"]: row["kind"] for row in rows} == {
+        "desk.pose.translation": "poses",
+        "desk.pose.rotation": "poses",
+        "desk.pose.scale": "poses",
+        "camera.fov": "camera",
+    }
 
 
 @pytest.mark.parametrize("name", [name for name in subparsers() if name != "doctor"])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import mitsuba as mi
 import torch
 
-from ..scene import SceneObject, pose_matrix, pose_name
+from ..scene import SceneObject, camera_object, pose_matrix, pose_name
 from ._dr_arrays import owned
 
 _AT_REST = {"translation": torch.zeros(3), "rotation": torch.zeros(3), "scale": torch.zeros(())}
@@ -116,20 +117,10 @@ def moving_objects(scene: Any, objects: Iterable[SceneObject]) -> list[Moving]:
 
 def moving_camera(sensors: Sequence[Any]) -> Moving:
     """Return the first sensor as an object; it cannot be moved if there are several."""
-    params = mi.traverse(sensors[0])
-    keys = tuple(key for key in ("to_world", "x_fov") if key in params.properties)
-    origin = _matrix(params["to_world"])[:3, 3].tolist() if "to_world" in keys else [0.0, 0.0, 0.0]
-    problem = None if "to_world" in keys else f"a {sensors[0].class_name()} has no pose"
-    camera = SceneObject(
-        name="camera",
-        shapes=(),
-        keys=keys,
-        components=("translation", "rotation", *(["fov"] if "x_fov" in keys else [])),
-        box=None,
-        pivot=(origin[0], origin[1], origin[2]),
-        problem=problem if len(sensors) == 1 else "it needs a renderer with a single sensor",
-    )
-    return Moving(camera, params)
+    camera = camera_object(sensors[0])
+    if len(sensors) > 1:
+        camera = dataclasses.replace(camera, problem="it needs a renderer with a single sensor")
+    return Moving(camera, mi.traverse(sensors[0]))
 
 
 def _copy(value: Any) -> Any:

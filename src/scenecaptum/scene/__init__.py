@@ -25,6 +25,7 @@ from ._loading import scene_name as scene_name
 from ._naming import without_addresses as without_addresses
 from ._objects import Objects as Objects
 from ._objects import SceneObject as SceneObject
+from ._objects import camera_object as camera_object
 from ._objects import find_objects as find_objects
 from ._objects import touching as touching
 from ._parameter_table import Parameter as Parameter

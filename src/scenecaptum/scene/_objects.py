@@ -83,6 +83,22 @@ def find_objects(graph: SceneGraph, objects: Objects | None = None) -> list[Scen
     return found + [_light(graph, node, keys, taken) for node in lights]
 
 
+def camera_object(sensor: Any) -> SceneObject:
+    """Return a sensor as an object, named ``"camera"``."""
+    params = activate().traverse(sensor)
+    keys = tuple(key for key in ("to_world", "x_fov") if key in params.properties)
+    place = np.array(params["to_world"].matrix).reshape(4, 4)[:3, 3] if "to_world" in keys else np.zeros(3)
+    return SceneObject(
+        name="camera",
+        shapes=(),
+        keys=keys,
+        components=("translation", "rotation", *(["fov"] if "x_fov" in keys else [])),
+        box=None,
+        pivot=(float(place[0]), float(place[1]), float(place[2])),
+        problem=None if "to_world" in keys else f"a {sensor.class_name()} has no pose",
+    )
+
+
 def touching(objects: Iterable[SceneObject], mover: SceneObject, reach: float) -> list[str]:
     """Return the objects whose bounds come within a distance of those of another, the smallest first."""
     if mover.box is None:

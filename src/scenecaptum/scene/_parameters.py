@@ -15,7 +15,9 @@ from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._loading import SceneLike, XmlParameters, load_scene
 from ._naming import area_emitter_id
+from ._objects import camera_object, find_objects
 from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
+from ._poses import camera_parameters, pose_parameters
 from ._roles import EMITTER_BOUNDS, EMITTER_POSES, MATERIAL_ROLES, MEDIUM_BOUNDS, NON_NEGATIVE, MaterialRole
 
 # Parts of a parameter's name that its label leaves out.
@@ -42,9 +44,19 @@ def discover(graph: SceneGraph) -> SceneParameters:
 
 
 def discover_in(scene: SceneLike, parameters: XmlParameters | None = None) -> SceneParameters:
-    """Return every parameter of a scene that is not loaded yet; ``scene`` and ``parameters`` as for a renderer."""
+    """Return every parameter of a scene that is not loaded yet, and the poses of its objects and its first camera.
+
+    ``scene`` and ``parameters`` are those of a renderer.
+    """
     with exclusively():
-        return discover(SceneGraph(load_scene(scene, parameters)))
+        graph = SceneGraph(load_scene(scene, parameters))
+        poses = pose_parameters(find_objects(graph))
+        camera = [
+            found
+            for sensor in graph.scene.sensors()[:1]
+            for found in camera_parameters(camera_object(sensor))
+        ]
+        return SceneParameters([*discover(graph).values(), *poses, *camera])
 
 
 def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
