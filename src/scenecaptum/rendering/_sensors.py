@@ -56,10 +56,11 @@ def camera_of(sensor: Any) -> Camera:
     """Return the geometry of a sensor's pixels."""
     name = _type_name(sensor)
     if name is None:
-        cameras = {name: one for name, one in named_sensors().items() if one.has_camera}
+        known = [name for name, one in SENSORS.items() if one.has_camera]
+        named = [name for name in named_sensors() if name in known]
         raise SceneCaptumError(
-            f"The geometry of a {sensor.class_name()} is not known, only that of {_list(SENSORS)} sensors. Select "
-            f"another with sensor=: {_list(cameras)} has the pose of the scene's first sensor."
+            f"The geometry of a {sensor.class_name()} is not known, only that of {_list(known)} sensors. Select "
+            f"another with sensor=: {_list(named)} has the pose of the scene's first sensor."
         )
     if not SENSORS[name].has_camera:
         raise SceneCaptumError(
