@@ -294,7 +294,8 @@ def make_attribution(
     if has_errors and bias is not None and info.get("spp") and info.get("quantity") == ResultKind.GRADIENT:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
         mean = {name: scaled(value, scale) for name, value in gradients.mean.items()}
-        steps = step_errors(renderer, mean, values, adjoint, info["spp"], info["seed"])
+        samples = {name: info["spp"] * gradients.share_of_samples(name) for name in names}
+        steps = step_errors(renderer, mean, values, adjoint, samples, info["seed"])
         bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},

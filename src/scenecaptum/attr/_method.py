@@ -203,7 +203,8 @@ class Run:
     ) -> tuple[Collection[str], Mapping[str, Sequence[float]]]:
         """Return which of these poses have no derivative, and the directions that others have none in: 0 or 1."""
         mean = {name: scaled(value, 1 / total.weight) for name, value in total.mean.items()}
-        found = step_errors(self.renderer, mean, self.values, adjoint, spp, self.settings.seed, names=names)
+        samples = dict.fromkeys(names, float(spp))
+        found = step_errors(self.renderer, mean, self.values, adjoint, samples, self.settings.seed)
         return found.jumps, found.left_out
 
     def _evaluations(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -48,24 +49,29 @@ def step_errors(
     gradients: Tensors,
     values: Tensors,
     adjoint: torch.Tensor,
-    spp: int,
+    samples: Mapping[str, float],
     seed: int,
-    *,
-    names: Collection[str] | None = None,
 ) -> StepErrors:
     """Compare the gradients of poses with those at twice the step.
 
     The mean of a smooth derivative over ``±h`` differs from its value in the middle by ``c h²``, and over ``±2h``
-    by ``4 c h²``: the error is a third of the change. ``adjoint`` and ``gradients`` are those of the result.
-    ``names``: only of these parameters.
+    by ``4 c h²``: the error is a third of the change. ``adjoint`` and ``gradients`` are those of the result, and
+    ``samples`` the samples per pixel behind the gradients of the parameters to check.
     """
     measure = Capabilities(renderer).step_changes
     if measure is None:
         return StepErrors()
     seeds = derived_seeds(seed, Stream.STEP_CHANGES, REPLICATES)
-    samples = max(1, math.ceil(spp / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))
+    by_spp = defaultdict(list)
+    for name, count in samples.items():
+        by_spp[max(1, math.ceil(count / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))].append(name)
+    measured = {
+        name: changes
+        for spp, names in by_spp.items()
+        for name, changes in measure(values, adjoint, seeds=seeds, spp=spp, names=names).items()
+    }
     found = StepErrors()
-    for name, changes in measure(values, adjoint, seeds=seeds, spp=samples, names=names).items():
+    for name, changes in measured.items():
         change = changes.double().mean(0)
         noise = changes.double().var(0) / len(changes)
         found.truncation[name] = ((change.square() - noise).clamp_min(0).sqrt() / 3).to(gradients[name])

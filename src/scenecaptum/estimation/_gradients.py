@@ -145,6 +145,10 @@ class GradientSum:
         """Return the factor from the sum over the points that have a parameter to that over all points."""
         return self.weight / (self.weight - self._settled_weight[name]) if self._settled_weight[name] else 1.0
 
+    def share_of_samples(self, name: str) -> float:
+        """Return the part of the samples that the gradient of a parameter has: less than 1 if it was left out."""
+        return 1 / self._growth(name)
+
     @cached_property
     def mean(self) -> dict[str, torch.Tensor]:
         """The weighted sum by parameter name."""

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import drjit as dr
 import mitsuba as mi
 import torch
 
@@ -84,7 +85,7 @@ class _Pose:
         matrix = pose_matrix(self._object.pivot, **pose)
         for key in self._object.keys:
             if key.endswith("x_fov"):
-                self.params[key] = owned(mi.Float(values["fov"].item()))
+                self.params[key] = dr.opaque(mi.Float, values["fov"].item())
             else:
                 # Also where it is at rest: Mitsuba computes the normals again of a mesh whose vertices alone are
                 # written.
@@ -97,7 +98,7 @@ class _Pose:
             return _transform(type(base), matrix @ _matrix(base))
         if kind == "position":
             place = torch.tensor([base.x[0], base.y[0], base.z[0], 1.0], dtype=torch.float64)
-            return type(base)(*(owned(mi.Float(float(x))) for x in (matrix @ place)[:3]))
+            return type(base)(*(dr.opaque(mi.Float, x) for x in (matrix @ place)[:3].tolist()))
         if key not in self._vertices:
             self._vertices[key] = base.torch().reshape(-1, 3).clone()
         vertices = self._vertices[key]
@@ -135,5 +136,6 @@ def _matrix(transform: Any) -> torch.Tensor:
 
 def _transform(kind: type, matrix: torch.Tensor) -> Any:
     """Return a transform whose entries are not literals, which would be compiled into kernels."""
-    entries = [[owned(mi.Float(float(x))) for x in row] for row in matrix.tolist()]
-    return kind(mi.Matrix4f(entries))
+    rows = mi.Matrix4f(matrix.tolist())
+    dr.make_opaque(rows)
+    return kind(rows)
