@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 from seeds import seeds, shifted
-from side_lit import at, grey, rgb, room, walls
+from side_lit import at, grey, rgb, room, side_lit_room, walls
 
 from scenecaptum import SceneCaptumError, SceneRenderer, SensorGrid, VanillaSceneGradient
 from scenecaptum.grid import en_12464_spacing
@@ -89,11 +89,17 @@ def test_a_small_lamp_has_its_form_factor(mi: Any) -> None:
 def test_a_grid_on_a_white_floor_sees_what_the_floor_reflects(mi: Any) -> None:
     """Irradiance is π times the radiance of a white diffuse surface: of a stock render of the room from above."""
     scene = box(mi, floor=1.0)
+    renders = stock_irradiance(mi, scene, (0.3, -0.2), spp=4096)
+    found, error = measured(scene, at((0.3, -0.2, 1e-3)), max_depth=5)
+    assert abs(found - renders.mean()) < 4 * error.hypot(renders.std() / 4)
+
+
+def stock_irradiance(mi: Any, scene: Config, place: tuple[float, float], *, spp: int) -> torch.Tensor:
+    """Return what Mitsuba's own path tracer finds for a place on a white floor, for each of 16 seeds."""
+    x, y = place
     camera = {
         "type": "perspective",
-        "to_world": mi.ScalarTransform4f().look_at(
-            origin=[0.3, -0.2, 0.5], target=[0.3, -0.2, 0], up=[0, 1, 0]
-        ),
+        "to_world": mi.ScalarTransform4f().look_at(origin=[x, y, 0.5], target=[x, y, 0], up=[0, 1, 0]),
         "fov": 0.01,
         "film": {
             "type": "hdrfilm",
@@ -103,13 +109,10 @@ def test_a_grid_on_a_white_floor_sees_what_the_floor_reflects(mi: Any) -> None:
             "pixel_format": "rgb",
         },
     }
+    # One bounce more than ours: from the floor to the camera.
     stock = mi.load_dict({**scene, "sensor": camera, "integrator": {"type": "path", "max_depth": 6}})
-    renders = torch.stack(
-        [mi.render(stock, seed=seed, spp=4096).torch()[0, 0, 1].double() for seed in seeds(16)]
-    )
-    found, error = measured(scene, at((0.3, -0.2, 1e-3)), max_depth=5)
-    expected, own = math.pi * renders.mean(), math.pi * renders.std() / 4
-    assert abs(found - expected) < 4 * error.hypot(own)
+    renders = [mi.render(stock, seed=seed, spp=spp).torch()[0, 0, 1] for seed in seeds(16)]
+    return math.pi * torch.stack(renders).double()
 
 
 # --- Where points are -----------------------------------------------------------------------------
@@ -295,6 +298,51 @@ def test_derivatives_are_those_of_differences(mi: Any) -> None:
         # The step of the reflectances bends the logarithm by less than 1 %.
         error = math.hypot(own_error, slopes.std().item() / math.sqrt(8), 0.01 * own)
         assert abs(own - slopes.mean().item()) < 4 * error, f"{name}: {own} ± {own_error}, {slopes.mean()}"
+
+
+def window_room(mi: Any, **changed: float) -> Config:
+    """Return a side-lit room with a white floor, a pane, a blind before it and a lamp, some of them changed."""
+    scene = side_lit_room(pane=True, blind=True)
+    scene["floor"]["bsdf"] = grey(1.0)
+    scene["back"]["bsdf"] = grey(changed.get("back", 0.5))
+    scene["pane"]["bsdf"]["specular_transmittance"] = rgb(changed.get("pane", 0.8))
+    scene["blind"]["bsdf"]["opacity"] = changed.get("opacity", 0.6)
+    lift = mi.ScalarTransform4f().translate([0, 0, changed.get("lift", 0.0)])
+    scene["blind"]["to_world"] = lift @ scene["blind"]["to_world"]
+    scene["lamp"] = box(mi)["lamp"]
+    scene["lamp"]["emitter"]["radiance"] = rgb(changed.get("lamp", 5.0))
+    return scene
+
+
+DIFFERENCES = {
+    "back.bsdf.reflectance.value": ("back", 0.5, 0.1),
+    "pane.bsdf.specular_transmittance.value": ("pane", 0.8, 0.05),
+    "blind.bsdf.opacity.value": ("opacity", 0.6, 0.1),
+    "blind.pose.translation": ("lift", 0.0, 0.05),
+    "lamp.emitter.radiance.value": ("lamp", 5.0, 2.0),
+}
+
+
+def test_derivatives_are_those_of_stock_renders(mi: Any) -> None:
+    """A wall, a pane, a blind and its height, and a lamp, against Mitsuba's own renders of changed rooms."""
+    place, spp = (0.3, -1.0), 16384
+    renderer = SceneRenderer(
+        window_room(mi), [*DIFFERENCES], sensor=at((*place, 1e-3)), spp=16 * spp, max_depth=5
+    )
+    found = VanillaSceneGradient(renderer, lambda image: image[..., 1].mean()).attribute(seed=shifted(7))
+    for name, (changed, value, h) in DIFFERENCES.items():
+        up, down = (
+            stock_irradiance(mi, window_room(mi, **{changed: value + sign * h}), place, spp=spp)
+            for sign in (1, -1)
+        )
+        slopes = (up - down) / (2 * h)
+        expected, error = slopes.mean().item(), slopes.std().item() / 4
+        index = {"lift": 2}.get(changed, 1) if found[name].ndim else ()
+        own, own_error = found[name][index].item(), found.standard_error[name][index].item()
+        both = math.hypot(own_error, error)
+        message = f"{name}: {own:.4g} ± {own_error:.2g}, stock {expected:.4g} ± {error:.2g}"
+        assert abs(own - expected) < 4 * both, message
+        assert abs(expected) > 4 * both, f"{message}: the errors are too large to tell"
 
 
 def test_plain_autograd_differentiates_the_number_that_was_rendered(mi: Any) -> None:
