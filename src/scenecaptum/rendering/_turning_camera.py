@@ -24,7 +24,7 @@ from ._state import Snapshot
 ROTATION, FOV = pose_name("camera", "rotation"), pose_name("camera", "fov")
 
 # Samples of the light that moves over the film, for each sample of a backward pass.
-SAMPLES = 0.5
+SAMPLES = 0.25
 
 # Points of the film that are in memory at the same time; each takes about 300 bytes.
 MAX_POINTS = 2**19
