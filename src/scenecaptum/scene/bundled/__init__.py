@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from ._classroom import classroom as classroom
 from ._cornell_box import cornell_box as cornell_box
 from ._office import office as office
 from ._parts import Plugin as Plugin
 from ._parts import rgb_film as rgb_film
 
-BUNDLED: Mapping[str, Callable[[], Plugin]] = MappingProxyType({"cornell-box": cornell_box, "office": office})
+BUNDLED: Mapping[str, Callable[[], Plugin]] = MappingProxyType(
+    {"classroom": classroom, "cornell-box": cornell_box, "office": office}
+)

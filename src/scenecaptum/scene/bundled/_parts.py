@@ -13,8 +13,10 @@ Plugin = dict[str, Any]
 Vector = Sequence[float]
 
 
-def base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: float) -> Plugin:
-    """Return paths of at most 6 segments, and a camera of ``fov`` degrees with 64 samples per pixel."""
+def base(
+    *, resolution: tuple[int, int], origin: Vector, target: Vector, fov: float, max_depth: int = 6
+) -> Plugin:
+    """Return paths of ``max_depth`` segments, and a camera of ``fov`` degrees with 64 samples per pixel."""
     import mitsuba as mi
 
     sensor = {
@@ -26,7 +28,7 @@ def base(*, resolution: tuple[int, int], origin: Vector, target: Vector, fov: fl
         "film": rgb_film(*resolution),
         "sampler": {"type": "independent", "sample_count": 64},
     }
-    return {"type": "scene", "integrator": {"type": "prb", "max_depth": 6}, "sensor": sensor}
+    return {"type": "scene", "integrator": {"type": "prb", "max_depth": max_depth}, "sensor": sensor}
 
 
 def rgb_film(width: int, height: int) -> Plugin:
