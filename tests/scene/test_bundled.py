@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
+from scenecaptum import SceneRenderer, SensorGrid
 from scenecaptum.backend import activate
-from scenecaptum.scene.bundled import BUNDLED, cornell_box, office
+from scenecaptum.scene.bundled import BUNDLED, classroom, cornell_box, office
 
 CORNELL_MATERIALS = {"left_wall", "right_wall", "floor", "ceiling", "back_wall", "short_box", "tall_box"}
 OFFICE_MATERIALS = {
@@ -27,6 +29,11 @@ OFFICE_MATERIALS = {
     *("mirror", "lamp_shade", "lamp_stand", "window_frame", "picture", "mug", "plant", "curtain"),
 }
 OFFICE_EMITTERS = {"sky", "luminaire_left", "luminaire_right", "luminaire_back", "bulb"}
+OFFICE_LIGHTS = {f"{emitter}.emitter.radiance.value" for emitter in OFFICE_EMITTERS}
+CLASSROOM_MATERIALS = {
+    *("ceiling", "floor", "wall_windows", "wall_front", "wall_back", "wall_corridor"),
+    *("ground", "pane", "window_frame", "cloth", "desk", "chair", "board", "door"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -43,20 +50,22 @@ def parameters(mi: Any, name: str) -> dict[str, Any]:
     return dict(mi.traverse(mi.load_dict(BUNDLED[name](), optimize=False)).items())
 
 
-def test_the_bundled_scenes_are_these_two() -> None:
-    assert dict(BUNDLED) == {"cornell-box": cornell_box, "office": office}
+def test_the_bundled_scenes_are_these() -> None:
+    assert dict(BUNDLED) == {"classroom": classroom, "cornell-box": cornell_box, "office": office}
 
 
 @pytest.mark.parametrize(
-    ("name", "materials", "emitters"),
-    [("cornell-box", CORNELL_MATERIALS, {"light"}), ("office", OFFICE_MATERIALS, OFFICE_EMITTERS)],
+    ("name", "materials", "lights"),
+    [
+        ("cornell-box", CORNELL_MATERIALS, {"light.emitter.radiance.value"}),
+        ("office", OFFICE_MATERIALS, OFFICE_LIGHTS),
+        ("classroom", CLASSROOM_MATERIALS, {"sky.radiance.value"}),
+    ],
 )
-def test_parameters_carry_readable_names(mi: Any, name: str, materials: set[str], emitters: set[str]) -> None:
+def test_parameters_carry_readable_names(mi: Any, name: str, materials: set[str], lights: set[str]) -> None:
     keys = parameters(mi, name)
     assert materials <= {key.split(".")[0] for key in keys}
-    assert {f"{emitter}.emitter.radiance.value" for emitter in emitters} == {
-        key for key in keys if "radiance" in key
-    }
+    assert lights == {key for key in keys if "radiance" in key}
 
 
 def test_every_reflectance_is_physical(mi: Any, name: str) -> None:
@@ -97,3 +106,17 @@ def test_office_textures_can_be_differentiated(mi: Any, key: str) -> None:
     params = mi.traverse(mi.load_dict(office(), optimize=False))
     assert isinstance(params[key], mi.TensorXf)
     assert params.flags(key) & mi.ParamFlags.NonDifferentiable.value == 0
+
+
+def test_the_classroom_has_a_grid_of_desks_and_a_blind_that_moves(mi: Any) -> None:
+    renderer = SceneRenderer(
+        "classroom",
+        ["blind.pose.translation", "cloth.opacity.value", "pane.specular_transmittance.value"],
+        sensor=SensorGrid(height=0.8, spacing=1.0),
+        spp=16,
+    )
+    assert renderer.grid.inside.all()
+    assert renderer.grid.positions[..., 1].amin() == pytest.approx(1.0)
+    with torch.no_grad():
+        lit = renderer(seed=0).mean((1, 2))
+    assert lit[-1] > 3 * lit[0]  # the last row is the one at the windows

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from ..rendering import SceneRenderer, named_sensors
+from ..scene import BUNDLED
 
 
 def add_file(parser: argparse.ArgumentParser) -> None:
     """Add the scene alone."""
-    parser.add_argument("scene", help="a Mitsuba XML file, or a bundled scene: office, cornell-box")
+    parser.add_argument("scene", help=f"a Mitsuba XML file, or a bundled scene: {', '.join(BUNDLED)}")
     parser.add_argument(
         "-D",
         "--define",
