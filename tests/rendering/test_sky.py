@@ -17,6 +17,7 @@ from scenecaptum.daylight import (
     SkyMatrix,
     SkyPatches,
     SpatialDaylightAutonomy,
+    illuminance,
     synthetic_weather,
 )
 
@@ -153,6 +154,90 @@ def test_samples_may_change_between_calls(mi: Any) -> None:
     assert more.item() == pytest.approx(first.item(), rel=0.3)
 
 
+# --- Direct light ---------------------------------------------------------------------------------
+
+
+def test_direct_light_is_that_of_a_black_room(mi: Any) -> None:
+    """Through a pane and the gaps of a blind, path by path."""
+    tables = []
+    for reflectance, direct in ((None, True), (0.0, False)):
+        scene = side_lit_room(pane=True, blind=True)
+        renderer = SceneRenderer(
+            scene, "reflectance", sensor=GRID, sky_patches=PATCHES, spp=16, direct_sky=direct
+        )
+        values = renderer.inputs if reflectance is None else black(renderer)
+        tables.append(renderer(values, seed=shifted(3)))
+    assert tables[0].sum() > 0
+    torch.testing.assert_close(tables[0], tables[1], rtol=1e-4, atol=1e-6)
+
+
+def black(renderer: SceneRenderer) -> dict[str, torch.Tensor]:
+    surfaces = {name: value for name, value in renderer.inputs.items() if name.endswith("reflectance.value")}
+    return renderer.inputs | {name: torch.zeros_like(value) for name, value in surfaces.items()}
+
+
+def test_direct_light_depends_on_panes_and_blinds_alone(mi: Any) -> None:
+    scene = side_lit_room(pane=True, blind=True)
+    renderer = SceneRenderer(
+        scene, ["reflectance", "opacity"], sensor=GRID, sky_patches=PATCHES, spp=16, direct_sky=True
+    )
+    leaves = renderer.leaves()
+    total = renderer(leaves, seed=shifted(4)).sum()
+    total.backward()
+    slopes = {name: 0.0 if leaf.grad is None else leaf.grad.sum().item() for name, leaf in leaves.items()}
+    pane = slopes.pop("pane.bsdf.specular_transmittance.value")
+    # All light passes the pane once, and is proportional to its transmittance.
+    assert pane == pytest.approx(total.item() / 0.8, rel=1e-3)
+    opacity = slopes.pop("blind.bsdf.opacity.value")
+    assert opacity < 0
+    assert slopes
+    assert set(slopes.values()) == {0.0}
+
+
+REACH = 2 * 6 * math.sqrt(2)  # degrees: gendaymtx spreads the sun over neighbours, patches of 6°
+
+
+@pytest.mark.skipif(not HAS_RADIANCE, reason="a year of weather needs pyradiance")
+def test_direct_sun_falls_where_the_true_sun_does(mi: Any) -> None:
+    """But for the hours in which the sun is so near to the edge of the opening that its patches reach over it."""
+    patches, year = SkyPatches.reinhart(2), synthetic_weather()
+    year = year.select(year.occupied() & (year.direct_normal > 0))
+    sky = SkyMatrix.from_weather(year, patches, sun="only")
+    scene = side_lit_room()
+    renderer = SceneRenderer(scene, "reflectance", sensor=GRID, sky_patches=patches, spp=16, direct_sky=True)
+    found = illuminance(renderer(seed=shifted(5)), sky)
+    points = renderer.grid.positions.reshape(-1, 1, 3)
+    seen = torch.stack([sees_through_opening(points, sun) for sun in around(year.sun_directions(), REACH)])
+    outdoors = sky.horizontal_illuminance()
+    dark, sunny = ~seen.any(0), seen.all(0) & (outdoors > 3000)
+    assert dark.sum() > 1000
+    assert sunny.sum() > 1000
+    assert found[dark].max() == 0
+    assert (found[sunny] > 1000).all()
+
+
+def sees_through_opening(points: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+    """Whether a ray from each point leaves the room through the opening in its south, ``(points, directions)``."""
+    x, y, z = ((-1.5 - points[..., 1]) / directions[:, 1])[..., None].mul(directions).add(points).unbind(-1)
+    del y
+    to_sky = (directions[:, 1] < 0) & (directions[:, 2] > 0)
+    return to_sky & (x.abs() < 2) & (z > 0.8) & (z < 2)
+
+
+def around(directions: torch.Tensor, degrees: float) -> list[torch.Tensor]:
+    """Return directions, and those at an angle to them to all sides."""
+    across = torch.linalg.cross(
+        directions, torch.tensor([0.0, 0.0, 1.0], dtype=directions.dtype).expand_as(directions)
+    )
+    across = across / across.norm(dim=-1, keepdim=True)
+    upward, size = torch.linalg.cross(across, directions), math.tan(math.radians(degrees))
+    turned = [
+        directions + size * (math.cos(angle) * across + math.sin(angle) * upward)
+        for angle in torch.arange(0, 2 * math.pi, math.pi / 4).tolist()
+    ]
+    return [directions, *(one / one.norm(dim=-1, keepdim=True) for one in turned)]
+
+
 # --- Bad input ------------------------------------------------------------------------------------
 
 
@@ -160,6 +245,8 @@ def test_what_coefficients_need_is_one_clear_line(mi: Any) -> None:
     scene = side_lit_room()
     with pytest.raises(SceneCaptumError, match="needs the points of a sensor grid"):
         SceneRenderer(scene, "reflectance", sky_patches=PATCHES)
+    with pytest.raises(SceneCaptumError, match="direct_sky=True needs sky_patches="):
+        SceneRenderer(scene, "reflectance", sensor=GRID, direct_sky=True)
     without = {name: part for name, part in scene.items() if name != "sky"}
     with pytest.raises(SceneCaptumError, match="need a sky, and the scene has none"):
         SceneRenderer(without, "reflectance", sensor=GRID, sky_patches=PATCHES)

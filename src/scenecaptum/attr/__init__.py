@@ -4,6 +4,7 @@
 __all__ = [
     "AttributionInterrupted",
     "Change",
+    "Definition",
     "Explanation",
     "FeatureAblationScene",
     "GradientShapScene",
@@ -13,6 +14,7 @@ __all__ = [
     "MeanEffects",
     "OcclusionScene",
     "Ranked",
+    "Row",
     "SceneAttribution",
     "ShapleyValueScene",
     "SmoothGradScene",
@@ -28,7 +30,9 @@ from ._baselines import table_of as table_of
 from ._data import Ranked as Ranked
 from ._data import summarize as summarize
 from ._explanation import Change as Change
+from ._explanation import Definition as Definition
 from ._explanation import Explanation as Explanation
+from ._explanation import Row as Row
 from ._explanation import Source as Source
 from ._feature_ablation import FeatureAblationScene as FeatureAblationScene
 from ._gradient_shap import GradientShapScene as GradientShapScene

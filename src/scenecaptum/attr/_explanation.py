@@ -14,6 +14,7 @@ from ..visualization import (
     axis_label,
     format_with_error,
     metric_line,
+    metric_name,
     metric_symbol,
     metric_unit,
     noise_notes,
@@ -27,6 +28,7 @@ from ..visualization import (
 )
 
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
+MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
@@ -99,6 +101,45 @@ class Change:
         return apart <= max(SIGNIFICANT * error, NONLINEAR * abs(self.measured))
 
 
+@dataclass(frozen=True)
+class Row:
+    """A row of points of a sensor grid, and the effect of more light there on a metric of daylight.
+
+    Attributes
+    ----------
+    name
+        Its place: ``"y = 5"``.
+    count
+        The number of its points.
+    value
+        The mean of the metric over its points; None for metrics that points do not have.
+    effect, effect_error
+        The effect of 10 % more light at its points to first order, and its standard error.
+    """
+
+    name: str
+    count: int
+    value: float | None
+    effect: float
+    effect_error: float
+
+
+@dataclass(frozen=True)
+class Definition:
+    """The value of a metric by its published definition, where its derivative needs a relaxed one.
+
+    Attributes
+    ----------
+    value
+        In the unit of the metric.
+    verdict
+        The meaning of its class; empty if the metric has no classes.
+    """
+
+    value: float
+    verdict: str
+
+
 @dataclass(frozen=True, repr=False)
 class Explanation:
     """What a metric says of a scene, what causes it, and what would change it; prints as text.
@@ -115,6 +156,12 @@ class Explanation:
         The outcome of an optimization towards a goal, if there is one.
     count
         The number of effects that are stated.
+    rows
+        The rows of points of a metric of daylight.
+    definition
+        The value by the published definition, if the attribution is that of a relaxed one.
+    premises
+        What it was computed for, such as the weather.
     """
 
     attribution: Attribution
@@ -122,18 +169,22 @@ class Explanation:
     changes: tuple[Change, ...] = ()
     goal: Any = None
     count: int = DEFAULT_EFFECTS
+    rows: tuple[Row, ...] = ()
+    definition: Definition | None = None
+    premises: tuple[str, ...] = ()
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
         is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
-            (self._verdict(), noise_notes(self.attribution)),
+            (self._verdict(), [*self.premises, *noise_notes(self.attribution)]),
             (
                 "Where the glare comes from" if is_glare else "What it sees in the picture",
                 self._source_lines(),
             ),
             (f"What it depends on: {axis_label(self.attribution)}", self._effect_lines()),
             ("What would change it", self._change_lines()),
+            ("Which points decide", self._row_lines()),
             (
                 f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
                 self._goal_lines(),
@@ -166,13 +217,19 @@ class Explanation:
     __repr__ = __str__
 
     def _verdict(self) -> str:
-        means = verdict(self.attribution)
-        line = metric_line(self.attribution)
-        if not means:
-            return line
+        line, means = metric_line(self.attribution), verdict(self.attribution)
         measure = self.attribution.info.get("measure") or {}
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error or 0.0
-        near = [limit for limit in measure.get("limits", []) if abs(value - limit) <= SIGNIFICANT * error]
+        low = high = value
+        if self.definition is not None:
+            exact, means = self.definition.value, self.definition.verdict
+            relaxed = self._in_unit(format_with_error(value, error))
+            line = f"{metric_name(self.attribution)} = {self._in_unit(rounded(exact))} ({relaxed} relaxed)"
+            low, high = min(value, exact), max(value, exact)
+        if not means:
+            return line
+        limits = measure.get("limits", [])
+        near = [limit for limit in limits if low - SIGNIFICANT * error <= limit <= high + SIGNIFICANT * error]
         doubt = f"; too close to {near[0]:g} to be sure" if near else ""
         source = f" ({measure['source']})" if measure.get("source") else ""
         return f"{line}: {means}{doubt}{source}"
@@ -195,6 +252,29 @@ class Explanation:
 
     def _change_lines(self) -> list[str]:
         return [self._change_line(change) for change in self.changes if change.is_clear]
+
+    def _row_lines(self) -> list[str]:
+        """Return the rows that make up most of the effect of more light, then each row."""
+        clear = [row for row in self.rows if _is_clear(row.effect, row.effect_error)]
+        if not clear:
+            return ["none: more light at one row of points would change nothing"] if self.rows else []
+        total, deciding = sum(abs(row.effect) for row in clear), list[Row]()
+        for row in sorted(clear, key=lambda row: -abs(row.effect)):
+            if sum(abs(one.effect) for one in deciding) < MOST * total:
+                deciding.append(row)
+        share = sum(abs(one.effect) for one in deciding) / total
+        names = " and ".join(row.name for row in self.rows if row in deciding)
+        return [
+            f"{names} {'decides' if len(deciding) == 1 else 'decide'}: {100 * share:.0f} % of the effect of 10 % "
+            "more light",
+            *(self._row_line(row) for row in self.rows),
+        ]
+
+    def _row_line(self, row: Row) -> str:
+        symbol = metric_symbol(self.attribution)
+        effect = self._in_unit(signed_with_error(row.effect, row.effect_error))
+        there = "" if row.value is None else f"{symbol} {self._in_unit(rounded(row.value))} there; "
+        return f"{row.name}, {pluralize(row.count, 'point')}: {there}with 10 % more light {symbol} {effect}"
 
     def _change_line(self, change: Change) -> str:
         predicted = signed_with_error(change.predicted, change.predicted_error)

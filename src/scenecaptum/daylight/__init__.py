@@ -31,6 +31,8 @@ from ._daylight_provision import DaylightProvision as DaylightProvision
 from ._illuminance import illuminance as illuminance
 from ._metric import DaylightMetric as DaylightMetric
 from ._metric import PointMetric as PointMetric
+from ._named import BY_NAME as BY_NAME
+from ._named import NamedDaylightMetric as NamedDaylightMetric
 from ._patches import PatchRows as PatchRows
 from ._patches import SkyPatches as SkyPatches
 from ._sky_matrix import EFFICACY as EFFICACY

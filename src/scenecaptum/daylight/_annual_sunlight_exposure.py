@@ -17,9 +17,10 @@ class AnnualSunlightExposure(PointMetric):
     A point counts if the illuminance by direct sun is above ``threshold`` lx in more than ``hours`` hours:
     ASE1000,250h by default. Blinds stay open, as in IES LM-83.
 
-    The coefficients must be those of direct light, without interreflection, and the sky that of the sun
+    The coefficients must be those of direct light, without interreflection
+    (``SceneRenderer(…, direct_sky=True)``), and the sky that of the sun
     (``SkyMatrix.from_weather(…, sun="only")``). The patches of a sky blur the sun. LM-83 wants its true position,
-    which finer patches approach.
+    which finer patches approach: use ``SkyPatches.reinhart(4)``, or a finer one.
 
     Parameters
     ----------

@@ -7,14 +7,17 @@ from typing import Any
 
 import torch
 
-from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
+from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
+from ..daylight import DaylightMetric
 from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..optimize import minimize
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
+from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
 from ._changes import propose, rendered
+from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 
 
@@ -88,8 +91,11 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         denoise=denoise_of(attribution),
         values=inputs,
     )
+    grid = renderer.grid if is_of_daylight(scenes.metric) and isinstance(renderer, SceneRenderer) else None
     return Explanation(
         attribution,
+        rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
+        definition=_definition(metric, attribution),
         sources=find_sources(
             scenes.metric, scenes.images, _surfaces(renderer, attribution), attribution.labels
         ),
@@ -98,6 +104,14 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         if below is None
         else minimize(renderer, metric, below, inputs=inputs, seed=goal_seed, **options),
     )
+
+
+def _definition(metric: Metric, attribution: SceneAttribution) -> Definition | None:
+    """Return the value of a relaxed metric without relaxation, of the same picture."""
+    if not isinstance(metric, DaylightMetric) or not metric.relaxation or attribution.image is None:
+        return None
+    value = metric.hard(attribution.image).item()
+    return Definition(value, metric.measure.verdict(value))
 
 
 def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:

@@ -120,11 +120,12 @@ class AdjointSampledIntegrator(RBIntegrator):
             dr.eval()
 
     def render_coefficients(
-        self, scene: Any, sensor: Any, seed: Any, samples: tuple[Any, Any], index: PatchIndex
+        self, scene: Any, sensor: Any, seed: Any, samples: tuple[Any, Any], index: PatchIndex, *, direct: bool
     ) -> Any:
         """Return daylight coefficients, ``(points, patches, 3)``.
 
-        ``samples`` are the pixel of each sample, whose row is its point, and the weight of a sample.
+        ``samples`` are the pixel of each sample, whose row is its point, and the weight of a sample. ``direct``
+        leaves out the light that surfaces reflect.
         """
         pixel, weight = samples
         points, patches = sensor.film().crop_size().y, index.patches.count
@@ -133,14 +134,22 @@ class AdjointSampledIntegrator(RBIntegrator):
             sampler.seed(seed, dr.width(pixel))
             ray, response, point = self.random_rays(sensor, sampler, pixel)
             target = dr.zeros(mi.Float, 3 * points * patches)
-            sky = RecordedSky(index, mi.UInt32(point.y), target, response.x * weight)
+            sky = RecordedSky(index, mi.UInt32(point.y), target, response.x * weight, direct=direct)
             self.sample(
                 mode=dr.ADMode.Primal, scene=scene, sampler=sampler, ray=ray, active=mi.Bool(True), sky=sky
             )
             return mi.TensorXf(target, (points, patches, 3))
 
     def differentiate_coefficients(
-        self, scene: Any, sensor: Any, adjoint: Any, seed: Any, samples: tuple[Any, Any], index: PatchIndex
+        self,
+        scene: Any,
+        sensor: Any,
+        adjoint: Any,
+        seed: Any,
+        samples: tuple[Any, Any],
+        index: PatchIndex,
+        *,
+        direct: bool,
     ) -> None:
         """Backpropagate an adjoint of daylight coefficients with the samples of ``render_coefficients``."""
         pixel, weight = samples
@@ -148,7 +157,7 @@ class AdjointSampledIntegrator(RBIntegrator):
             sampler = sensor.sampler().clone()
             sampler.seed(seed, dr.width(pixel))
             ray, response, point = self.random_rays(sensor, sampler, pixel)
-            sky = WeightedSky(index, mi.UInt32(point.y), adjoint.array)
+            sky = WeightedSky(index, mi.UInt32(point.y), adjoint.array, direct=direct)
             fixed = {"scene": scene, "ray": ray, "active": mi.Bool(True), "sky": sky}
             *_, state = self.sample(mode=dr.ADMode.Primal, sampler=sampler.clone(), **fixed)
             fixed |= {"state_in": state, "δL": response * weight}

@@ -105,6 +105,9 @@ class SceneRenderer(torch.nn.Module):
         With a sensor grid: the picture is then the daylight coefficients, ``(points, patches, 3)``, the irradiance
         at each point of the grid per unit radiance of each patch of the sky. See ``scenecaptum.daylight`` for
         metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count.
+    direct_sky
+        With ``sky_patches``: only the light that no surface reflects, as annual sunlight exposure needs. Panes,
+        and cloth with an opacity, let it through.
 
     Attributes
     ----------
@@ -142,6 +145,7 @@ class SceneRenderer(torch.nn.Module):
         ranges: Mapping[str, tuple[float, float]] | None = None,
         objects: Objects | None = None,
         sky_patches: SkyPatches | None = None,
+        direct_sky: bool = False,
     ) -> None:
         super().__init__()
         with exclusively(_variant_of(scene)) as mi:
@@ -149,7 +153,11 @@ class SceneRenderer(torch.nn.Module):
             self._borrowed = isinstance(scene, mi.Scene)
             self.checkpoint: Checkpoint | None = None
             self._granted_memory = 0  # bytes that were found to be available
-            self.sky_patches = sky_patches
+            self.sky_patches, self.direct_sky = sky_patches, direct_sky
+            if direct_sky and sky_patches is None:
+                raise SceneCaptumError(
+                    "direct_sky=True needs sky_patches=: it selects light of daylight coefficients."
+                )
             try:
                 size = self._load(scene, parameters, sensor, resolution, spp)
                 self._find_parameters(inputs, ranges, objects)
@@ -237,6 +245,7 @@ class SceneRenderer(torch.nn.Module):
                 self._table,
                 self.plan,
                 self.sky_patches,
+                direct_sky=self.direct_sky,
             )
             for sensor in self._sensors
         ]
@@ -326,6 +335,7 @@ class SceneRenderer(torch.nn.Module):
             "depths": (plan.max_depth, plan.rr_depth),
             "hide_emitters": plan.hide_emitters,
             "resolution": self.resolution,
+            **({"direct_sky": True} if self.direct_sky else {}),
             "poses": {
                 n: (self._ranges[n], self._table[n].shapes) for n in self._names if self._table[n].moves
             },

@@ -43,10 +43,11 @@ class SkyLight:
     """What becomes of the light that an integrator finds: only that of the sky counts.
 
     The scene has a sky of radiance 1, so that this is the weight of the path. ``row`` is that of each path in the
-    picture of coefficients.
+    picture of coefficients. ``direct``: only the light that reaches the point without being reflected.
     """
 
-    def __init__(self, index: PatchIndex, row: Any) -> None:
+    def __init__(self, index: PatchIndex, row: Any, *, direct: bool) -> None:
+        self.direct = direct
         self._index = index
         self._row = row
 
@@ -70,8 +71,8 @@ class SkyLight:
 class RecordedSky(SkyLight):
     """Adds the light, times ``weight``, to the coefficient of its patch: ``target`` has three channels of each."""
 
-    def __init__(self, index: PatchIndex, row: Any, target: Any, weight: Any) -> None:
-        super().__init__(index, row)
+    def __init__(self, index: PatchIndex, row: Any, target: Any, weight: Any, *, direct: bool) -> None:
+        super().__init__(index, row, direct=direct)
         self._target = target
         self._weight = weight
 
@@ -84,8 +85,8 @@ class RecordedSky(SkyLight):
 class WeightedSky(SkyLight):
     """Weights the light by the adjoint of its coefficient: the adjoint takes the place of the sky."""
 
-    def __init__(self, index: PatchIndex, row: Any, adjoint: Any) -> None:
-        super().__init__(index, row)
+    def __init__(self, index: PatchIndex, row: Any, adjoint: Any, *, direct: bool) -> None:
+        super().__init__(index, row, direct=direct)
         self._adjoint = adjoint
 
     def _value(self, light: Any, entry: Any, active: Any) -> Any:

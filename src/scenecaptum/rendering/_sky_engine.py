@@ -28,9 +28,10 @@ class SkyEngine(Engine):
     """Renders daylight coefficients and their derivatives: ``(points, patches, 3)`` pictures.
 
     The scene's sky has a radiance of 1, and only its light counts. Every sample of a point serves all patches.
+    ``direct`` leaves out the light that surfaces reflect.
     """
 
-    def __init__(self, *arguments: Any, patches: SkyPatches) -> None:
+    def __init__(self, *arguments: Any, patches: SkyPatches, direct: bool) -> None:
         super().__init__(*arguments)
         self._sky = sky_of(self._live.scene, self._parameters)
         index, integrator, sensor = (
@@ -40,12 +41,12 @@ class SkyEngine(Engine):
         )
 
         def render(scene: Any, seed: Any, samples: Any, scalars: tuple[float, ...]) -> Any:
-            return integrator.render_coefficients(scene, sensor, seed, samples, index)
+            return integrator.render_coefficients(scene, sensor, seed, samples, index, direct=direct)
 
         def differentiate(
             scene: Any, adjoint: Any, seed: Any, samples: Any, scalars: tuple[float, ...]
         ) -> None:
-            integrator.differentiate_coefficients(scene, sensor, adjoint, seed, samples, index)
+            integrator.differentiate_coefficients(scene, sensor, adjoint, seed, samples, index, direct=direct)
 
         def reset(*arguments: Any) -> None:
             self._live.state.forget_gradients()

@@ -50,7 +50,12 @@ class View:
 
 
 def make_view(
-    live: LiveScene, parameters: SceneParameters, plan: RenderPlan, sky_patches: SkyPatches | None = None
+    live: LiveScene,
+    parameters: SceneParameters,
+    plan: RenderPlan,
+    sky_patches: SkyPatches | None = None,
+    *,
+    direct_sky: bool = False,
 ) -> View:
     """Create what the plan requires to render a live scene, or its daylight coefficients by ``sky_patches``."""
 
@@ -71,7 +76,7 @@ def make_view(
     )
     arguments = (live, parameters, plan, integrator, importance_maps, moved)
     if sky_patches is not None:
-        return View(live, SkyEngine(*arguments, patches=sky_patches), None, surface_map)
+        return View(live, SkyEngine(*arguments, patches=sky_patches, direct=direct_sky), None, surface_map)
     if plan.kind.is_stock:
         return View(live, StockEngine(*arguments), None, surface_map)
     pilots = Pilots(live, parameters, plan, integrator, importance_maps, moved)

@@ -170,6 +170,9 @@ class ReplayIntegrator(AdjointSampledIntegrator):
             if dr.hint(incident is not None, mode="scalar"):
                 _record_incident(incident, depth, Le, Lr_dir, active)
 
+            if dr.hint(sky is not None and sky.direct, mode="scalar"):
+                active_next &= is_transmitted(bsdf_sample)
+
             # Next vertex
             si_prev = dr.detach(si, True)
             bsdf_pdf_prev = bsdf_sample.pdf
@@ -224,6 +227,8 @@ def emitted_radiance(
 
 def _direct_light(scene: Any, random: Any, vertex: Vertex, primal: bool, sky: Any = None) -> Any:
     """Return ``Lr_dir``, the reflected light of a sampled emitter."""
+    if sky is not None and sky.direct:
+        return mi.Spectrum(0)
     active = vertex.active_next & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     ds, emitter_weight, active = _sample_emitter_direction(scene, random, vertex.si, active, primal)
     with dr.resume_grad(when=not primal):
@@ -322,6 +327,13 @@ def is_valid_sample(bsdf_sample: Any, weight: Any) -> Any:
     """
     is_delta = mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
     return (bsdf_sample.pdf > 0) & (dr.max(weight) > 0) & ~is_delta
+
+
+def is_transmitted(bsdf_sample: Any) -> Any:
+    """Whether a sample passes through a surface without being scattered: a pane, or a gap of cloth."""
+    return mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Null) | mi.has_flag(
+        bsdf_sample.sampled_type, mi.BSDFFlags.DeltaTransmission
+    )
 
 
 def _propagate(mode: Any, delta_L: Any, Lo: Any) -> Any:

@@ -6,9 +6,9 @@ from ._parts import Plugin, base, box, centre_and_size, diffuse, disk, glossy, m
 
 _X, _Y, _Z = (-4.0, 4.0), (0.0, 6.0), (0.0, 3.0)  # the room, in metres
 _OUTSIDE = -0.3  # the outer face of the wall with the windows
-_SILL, _HEAD = 0.9, 2.6
-_WINDOWS = ((-3.6, -1.9), (-1.75, -0.05), (0.05, 1.75), (1.9, 3.6))
-_BLIND_DEPTH = 0.5  # how far the blind hangs down
+_SILL, _HEAD = 1.0, 2.35
+_WINDOWS = ((-3.4, -2.2), (-1.55, -0.35), (0.35, 1.55), (2.2, 3.4))
+_BLIND_DEPTH = 0.4  # how far the blind hangs down
 _DESK_X, _DESK_Y = (-1.7, -0.3, 1.1, 2.5), (1.15, 3.0, 4.85)
 _DESK_TOP = 0.74
 
@@ -17,7 +17,7 @@ def classroom() -> Plugin:
     """Return a classroom of 8 × 6 × 3 m with a row of windows in its south wall, for questions of daylight.
 
     Lengths are in metres, x points east and y north. Its only light is the sky, of 4500 cd/m² where radiances are
-    in W·m⁻²·sr⁻¹, through panes that transmit 78 %. Each window has a roller blind, which hangs down by 0.5 m; all
+    in W·m⁻²·sr⁻¹, through panes that transmit 55 %. Each window has a roller blind, which hangs down by 0.4 m; all
     four are one object, ``blind``, whose pose and opacity are inputs. The film has 640 × 360 pixels.
     """
     camera = {"origin": (3.75, 5.35, 1.75), "target": (-2.6, 1.7, 1.02), "fov": 56.0}
@@ -39,15 +39,15 @@ def classroom() -> Plugin:
 def _materials() -> dict[str, Plugin]:
     cloth = {"type": "twosided", "bsdf": diffuse(0.50, 0.48, 0.42)}
     return {
-        "ceiling": diffuse(0.72, 0.72, 0.70),
+        "ceiling": diffuse(0.64, 0.64, 0.62),
         "floor": diffuse(0.24, 0.22, 0.19),
         "wall_windows": diffuse(0.55, 0.54, 0.51),
         "wall_front": diffuse(0.52, 0.52, 0.50),
         "wall_back": diffuse(0.42, 0.47, 0.42),
         "wall_corridor": diffuse(0.58, 0.54, 0.47),
         "ground": diffuse(0.16, 0.19, 0.12),
-        # Reflection leaves 92 % of the light at right angles to the pane, and the glass 85 % of these.
-        "pane": {"type": "thindielectric", "int_ior": 1.5, "specular_transmittance": rgb(0.85, 0.85, 0.85)},
+        # At right angles to the pane, reflection leaves 92 % of the light, and the coated glass 60 % of these.
+        "pane": {"type": "thindielectric", "int_ior": 1.5, "specular_transmittance": rgb(0.6, 0.6, 0.6)},
         "window_frame": diffuse(0.65, 0.65, 0.63),
         "sill": diffuse(0.60, 0.59, 0.56),
         "cloth": {"type": "mask", "opacity": 0.8, "bsdf": cloth},
@@ -96,7 +96,7 @@ def _windows() -> dict[str, Plugin]:
         shapes[f"pane_{i}"] = panel((x, glass, z), (width, 0, 0), (0, 0, height), "pane")
         for k, place in enumerate((window[0] + bar / 2, x, window[1] - bar / 2)):
             shapes[f"frame_post_{i}_{k}"] = box((place, glass, z), (bar, bar, height), "window_frame")
-        for k, level in enumerate((_SILL + bar / 2, 2.05, _HEAD - bar / 2)):
+        for k, level in enumerate((_SILL + bar / 2, 1.9, _HEAD - bar / 2)):
             shapes[f"frame_rail_{i}_{k}"] = box((x, glass, level), (width, bar, bar), "window_frame")
         # In front of the wall, so that it can be moved; numbers would make each an object of its own.
         middle = (x, 0.05, _HEAD + 0.05 - _BLIND_DEPTH / 2)
@@ -131,11 +131,11 @@ def _chairs() -> dict[str, Plugin]:
     seats = ((x + 0.5, y + side) for y in _DESK_Y for x in _DESK_X for side in (-0.33, 0.33))
     for i, (x, y) in enumerate(seats):
         shapes[f"chair_{i}_seat"] = box((x, y, 0.44), (0.4, 0.4, 0.03), "chair")
-        shapes[f"chair_{i}_back"] = box((x + 0.19, y, 0.7), (0.025, 0.38, 0.2), "chair")
+        shapes[f"chair_{i}_back"] = box((x + 0.19, y, 0.65), (0.025, 0.38, 0.16), "chair")
         for side in (-1, 1):
             edge = y + 0.17 * side
             shapes[f"chair_{i}_leg_{side}"] = box((x - 0.16, edge, 0.215), (0.025, 0.025, 0.43), "legs")
-            shapes[f"chair_{i}_post_{side}"] = box((x + 0.17, edge, 0.39), (0.025, 0.025, 0.78), "legs")
+            shapes[f"chair_{i}_post_{side}"] = box((x + 0.19, edge, 0.285), (0.025, 0.025, 0.57), "legs")
     return shapes
 
 
