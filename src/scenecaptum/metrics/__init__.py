@@ -17,6 +17,7 @@ __all__ = [
     "MeanLuminance",
     "MeanSquaredError",
     "Measure",
+    "MelanopicEDI",
     "PerCamera",
     "PerceptualDistance",
     "ResizeCropNormalize",
@@ -28,6 +29,7 @@ __all__ = [
     "Uniformity",
     "VerticalIlluminance",
     "luminance",
+    "melanopic_ratio",
     "plot_luminance",
     "position_index",
 ]
@@ -49,6 +51,8 @@ from ._luminance_map import plot_luminance as plot_luminance
 from ._mean_illuminance import MeanIlluminance as MeanIlluminance
 from ._measure import Band as Band
 from ._measure import Measure as Measure
+from ._melanopic import MelanopicEDI as MelanopicEDI
+from ._melanopic_spectra import melanopic_ratio as melanopic_ratio
 from ._named import NamedMetric as NamedMetric
 from ._per_camera import PerCamera as PerCamera
 from ._percentile import LuminancePercentile as LuminancePercentile
