@@ -6,10 +6,13 @@ import argparse
 from pathlib import Path
 
 
-def parser(doc: str | None, *, resolution: str, spp: int, out: str | None = None) -> argparse.ArgumentParser:
-    """Return a parser of ``--resolution`` and ``--spp``, and of ``--out`` if the example writes files."""
+def parser(
+    doc: str | None, *, resolution: str | None = None, spp: int, out: str | None = None
+) -> argparse.ArgumentParser:
+    """Return a parser of ``--spp``, of ``--resolution`` for a view, and of ``--out`` where files are written."""
     result = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    result.add_argument("--resolution", type=size, default=size(resolution), metavar="WIDTHxHEIGHT")
+    if resolution is not None:
+        result.add_argument("--resolution", type=size, default=size(resolution), metavar="WIDTHxHEIGHT")
     result.add_argument("--spp", type=int, default=spp, help="samples per pixel")
     if out is not None:
         result.add_argument("--out", type=Path, default=Path(out), help="output folder")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from .errors import SceneCaptumError
+from .errors import SceneCaptumError, whole_number
 
 LEED_HEIGHT = 0.76  # of the work plane in LEED, in metres
 MAX_SPACING = 10.0  # of EN 12464-1, in metres
@@ -126,6 +126,60 @@ class SensorGrid:
             raise SceneCaptumError(f"{path} has no points: each line is x y z nx ny nz.")
         table = torch.tensor(rows, dtype=torch.float64)
         return cls(points=table[:, :3], normals=table[:, 3:])
+
+    @classmethod
+    def cylindrical(
+        cls,
+        points: torch.Tensor,
+        directions: int = 8,
+        *,
+        up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    ) -> SensorGrid:
+        """Return a grid of the vertical illuminances around points, whose mean is the cylindrical illuminance.
+
+        Each row of the picture is a point, and each column a horizontal direction. If all light came from one
+        direction, the mean over 8 would be up to 5.2 % too low or 2.6 % too high; with more it falls as 1/n², and
+        an odd number is as good as twice that number. For light from many directions the errors cancel.
+
+        Example
+        -------
+        >>> faces = torch.tensor([[0.0, 1.5, 1.2]])  # 1.2 m above the floor for people who sit, 1.6 m who stand
+        >>> SensorGrid.cylindrical(faces).points.shape
+        torch.Size([1, 8, 3])
+
+        Parameters
+        ----------
+        points
+            ``(N, 3)``.
+        directions
+            The number of directions, evenly spaced, at least 3.
+        up
+            The axis of the cylinder.
+
+        Raises
+        ------
+        SceneCaptumError
+            If an argument is out of range or has the wrong shape.
+
+        References
+        ----------
+        EN 12464-1:2021, section 4.6.2: mean cylindrical illuminance, the mean of the vertical illuminance over all
+        directions.
+        """
+        count = whole_number("directions", directions, 3)
+        axis = torch.tensor(up, dtype=torch.float64)
+        if points.ndim != 2 or points.shape[-1] != 3:
+            raise SceneCaptumError(f"SensorGrid.cylindrical takes points (N, 3), not {tuple(points.shape)}.")
+        if axis.shape != (3,) or not axis.isfinite().all() or not axis.norm() > 0:
+            raise SceneCaptumError(f"up of a cylindrical grid must be a direction, not {up!r}.")
+        axis = axis / axis.norm()
+        first = torch.eye(3, dtype=torch.float64)[axis.abs().argmin()]
+        first = torch.nn.functional.normalize(first - (first @ axis) * axis, dim=0)
+        second = torch.linalg.cross(axis, first)
+        angle = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
+        normals = angle.cos()[:, None] * first + angle.sin()[:, None] * second
+        shape = (len(points), count, 3)
+        return cls(points=points[:, None].expand(shape), normals=normals.expand(shape))
 
 
 def _check_points(points: torch.Tensor, normals: torch.Tensor) -> None:

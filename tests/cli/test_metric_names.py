@@ -15,12 +15,14 @@ from scenecaptum import Camera, cli, metrics
 from scenecaptum.metrics import NamedMetric
 
 TABLE = Path(__file__).parents[2] / "docs" / "metrics.md"
-TINY = ["cornell-box", "--resolution", "16x16", "--spp", "16", "--max-depth", "3", "--inputs", "emitters"]
+TINY = ["cornell-box", "--spp", "16", "--max-depth", "3", "--inputs", "emitters"]
+VIEW, POINTS = ["--resolution", "16x16"], ["--sensor", "grid"]
 QUIET = ["--replicates", "2", "--denoise", "off", "--json", "--no-progress"]
 
 
 def run(name: str, out: Path, *options: str) -> int:
-    return cli.main(["attribute", *TINY, *QUIET, "--metric", name, *options, "--out", str(out)])
+    sensor = POINTS if name in metrics.BY_NAME and "grid" in metrics.BY_NAME[name].parameters else VIEW
+    return cli.main(["attribute", *TINY, *sensor, *QUIET, "--metric", name, *options, "--out", str(out)])
 
 
 def create(name: str) -> Any:
@@ -66,6 +68,12 @@ def test_one_line_of_the_registry_is_enough(
     assert "brightness (100 % of the light)" in " ".join(capsys.readouterr().out.split())
     assert run("brightnes", tmp_path) == 2
     assert "'brightness'" in capsys.readouterr().err
+
+
+def test_a_metric_of_points_needs_a_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = ["attribute", *TINY, *VIEW, *QUIET, "--metric", "uniformity", "--out", str(tmp_path)]
+    assert cli.main(wrong) == 2
+    assert "uniformity is a metric of points in a room: add --sensor grid" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["attribute", "tradeoff", "validate"])

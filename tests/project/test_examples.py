@@ -71,6 +71,15 @@ def test_metrics_rank_parameters_each_in_its_own_way(
     assert "desk's contrast" in capsys.readouterr().out
 
 
+def test_the_ceiling_lights_the_work_plane(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = load("work_plane").main(tmp_path / "new", 64, 1.0)
+    assert found["mean illuminance"].ranking(top=1)[0].label == "ceiling: reflectance"
+    assert (tmp_path / "new" / "work-plane.png").is_file()
+    assert "uniformity by the definition" in capsys.readouterr().out
+
+
 @pytest.mark.long
 def test_the_scene_attribution_competes_with_pixels(
     mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -11,7 +11,7 @@ import torch
 from seeds import seeds, shifted
 from side_lit import at, grey, rgb, room, side_lit_room, walls
 
-from scenecaptum import SceneCaptumError, SceneRenderer, SensorGrid, VanillaSceneGradient
+from scenecaptum import SceneCaptumError, SceneRenderer, SensorGrid, VanillaSceneGradient, metrics
 from scenecaptum.grid import en_12464_spacing
 
 Config = dict[str, Any]
@@ -189,6 +189,60 @@ def test_points_of_a_file(mi: Any, tmp_path: Path) -> None:
     grid = SceneRenderer(box(mi), "emitters", sensor=SensorGrid.from_file(path)).grid
     assert grid.positions.tolist() == [[[0, 0, 0.8], [1, 0.5, 0.8]]]
     assert grid.normals.tolist() == [[[0, 0, 1], [0, 1, 0]]]
+
+
+# --- Cylindrical illuminance ----------------------------------------------------------------------
+
+
+def test_cylindrical_illuminance_of_a_uniform_sky(mi: Any) -> None:
+    """The half space of radiance L above a black ground: π L / 2, as ``∫ L sin θ dω / π``."""
+    sky = {"type": "constant", "radiance": rgb(2.0)}
+    ground = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(1e4), "bsdf": grey(0.0)}
+    around = SensorGrid.cylindrical(torch.tensor([[0.0, 0.0, 0.1]]))
+    renderer = SceneRenderer(room(sky=sky, ground=ground), "emitters", sensor=around, spp=256)
+    metric = metrics.MeanIlluminance(renderer.grid, efficacy=1.0)
+    runs = torch.stack([metric(renderer(seed=seed)).double() for seed in seeds(16)])
+    held(runs.mean()[None], (runs.std() / 4)[None], torch.tensor([math.pi]).double())
+
+
+@pytest.mark.parametrize(("directions", "as_good_as"), [(8, 8), (7, 14), (3, 6)])
+def test_cylindrical_illuminance_of_a_point_light(mi: Any, directions: int, as_good_as: int) -> None:
+    """``I sin θ / (π d²)``, and no further off than stated for light from one direction."""
+    points = torch.tensor([[0.3, 0.0, 1.0], [1.0, 0.2, 0.5], [-0.4, 1.1, 2.0]])
+    lamp = {"type": "point", "position": [0, 0, 3], "intensity": rgb(5.0)}
+    box = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(4), "bsdf": grey(0.0)}
+    around = SensorGrid.cylindrical(points, directions)
+    picture = SceneRenderer(room(lamp=lamp, box=box), "emitters", sensor=around, spp=1)(seed=shifted(0))
+    away = torch.tensor([0.0, 0.0, 3.0]) - points
+    expected = 5 * away[:, :2].norm(dim=1) / away.norm(dim=1) ** 3 / math.pi
+    assert picture.shape == (3, directions, 3)
+    error = picture[..., 0].mean(1) / expected - 1
+    # Sums of the cosines of even directions: the light aligned with one of them, or halfway between two.
+    half = math.pi / as_good_as
+    assert (error >= half / math.tan(half) - 1 - 1e-5).all(), error
+    assert (error <= half / math.sin(half) - 1 + 1e-5).all(), error
+
+
+def test_directions_of_a_cylinder_are_even_and_horizontal() -> None:
+    for up in ((0.0, 0.0, 1.0), (0.0, 2.0, 0.0), (1.0, 1.0, 0.5)):
+        normals = SensorGrid.cylindrical(torch.zeros(2, 3), 5, up=up).normals
+        assert normals is not None
+        cosines = torch.tensor([math.cos(0.4 * math.pi * step) for step in range(5)]).double()
+        torch.testing.assert_close(normals[1] @ normals[1, 0], cosines)
+        torch.testing.assert_close(normals @ torch.tensor(up).double(), torch.zeros(2, 5).double())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"points": torch.zeros(3)}, "takes points"),
+        ({"points": torch.zeros(1, 3), "directions": 2}, "directions must be"),
+        ({"points": torch.zeros(1, 3), "up": (0.0, 0.0, 0.0)}, "must be a direction"),
+    ],
+)
+def test_a_bad_cylinder_is_one_clear_line(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneCaptumError, match=message):
+        SensorGrid.cylindrical(**options)
 
 
 BAD_GRIDS = {

@@ -31,6 +31,7 @@ from scenecaptum.validation import (
 NAMES = {"metric": "Glare", "method": "VanillaSceneGradient"}
 SPREAD = torch.linspace(-0.01, 0.01, 8).double()
 VALUES = torch.linspace(-1.0, 1.0, 6).double()
+PLAN = torch.stack(torch.meshgrid(torch.arange(6.0), torch.arange(4.0), indexing="xy"), -1)
 
 
 def ablation() -> AblationTest:
@@ -104,6 +105,7 @@ PLOTS: dict[str, Callable[..., Figure]] = {
     "plot_bars": lambda **where: visualization.plot_bars(make(), **where),
     "plot_heatmap": lambda **where: visualization.plot_heatmap(make(), **where),
     "plot_overlay": lambda **where: visualization.plot_overlay(make(), **where),
+    "plot_plan": lambda **where: visualization.plot_plan(torch.ones(4, 6), PLAN, **where),
     "plot_rank_comparison": lambda **where: visualization.plot_rank_comparison(make(), make(), **where),
     "plot_luminance": lambda **where: metrics.plot_luminance(torch.ones(4, 6, 3), **where),
     "AblationTest.plot": lambda **where: ablation().plot(**where),

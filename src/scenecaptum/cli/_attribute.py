@@ -178,7 +178,8 @@ def _folder_name(metric: str) -> str:
 
 def _write_result(attribution: SceneAttribution, folder: Path, options: argparse.Namespace) -> None:
     """Write the files of a result and print it."""
-    formats = selected_formats(options.formats or default_formats(), options.scale, signed=options.signed)
+    names = options.formats or default_formats(view=attribution.surfaces is not None)
+    formats = selected_formats(names, options.scale, signed=options.signed)
     write_files(attribution, folder, formats)
     if options.json:
         print(json_text(attribution))

@@ -54,6 +54,9 @@ def selected_formats(
     ]
 
 
-def default_formats() -> list[str]:
-    """Return the names of the formats that are written unless others are selected."""
-    return [name for name, one in FORMATS.items() if one.by_default]
+def default_formats(*, view: bool = True) -> list[str]:
+    """Return the names of the formats that are written unless others are selected.
+
+    A sensor grid is no view: its pixels show no objects to draw a map on.
+    """
+    return [name for name, one in FORMATS.items() if one.by_default and (view or name != "heatmap")]

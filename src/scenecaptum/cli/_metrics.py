@@ -72,9 +72,13 @@ def _list_taking(option: str, conjunction: str) -> str:
 def _create(name: str, options: Mapping[str, Any], renderer: SceneRenderer) -> Metric:
     metric = BY_NAME[name]
     known = {option: value for option, value in options.items() if option in metric.parameters}
-    # Not every sensor has a camera, and not every metric needs one.
+    # Not every sensor has a camera or a grid, and not every metric needs one.
     if "camera" in metric.parameters:
         known["camera"] = renderer.camera
+    if "grid" in metric.parameters:
+        if renderer.shows_a_view:
+            raise SceneCaptumError(f"{name} is a metric of points in a room: add --sensor grid.")
+        known["grid"] = renderer.grid
     return metric.create(**known)
 
 

@@ -13,9 +13,11 @@ __all__ = [
     "GlareRating",
     "GlareSource",
     "LuminancePercentile",
+    "MeanIlluminance",
     "MeanLuminance",
     "MeanSquaredError",
     "Measure",
+    "MelanopicEDI",
     "PerCamera",
     "PerceptualDistance",
     "ResizeCropNormalize",
@@ -24,8 +26,10 @@ __all__ = [
     "Smoothed",
     "StructuralSimilarity",
     "UnifiedGlareRating",
+    "Uniformity",
     "VerticalIlluminance",
     "luminance",
+    "melanopic_ratio",
     "plot_luminance",
     "position_index",
 ]
@@ -44,8 +48,11 @@ from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance
 from ._luminance import luminance as luminance
 from ._luminance_map import plot_luminance as plot_luminance
+from ._mean_illuminance import MeanIlluminance as MeanIlluminance
 from ._measure import Band as Band
 from ._measure import Measure as Measure
+from ._melanopic import MelanopicEDI as MelanopicEDI
+from ._melanopic_spectra import melanopic_ratio as melanopic_ratio
 from ._named import NamedMetric as NamedMetric
 from ._per_camera import PerCamera as PerCamera
 from ._percentile import LuminancePercentile as LuminancePercentile
@@ -57,6 +64,7 @@ from ._shape_classifier import ShapeClassifier as ShapeClassifier
 from ._smoothed import Smoothed as Smoothed
 from ._sources import GlareSource as GlareSource
 from ._ugr import UnifiedGlareRating as UnifiedGlareRating
+from ._uniformity import Uniformity as Uniformity
 
 # By their names on the command line; a metric that needs a reference or a network of your own has none.
 BY_NAME = {
@@ -64,6 +72,8 @@ BY_NAME = {
     "percentile": NamedMetric(LuminancePercentile, "95th percentile of luminance"),
     "contrast": NamedMetric(ContrastRatio, "95th over 5th percentile of luminance"),
     "illuminance": NamedMetric(VerticalIlluminance, "vertical illuminance at the camera"),
+    "mean-illuminance": NamedMetric(MeanIlluminance, "mean illuminance of a sensor grid"),
+    "uniformity": NamedMetric(Uniformity, "smallest over mean illuminance of a sensor grid"),
     "ugr": NamedMetric(UnifiedGlareRating, "unified glare rating"),
     "dgp": NamedMetric(DaylightGlareProbability, "daylight glare probability"),
     "dgi": NamedMetric(DaylightGlareIndex, "daylight glare index"),

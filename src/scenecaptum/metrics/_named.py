@@ -10,10 +10,11 @@ import torch
 
 
 class NamedMetric(NamedTuple):
-    """A metric that can be created from a camera and options alone; ``description`` says what it measures.
+    """A metric that can be created from a sensor and options alone; ``description`` says what it measures.
 
-    ``create`` is the metric's class, or a function that returns it. It is given the camera as ``camera`` and every
-    option of the command line under its own name, as far as it has these parameters.
+    ``create`` is the metric's class, or a function that returns it. It is given the camera as ``camera``, the
+    points of a sensor grid as ``grid``, and every option of the command line under its own name, as far as it has
+    these parameters.
     """
 
     create: Callable[..., Callable[[torch.Tensor], torch.Tensor]]

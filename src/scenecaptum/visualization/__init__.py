@@ -11,6 +11,7 @@ __all__ = [
     "plot_bars",
     "plot_heatmap",
     "plot_overlay",
+    "plot_plan",
     "plot_rank_comparison",
     "plot_specificity",
     "save_render",
@@ -60,6 +61,8 @@ from ._numbers import rounded as rounded
 from ._numbers import shorten as shorten
 from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error
+from ._plan import LEVELS as LEVELS
+from ._plan import plot_plan as plot_plan
 from ._ranks import plot_rank_comparison as plot_rank_comparison
 from ._specificity import plot_specificity as plot_specificity
 from ._table import STYLE as STYLE

@@ -1,0 +1,130 @@
+"""Map of the points of a sensor grid on the plan of a room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from ..errors import SceneCaptumError
+from ._figures import SMALL, TEXT, WIDTH, axes_or_new, figure_of, style_axes
+from ._numbers import rounded
+
+if TYPE_CHECKING:
+    import numpy as np
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Of the scale of illuminance in EN 12464-1, in lx: what a room may have to reach.
+LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 5000.0)
+_MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
+
+
+def plot_plan(
+    values: torch.Tensor,
+    plan: torch.Tensor,
+    inside: torch.Tensor | None = None,
+    *,
+    ax: Axes | None = None,
+    levels: Sequence[float] = LEVELS,
+    title: str = "",
+    label: str = "illuminance in lx",
+) -> Figure:
+    """Plot a value at each point of a sensor grid on the plan of the room, in false colours with contours.
+
+    Example
+    -------
+    >>> lux = 179 * metrics.luminance(renderer(seed=0))                                        # doctest: +SKIP
+    >>> plot_plan(lux, renderer.grid.plan, renderer.grid.inside, title="Office, work plane")   # doctest: +SKIP
+
+    Parameters
+    ----------
+    values
+        ``(H, W)``, a value for each point.
+    plan
+        ``(H, W, 2)``: the coordinates of the points, ``renderer.grid.plan``, in metres.
+    inside
+        ``(H, W)`` bool: the points to show, ``renderer.grid.inside``; the others are left blank. All by default.
+    ax
+        Axes to draw into; by default those of a new figure.
+    levels
+        Values of the contours; those outside the range of ``values`` are not drawn. By default the steps of the
+        scale of illuminance in EN 12464-1 from 50 to 5000 lx.
+    title
+        Written above the map.
+    label
+        Quantity and unit, at the colour bar.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the tensors do not fit together, a value inside is not finite, no point is inside, or the points do not
+        form rows and columns.
+    """
+    shown, x, y = _rows_and_columns(values, plan, inside)
+    if ax is None:
+        ax = axes_or_new(None, *_size(x, y))
+    mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
+    _draw_contours(ax, x, y, shown, levels)
+    ax.set_aspect("equal")
+    style_axes(ax, title, x="x in m", y="y in m")
+    bar = figure_of(ax).colorbar(mapped, ax=ax, aspect=25, pad=0.02)
+    bar.ax.tick_params(labelsize=SMALL)
+    bar.set_label(label, fontsize=TEXT)
+    return figure_of(ax)
+
+
+def _rows_and_columns(
+    values: torch.Tensor, plan: torch.Tensor, inside: torch.Tensor | None
+) -> tuple[np.ma.MaskedArray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Check the tensors; return the values, masked where blank, and the coordinates of columns and rows."""
+    import numpy as np
+
+    mask = torch.ones(values.shape, dtype=torch.bool) if inside is None else inside.detach().cpu().bool()
+    if values.ndim != 2 or tuple(plan.shape) != (*values.shape, 2) or mask.shape != values.shape:
+        raise SceneCaptumError(
+            "plot_plan takes values (H, W), plan (H, W, 2) and inside (H, W), not "
+            f"{tuple(values.shape)}, {tuple(plan.shape)} and {tuple(mask.shape)}: use the plan of the renderer, "
+            "renderer.grid.plan."
+        )
+    if not mask.any():
+        raise SceneCaptumError("No point of the grid is inside the room, so there is nothing to plot.")
+    shown = values.detach().cpu().double()
+    if not shown[mask].isfinite().all():
+        raise SceneCaptumError("A value of the plan is not finite: leave its point out with inside=.")
+    x, y = plan.detach().cpu().double().unbind(-1)
+    if not (torch.allclose(x, x[:1]) and torch.allclose(y, y[:, :1])):
+        raise SceneCaptumError(
+            "The points do not form rows and columns, which a plan needs: it shows grids over a floor."
+        )
+    return np.ma.masked_array(shown.numpy(), ~mask.numpy()), x[0].numpy(), y[:, 0].numpy()
+
+
+def _draw_contours(
+    ax: Axes,
+    x: np.ndarray[Any, Any],
+    y: np.ndarray[Any, Any],
+    shown: np.ma.MaskedArray[Any, Any],
+    levels: Sequence[float],
+) -> None:
+    """Draw contours at the levels within the range of the values, in white on black, visible on any colour."""
+    from matplotlib.patheffects import withStroke
+
+    within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
+    if min(shown.shape) < 2 or not within:
+        return
+    lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0)
+    lines.set(path_effects=[withStroke(linewidth=2.2, foreground="black")])
+    texts = ax.clabel(lines, fmt=lambda level: rounded(level, 4), fontsize=SMALL)
+    for text in texts:
+        text.set_path_effects([withStroke(linewidth=2.0, foreground="black")])
+
+
+def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> tuple[float, float]:
+    """Return the size of a figure that fits a room: the longer side is limited by the width of a page."""
+    across, along = (
+        abs(float(side[-1] - side[0])) * (1 + 1 / max(len(side) - 1, 1)) or 1.0 for side in (x, y)
+    )
+    scale = min((WIDTH - _MARGIN - _COLORBAR) / across, 4.8 / along)
+    return max(across * scale + _MARGIN + _COLORBAR, 3.0), max(along * scale + _MARGIN, 2.0)

@@ -1,0 +1,77 @@
+"""Maps on the plan of a room: contours at the levels within the range, and blanks where no point is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.contour import QuadContourSet
+
+from scenecaptum import SceneCaptumError
+from scenecaptum.visualization import plot_plan
+
+
+def plan(rows: int, columns: int) -> torch.Tensor:
+    """Return points in steps of half a metre, the first row at the top."""
+    y, x = torch.meshgrid(torch.arange(rows).flip(0).double(), torch.arange(columns).double(), indexing="ij")
+    return torch.stack([x, y], -1) / 2
+
+
+def ramp(rows: int = 5, columns: int = 7) -> torch.Tensor:
+    """Return 100 lx at the left and 700 lx at the right."""
+    return torch.linspace(100, 700, columns).expand(rows, columns)
+
+
+def contours(figure) -> list[QuadContourSet]:
+    return [part for part in figure.axes[0].get_children() if isinstance(part, QuadContourSet)]
+
+
+def test_contours_are_at_the_levels_within_the_range():
+    (drawn,) = contours(plot_plan(ramp(), plan(5, 7)))
+    assert drawn.levels.tolist() == [150, 200, 300, 500]
+    # 300 lx is at a third of the width of 3 m.
+    np.testing.assert_allclose(np.concatenate(drawn.allsegs[2])[:, 0], 1.0)
+    (own,) = contours(plot_plan(ramp(), plan(5, 7), levels=(400, 250, 9e9)))
+    assert own.levels.tolist() == [250, 400]
+
+
+def test_points_outside_are_blank_and_do_not_count():
+    inside = torch.ones(5, 7, dtype=torch.bool)
+    inside[:, 6] = False
+    values = ramp().clone()
+    values[:, 6] = float("nan")
+    figure = plot_plan(values, plan(5, 7), inside)
+    mesh = figure.axes[0].collections[0]
+    assert mesh.get_array().mask.reshape(5, 7)[:, 6].all()
+    assert mesh.get_array().count() == 30
+    assert mesh.get_clim() == (100, 600)
+
+
+def test_axes_are_in_metres_with_equal_aspect():
+    figure = plot_plan(ramp(), plan(5, 7), title="Office", label="illuminance in lx")
+    ax, bar = figure.axes
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_aspect()) == ("x in m", "y in m", 1.0)
+    assert ax.get_title(loc="left") == "Office"
+    assert bar.get_ylabel() == "illuminance in lx"
+    # Each point is the centre of its cell, and y points up.
+    assert ax.get_xlim() == (-0.25, 3.25)
+    assert ax.get_ylim() == (-0.25, 2.25)
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1)])
+def test_a_row_of_points_has_no_contours(shape):
+    values = torch.arange(100.0, 100 + 100 * shape[0] * shape[1], 100).reshape(shape)
+    figure = plot_plan(values, plan(*shape))
+    figure.canvas.draw()
+    assert not contours(figure)
+
+
+def test_bad_input_is_one_clear_line():
+    with pytest.raises(SceneCaptumError, match=r"not \(5, 7\), \(4, 7, 2\) and \(5, 7\)"):
+        plot_plan(ramp(), plan(4, 7))
+    with pytest.raises(SceneCaptumError, match="No point"):
+        plot_plan(ramp(), plan(5, 7), torch.zeros(5, 7, dtype=torch.bool))
+    with pytest.raises(SceneCaptumError, match="not finite"):
+        plot_plan(ramp() / 0 * 0, plan(5, 7))
+    with pytest.raises(SceneCaptumError, match="rows and columns"):
+        plot_plan(torch.rand(3, 3), torch.rand(3, 3, 2))
