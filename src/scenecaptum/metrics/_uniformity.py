@@ -54,6 +54,7 @@ class Uniformity(GridMetric):
     """
 
     measure = Measure("uniformity of illuminance", "Uo", better="higher")
+    relaxation: float
 
     def __init__(self, grid: GridPoints | None = None, *, relaxation: float = 0.02) -> None:
         super().__init__(grid, efficacy=1.0)

@@ -20,10 +20,11 @@ def classroom() -> Plugin:
     in W·m⁻²·sr⁻¹, through panes that transmit 55 %. Each window has a roller blind, which hangs down by 0.4 m; all
     four are one object, ``blind``, whose pose and opacity are inputs. The film has 640 × 360 pixels.
     """
-    camera = {"origin": (3.75, 5.35, 1.75), "target": (-2.6, 1.7, 1.02), "fov": 56.0}
     return {
         # Light that reaches the back of the room has crossed a pane and several surfaces.
-        **base(resolution=(640, 360), max_depth=10, **camera),
+        **base(
+            resolution=(640, 360), max_depth=10, origin=(3.75, 5.35, 1.75), target=(-2.6, 1.7, 1.02), fov=56.0
+        ),
         **_materials(),
         **_room(),
         **_windows(),
