@@ -26,7 +26,7 @@ class Uniformity(GridMetric):
     >>> image[0, 0] = 0.5
     >>> uniformity = Uniformity()
     >>> uniformity(image), uniformity.hard(image)
-    (tensor(0.5437), tensor(0.5079))
+    (tensor(0.5444), tensor(0.5079))
 
     A minimum depends on one point alone, which changes from render to render. It is relaxed: ``U = M / mean(E)``
     with the power mean ``M = mean(E^(−1/relaxation))^(−relaxation)``. This is a soft minimum of ``ln E``, for n
@@ -60,7 +60,7 @@ class Uniformity(GridMetric):
         super().__init__(grid, efficacy=1.0)
         if not isinstance(relaxation, Real) or not 0 <= relaxation < math.inf:
             raise SceneCaptumError(f"relaxation must be at least 0, not {relaxation!r}.")
-        self.relaxation = float(relaxation)
+        self.relaxation: float = float(relaxation)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the relaxed uniformity of a picture ``(H, W, 3)``, a 0-d tensor."""
@@ -73,7 +73,7 @@ class Uniformity(GridMetric):
             return cast_like(self._relative(image).min(), image)
 
     def verdict(self, image: torch.Tensor, target: object = None) -> str:
-        """Return the value by the definition in words; there is one value, so no ``target``."""
+        """Return the value by the definition of a picture ``image`` in words; there is no ``target``."""
         return f"{self.hard(image).item():.2g} by the definition, without relaxation"
 
     def _relative(self, image: torch.Tensor) -> torch.Tensor:
