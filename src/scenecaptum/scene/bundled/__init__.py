@@ -7,6 +7,9 @@ prefix of its parameters' names (``chair.reflectance.value``), and every area li
 
 from __future__ import annotations
 
+# What users see; the other names are for the room.
+__all__ = ["BUNDLED", "classroom", "cornell_box", "office"]
+
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
