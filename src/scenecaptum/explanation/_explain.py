@@ -117,5 +117,5 @@ def _definition(metric: Metric, attribution: SceneAttribution) -> Definition | N
 def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:
     """Return what each pixel shows, through glass and in mirrors if the renderer can tell."""
     trace = Capabilities(renderer).see_through
-    found: SurfaceMap | None = None if trace is None else trace(())
+    found: SurfaceMap | None = None if trace is None else trace((), attribution.parameter_values)
     return attribution.surfaces if found is None else found
