@@ -67,6 +67,14 @@ def test_other_lamps_do_not_count(mi: Any) -> None:
     assert abs(z) < 5
 
 
+def test_the_radiances_of_sky_and_lamps_are_no_inputs(mi: Any) -> None:
+    renderer = SceneRenderer(side_lit_room(), "all", sensor=GRID, sky_patches=PATCHES)
+    assert "floor.bsdf.reflectance.value" in renderer.inputs
+    assert "sky.radiance.value" not in renderer.inputs
+    with pytest.raises(SceneCaptumError, match=r"'sky.radiance.value' cannot be .*, whatever its own is"):
+        SceneRenderer(side_lit_room(), "sky.radiance.value", sensor=GRID, sky_patches=PATCHES)
+
+
 def test_a_scene_with_y_up_has_the_same_sky(mi: Any) -> None:
     """A wall to the south hides the patches there, whichever axis points up."""
     tables = []

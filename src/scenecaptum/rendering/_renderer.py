@@ -55,6 +55,9 @@ from ._sensors import (
 )
 
 
+_NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
+
+
 class SceneRenderer(torch.nn.Module):
     """A scene as a torch function from named parameters to an image.
 
@@ -104,7 +107,8 @@ class SceneRenderer(torch.nn.Module):
     sky_patches
         With a sensor grid: the picture is then the daylight coefficients, ``(points, patches, 3)``, the irradiance
         at each point of the grid per unit radiance of each patch of the sky. See ``scenecaptum.daylight`` for
-        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count.
+        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count, and no
+        emitter is an input.
     direct_sky
         With ``sky_patches``: only the light that no surface reflects, as annual sunlight exposure needs. Panes,
         and cloth with an opacity, let it through.
@@ -209,6 +213,8 @@ class SceneRenderer(torch.nn.Module):
         table = SceneParameters(
             [*in_scene.values(), *pose_parameters(found), *camera_parameters(camera.object)]
         )
+        if self.sky_patches is not None:
+            table = table.without_derivatives("emitters", _NO_LAMPS)
         self._names = select(table, inputs)
         self._ranges = choose_ranges(table, self._names, ranges or {})
         self._table = table.with_ranges(self._ranges)
