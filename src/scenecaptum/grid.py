@@ -243,6 +243,12 @@ class GridPoints:
         rest = (part[inside][:, None] for part in (self.positions, self.normals, self.inside, self.plan))
         return GridPoints(*rest)
 
+    def spread(self, values: torch.Tensor) -> torch.Tensor:
+        """Return values of the points inside, ``(points,)``, at their places on the grid, ``(H, W)``; 0 elsewhere."""
+        placed = values.new_zeros(self.inside.shape)
+        placed[self.inside] = values
+        return placed
+
     @property
     def width(self) -> int:
         """Number of columns."""

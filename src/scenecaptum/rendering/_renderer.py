@@ -503,6 +503,8 @@ class SceneRenderer(torch.nn.Module):
     def grid(self) -> GridPoints:
         """The points of a renderer with a sensor grid: what each pixel measures.
 
+        Of daylight coefficients, each row of the picture is a point inside, in the order of the grid.
+
         Raises
         ------
         SceneCaptumError
