@@ -244,7 +244,7 @@ class GridPoints:
         return GridPoints(*rest)
 
     def spread(self, values: torch.Tensor) -> torch.Tensor:
-        """Return values of the points inside, ``(points,)``, at their places on the grid, ``(H, W)``; 0 elsewhere."""
+        """Return values of the points inside, ``(points,)``, in rows and columns, ``(H, W)``, and 0 elsewhere."""
         placed = values.new_zeros(self.inside.shape)
         placed[self.inside] = values
         return placed

@@ -54,7 +54,6 @@ from ._sensors import (
     shows_a_view,
 )
 
-
 _NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
 
 
