@@ -250,6 +250,19 @@ class GridPoints:
         return placed
 
     @property
+    def axes(self) -> tuple[str, str]:
+        """The coordinates of the scene that ``plan`` shows across and up: ``("x", "y")`` where z is up."""
+        across, up = (
+            [
+                axis
+                for axis, own in zip("xyz", self.positions.unbind(-1), strict=True)
+                if torch.equal(own, shown)
+            ]
+            for shown in self.plan.unbind(-1)
+        )
+        return across[0], up[-1]
+
+    @property
     def width(self) -> int:
         """Number of columns."""
         return int(self.positions.shape[1])

@@ -14,6 +14,7 @@ from ..errors import SceneCaptumError, near_misses
 from . import (
     _attribute,
     _compare,
+    _daylight,
     _demo,
     _doctor,
     _explain,
@@ -27,6 +28,7 @@ from ._interrupt import INTERRUPTED, leave, prompt_exit
 
 COMMANDS = (
     _explain,
+    _daylight,
     _attribute,
     _compare,
     _optimize,
