@@ -68,7 +68,10 @@ def test_other_lamps_do_not_count(mi: Any) -> None:
 
 
 def test_the_rows_of_the_picture_are_the_points_inside(mi: Any) -> None:
-    post = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([1, 0.5, 0.5]).scale([0.2, 0.2, 0.5])}
+    post = {
+        "type": "cube",
+        "to_world": mi.ScalarTransform4f().translate([1, 0.5, 0.5]).scale([0.2, 0.2, 0.5]),
+    }
     scene = {**side_lit_room(), "post": {**post, "bsdf": grey(0.5)}}
     with pytest.warns(UserWarning, match="1 of 6 points of the sensor grid lie inside objects"):
         renderer = SceneRenderer(scene, "reflectance", sensor=GRID, sky_patches=PATCHES, spp=16)

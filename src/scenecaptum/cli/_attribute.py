@@ -20,7 +20,7 @@ from ._design import add_design, designed_values
 from ._files import print_files, writable, write_files
 from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._metrics import DEFAULT, add_metric, find_metrics
-from ._plan import plan_format, plan_of
+from ._plan import by_definition, plan_format, plan_of
 from ._points import needed_coefficients, premises
 
 REPORT = "report.html"
@@ -204,7 +204,9 @@ def _write_result(
         print(json_text(attribution))
         return
     print(table_text(attribution, scale=options.scale))
-    print("".join(f"\n{premise}" for premise in premises(metric, options)))
+    exact = by_definition(attribution, metric)
+    lines = [f"{exact}; relaxed above, for the derivative"] if exact else []
+    print("".join(f"\n{line}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
 
 

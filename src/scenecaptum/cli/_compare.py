@@ -32,8 +32,8 @@ from . import _arguments
 from ._design import add_design, design_of, designed_values, read_design
 from ._files import print_files, writable
 from ._metrics import add_metric, find_metrics
-from ._plan import plan_of
-from ._points import needed_coefficients
+from ._plan import by_definition, plan_of
+from ._points import needed_coefficients, premises
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,23 +65,34 @@ def add(commands: Any) -> None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two results of one metric, their titles, the change of the metric with its standard error, and plans."""
+    """Two results of one metric, their titles, and the change of the metric with its standard error.
+
+    Of metrics of daylight, also the values by the definition, under which light, and the plans.
+    """
 
     before: SceneAttribution
     after: SceneAttribution
     titles: Sequence[str]
     change: float
     error: float | None
-    plans: Sequence[Figure | None]
+    sides: Sequence[Side]
+
+
+@dataclass(frozen=True)
+class Side:
+    """What belongs to one of the two results: its plan, its value by the definition, and under which light."""
+
+    plan: Figure | None = None
+    exact: str = ""
+    premises: Sequence[str] = ()
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     with writable(options.out):
         found = _compare(options)
-        write_report(
-            [found.before, found.after], options.out / REPORT, titles=found.titles, plans=found.plans
-        )
+        plans = [side.plan for side in found.sides]
+        write_report([found.before, found.after], options.out / REPORT, found.titles, plans=plans)
     if options.json:
         print(json.dumps(_numbers(found), indent=1, ensure_ascii=False))
         return 0
@@ -124,9 +135,15 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
         "the design" if options.design is None else options.design.stem,
     ]
     change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
-    return Comparison(
-        before, after, titles, *change, [plan_of(one, renderer, metric) for one in (before, after)]
-    )
+    sides = [_side(one, renderer, metric, options) for one in (before, after)]
+    return Comparison(before, after, titles, *change, sides)
+
+
+def _side(
+    attribution: SceneAttribution, renderer: SceneRenderer, metric: Metric, options: argparse.Namespace
+) -> Side:
+    plan = plan_of(attribution, renderer, metric)
+    return Side(plan, by_definition(attribution, metric), premises(metric, options))
 
 
 def _compare_scenes(options: argparse.Namespace) -> Comparison:
@@ -134,7 +151,7 @@ def _compare_scenes(options: argparse.Namespace) -> Comparison:
         raise SceneCaptumError(
             "--from needs --set or --design: it is the design that they are compared with."
         )
-    (before, plan), (after, other) = (
+    (before, side), (after, other) = (
         _loaded_or_attributed(options, given) for given in (options.scene, options.other)
     )
     if metric_name(before) != metric_name(after):
@@ -146,23 +163,22 @@ def _compare_scenes(options: argparse.Namespace) -> Comparison:
     error = None if a is None or b is None else math.hypot(a, b)
     titles = options.titles or [_name(options.scene), _name(options.other)]
     change = after.metric_value - before.metric_value
-    return Comparison(before, after, titles, change, error, [plan, other])
+    return Comparison(before, after, titles, change, error, [side, other])
 
 
-def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[SceneAttribution, Figure | None]:
-    """Return a result, and its plan if it is one of a sensor grid."""
+def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[SceneAttribution, Side]:
     if given.endswith(".npz"):
         loaded = SceneAttribution.load(given)
         if loaded.surfaces is None:
             raise SceneCaptumError(
                 f"{given} has no picture of objects, as a sensor grid has none: compare the scenes, not the files."
             )
-        return loaded, None
+        return loaded, Side()
     renderer, metric = _renderer_and_metric(options, given)
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
-    return result, plan_of(result, renderer, metric)
+    return result, _side(result, renderer, metric, options)
 
 
 def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
@@ -182,9 +198,12 @@ def _lines(found: Comparison) -> list[str]:
     before, after = found.before, found.after
     suffix = f" {metric_unit(before)}".rstrip()
     text = [
-        f"{found.titles[0]}: {metric_line(before)}",
-        f"{found.titles[1]}: {metric_line(after)}",
+        *(
+            f"{title}: {metric_line(one)}{f' relaxed, {side.exact}' if side.exact else ''}"
+            for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
+        ),
         f"change: {signed_with_error(found.change, found.error)}{suffix}",
+        *found.sides[0].premises,
     ]
     moved = [
         (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))

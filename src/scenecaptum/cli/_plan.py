@@ -1,20 +1,28 @@
-"""The map of a sensor grid on the plan of the room."""
+"""What is said and drawn of a sensor grid: the value by the definition, and a map on the plan of the room."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ..attr import SceneAttribution
 from ..daylight import DaylightMetric, PlanValues
 from ..estimation import Metric
+from ..explanation import definition_of
 from ..metrics import MeanIlluminance
 from ..protocols import Attribution
 from ..rendering import SceneRenderer
-from ..visualization import LEVELS, metric_name, plot_plan
+from ..visualization import LEVELS, metric_name, metric_unit, plot_plan, rounded
 from ._files import OutputFormat, Result, figure_writer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
+    """Return the value of a relaxed metric by its definition, as ``"60.3 % by the definition"``; else nothing."""
+    exact = definition_of(metric, attribution)
+    return "" if exact is None else f"{rounded(exact.value)} {metric_unit(attribution)} by the definition"
 
 
 def draw_plan(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure:

@@ -19,7 +19,7 @@ from ..estimation import Metric
 from ..grid import SensorGrid
 
 GRID, WEATHER, SKY = ("height", "spacing", "margin", "floor"), ("weather", "north"), ("subdivision",)
-SYNTHETIC = "made-up weather of no real place; give that of yours with --weather FILE.epw"
+SYNTHETIC = "made-up weather of no real place; give that of your place with --weather FILE.epw"
 
 
 @dataclass(frozen=True)

@@ -132,8 +132,7 @@ class SceneParameters(Mapping[str, Parameter]):
     def without_derivatives(self, kind: str, problem: str) -> SceneParameters:
         """Return the parameters with a reason why those of a kind cannot be differentiated."""
         return SceneParameters(
-            dataclasses.replace(p, problem=p.problem or problem) if p.kind == kind else p
-            for p in self.values()
+            dataclasses.replace(p, problem=problem) if p.kind == kind else p for p in self.values()
         )
 
     def __getitem__(self, name: str) -> Parameter:
