@@ -13,6 +13,7 @@ from refusals import message
 from seeds import seeds, shifted
 
 from scenecaptum.daylight import (
+    BY_NAME,
     AnnualSunlightExposure,
     ContinuousDaylightAutonomy,
     DaylightAutonomy,
@@ -451,3 +452,19 @@ def test_settings_are_shown():
     for make in (RELAXED | CONTINUOUS).values():
         assert "146 patches" in repr(make(sky))
     assert repr(DaylightFactor(sky)) == "DaylightFactor(SkyMatrix(146 patches, 1 hours), statistic='mean')"
+
+
+def test_every_name_creates_a_metric_from_a_sky(weather, radiance):
+    skies: dict[str, SkyMatrix] = {}  # of a kind of light, which takes a second
+    for name, named in BY_NAME.items():
+        patches = SkyPatches(named.subdivision)
+        if named.light not in skies:
+            skies[named.light] = named.sky(weather, patches)
+        metric = named.create(skies[named.light])
+        share = torch.linspace(0.0, 0.3, 4)[:, None, None]
+        coefficients = (share * patches.projected_solid_angles.float()[:, None]).expand(-1, -1, 3)
+        shown = metric.on_plan(coefficients)
+        assert shown.values.shape == (4,), name
+        assert (shown.values.diff() >= 0).all() or name == "udi", name
+        assert metric.hard(coefficients) > 0, name
+        assert named.needs_weather == (metric.sky.weather is not None), name
