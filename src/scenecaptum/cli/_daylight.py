@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,17 +13,16 @@ import torch
 from ..attr import Explanation
 from ..daylight import BY_NAME
 from ..estimation import Metric
-from ..explanation import explain
 from ..rendering import SceneRenderer
 from ..report import write_report
 from . import _arguments
 from ._attribute import folder_name
 from ._design import add_design, designed_values
-from ._explain import REPORT, add_changes, explanation_formats, explanation_numbers
+from ._explain import REPORT, add_changes, explained, explanation_formats, explanation_numbers
 from ._files import print_files, writable, write_files
 from ._metrics import create_of_daylight
 from ._plan import draw_plan
-from ._points import add_points, check_options, coefficients_of, premises, read_weather
+from ._points import add_points, check_options, coefficients_of, read_weather
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,16 +73,15 @@ def run(options: argparse.Namespace) -> int:
         metrics = {
             name: create_of_daylight(name, weather, options.north, renderers[needed[name]]) for name in names
         }
-        explained = []
+        finished = []
         for name, metric in metrics.items():
             folder = options.out if len(names) == 1 else options.out / folder_name(name)
-            explained.append(_explain(renderers[needed[name]], metric, folder, options))
+            finished.append(_explain(renderers[needed[name]], metric, folder, options))
         if options.report:
-            write_report(
-                [said for said, _ in explained], options.out / REPORT, plans=[p for _, p in explained]
-            )
+            said, plans = zip(*finished, strict=True)
+            write_report(said, options.out / REPORT, plans=plans)
     if options.json:
-        numbers = [explanation_numbers(said) for said, _ in explained]
+        numbers = [explanation_numbers(one) for one, _ in finished]
         print(json.dumps(numbers, indent=1, ensure_ascii=False))
         return 0
     if options.report:
@@ -98,15 +95,7 @@ def _explain(
     renderer: SceneRenderer, metric: Metric, folder: Path, options: argparse.Namespace
 ) -> tuple[Explanation, Figure]:
     """Explain a metric, write its files and print it; return it with its plan."""
-    said = explain(
-        renderer,
-        metric,
-        _values(renderer, options),
-        changes=options.changes,
-        seed=options.seed,
-        show_progress=_arguments.shows_progress(options),
-    )
-    said = dataclasses.replace(said, premises=premises(metric, options))
+    said = explained(renderer, metric, _values(renderer, options), options)
     formats = explanation_formats(renderer, metric)
     write_files(said, folder, formats)
     if not options.json:

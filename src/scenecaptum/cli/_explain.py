@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from ..attr import Explanation
 from ..estimation import Metric
@@ -64,17 +67,8 @@ def run(options: argparse.Namespace) -> int:
     with writable(options.out):
         renderer = _arguments.make_renderer(options, coefficients)
         metric = create(renderer)
-        explanation = explain(
-            renderer,
-            metric,
-            designed_values(options, renderer),
-            target=options.target,
-            below=options.below,
-            changes=options.changes,
-            seed=options.seed,
-            show_progress=_arguments.shows_progress(options),
-        )
-        explanation = dataclasses.replace(explanation, premises=premises(metric, options))
+        values = designed_values(options, renderer)
+        explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
         write_files(explanation, options.out, formats)
         if options.report:
@@ -89,6 +83,29 @@ def run(options: argparse.Namespace) -> int:
         print(f"{options.out / REPORT}  interactive page")
     _arguments.print_resumed(renderer)
     return 0
+
+
+def explained(
+    renderer: SceneRenderer,
+    metric: Metric,
+    values: Mapping[str, torch.Tensor] | None,
+    options: argparse.Namespace,
+    *,
+    target: int | None = None,
+    below: float | None = None,
+) -> Explanation:
+    """Return the explanation of a metric, and under which light it was computed."""
+    explanation = explain(
+        renderer,
+        metric,
+        values,
+        target=target,
+        below=below,
+        changes=options.changes,
+        seed=options.seed,
+        show_progress=_arguments.shows_progress(options),
+    )
+    return dataclasses.replace(explanation, premises=premises(metric, options))
 
 
 def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputFormat[Explanation]]:

@@ -130,7 +130,15 @@ class SceneParameters(Mapping[str, Parameter]):
         )
 
     def without_derivatives(self, kind: str, problem: str) -> SceneParameters:
-        """Return the parameters with a reason why those of a kind cannot be differentiated."""
+        """Return the parameters with a reason why those of a kind cannot be differentiated.
+
+        Parameters
+        ----------
+        kind
+            That of the parameters which cannot.
+        problem
+            The reason, in place of any other.
+        """
         return SceneParameters(
             dataclasses.replace(p, problem=problem) if p.kind == kind else p for p in self.values()
         )
