@@ -40,7 +40,7 @@ def add_points(parser: argparse.ArgumentParser) -> None:
         help="largest distance between points (default: that of EN 12464-1)",
     )
     for name, text in (
-        ("height", "of the points above the floor"),
+        ("height", "height of the points above the floor"),
         ("margin", "distance of the points from the outline of the floor"),
     ):
         default = SensorGrid.__dataclass_fields__[name].default
