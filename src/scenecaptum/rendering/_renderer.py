@@ -55,6 +55,8 @@ from ._sensors import (
     shows_a_view,
 )
 
+_NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
+
 
 class SceneRenderer(torch.nn.Module):
     """A scene as a torch function from named parameters to an image.
@@ -105,7 +107,8 @@ class SceneRenderer(torch.nn.Module):
     sky_patches
         With a sensor grid: the picture is then the daylight coefficients, ``(points, patches, 3)``, the irradiance
         at each point of the grid per unit radiance of each patch of the sky. See ``scenecaptum.daylight`` for
-        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count.
+        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count, and no
+        emitter is an input.
     direct_sky
         With ``sky_patches``: only the light that no surface reflects, as annual sunlight exposure needs. Panes,
         and cloth with an opacity, let it through.
@@ -210,6 +213,8 @@ class SceneRenderer(torch.nn.Module):
         table = SceneParameters(
             [*in_scene.values(), *pose_parameters(found), *camera_parameters(camera.object)]
         )
+        if self.sky_patches is not None:
+            table = table.without_derivatives("emitters", _NO_LAMPS)
         self._names = select(table, inputs)
         self._ranges = choose_ranges(table, self._names, ranges or {})
         self._table = table.with_ranges(self._ranges)
@@ -497,6 +502,8 @@ class SceneRenderer(torch.nn.Module):
     @property
     def grid(self) -> GridPoints:
         """The points of a renderer with a sensor grid: what each pixel measures.
+
+        Of daylight coefficients, each row of the picture is a point inside, in the order of the grid.
 
         Raises
         ------
