@@ -77,8 +77,8 @@ def in_words(found: optimize.Optimization) -> str:
     angle = torch.rad2deg(found.values[SHADE].norm()).item()
     side = "left" if x < 0 else "right"
     return (
-        f"Move the desk {abs(x):.0f} cm to the {side} and {y:.0f} cm towards the window, and turn the lamp's shade "
-        f"by {angle:.0f}°."
+        f"Move the desk {abs(x):.0f} cm to the {side} and {y:.0f} cm towards the window, and turn the lamp's "
+        f"shade by {angle:.0f}°."
     )
 
 
