@@ -27,6 +27,7 @@ PACKAGE = SOURCE.name
 # Top to bottom; the rooms of one floor do not know each other.
 FLOORS = (
     ("cli",),
+    ("explore",),
     ("report",),
     ("explanation",),
     ("validation", "tradeoff", "optimize"),
