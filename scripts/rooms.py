@@ -30,7 +30,7 @@ FLOORS = (
     ("explore",),
     ("report",),
     ("explanation",),
-    ("validation", "tradeoff", "optimize"),
+    ("validation", "tradeoff", "optimize", "linearization"),
     ("attr",),
     ("estimation",),
     ("rendering",),

@@ -1,7 +1,9 @@
-"""Explore a scene: drag a parameter, see the picture and the metric move, and confirm it by a render."""
+"""Explore a scene: drag a parameter, see the picture and the metric move, and a render confirm it."""
 
 # What users see.
-__all__ = ["Exploration", "Recipe"]
+__all__ = ["Exploration", "Recipe", "Server", "serve"]
 
+from ._server import Server as Server
+from ._server import serve as serve
 from ._session import Exploration as Exploration
 from ._session import Recipe as Recipe

@@ -40,7 +40,7 @@ class Channel:
         self.closed = False
         self._serials = itertools.count(1)
 
-    def publish(self, key: str, message: Message, buffers: Sequence[bytes] = ()) -> None:
+    def publish(self, key: str, buffers: Sequence[bytes] = (), **message: Any) -> None:
         """Replace the message under a key."""
         with self.changed:
             self.latest[key] = Published(next(self._serials), message, tuple(buffers))
@@ -48,6 +48,16 @@ class Channel:
                 listener.pending.pop(key, None)
                 listener.pending[key] = None
             self.changed.notify_all()
+
+    def known(self) -> list[str]:
+        """Return the keys of all messages."""
+        with self.changed:
+            return list(self.latest)
+
+    def message(self, key: str) -> Message:
+        """Return the message under a key, empty if there is none."""
+        with self.changed:
+            return self.latest[key].message if key in self.latest else {}
 
     def withdraw(self, key: str) -> None:
         """Forget the message under a key."""

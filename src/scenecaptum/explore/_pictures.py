@@ -1,38 +1,30 @@
-"""Pictures for the page: without noise, at half precision."""
+"""Pictures and objects as a page reads them."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
 
-from ..denoising import Guides, denoise
 from ..projection import SurfaceMap, used_by_objects
 from ..protocols import Attribution
 from ..report import color_maps, encode_surfaces
 
 _LARGEST = 32768.0  # half precision ends at 65504
-_COMMON = 0.999  # of the pixels decide how far a derivative is below zero
 
 
 def encode(image: torch.Tensor) -> tuple[float, bytes]:
-    """Return a factor and an image divided by it as little-endian numbers of half precision."""
+    """Return a factor, and an image divided by it in half precision (little-endian)."""
     peak = image.abs().max().item()
     scale = peak / _LARGEST if peak > 0 else 1.0
     return scale, (image / scale).half().numpy(force=True).astype("<f2").tobytes()
 
 
-def denoise_derivative(image: torch.Tensor, guides: Guides) -> torch.Tensor:
-    """Denoise an image that may be negative, which the denoiser clamps to 0: lift it above, then lower it again."""
-    below = -image.amin(-1).flatten()
-    lift = max(0.0, below.kthvalue(max(1, round(_COMMON * len(below)))).values.item())
-    return denoise(image + lift, guides) - lift
-
-
 def describe_objects(
-    surfaces: SurfaceMap, names: list[str], attributions: list[Attribution]
+    surfaces: SurfaceMap, movable: Collection[str], attributions: Sequence[Attribution]
 ) -> dict[str, Any]:
-    """Return what each pixel shows, which parameters that depends on, and the signed effects of each object."""
+    """Return what each pixel shows, which parameters can change it, and the signed effects of each object."""
     planes, shown = encode_surfaces(surfaces)
     effects = []
     for attribution in attributions:
@@ -44,7 +36,7 @@ def describe_objects(
         "width": surfaces.shape[1],
         "height": surfaces.shape[0],
         "names": [surfaces.objects[index] for index in shown],
-        "parameters": [[n for n in surfaces.parameters[index] if n in names] for index in shown],
+        "parameters": [[name for name in surfaces.parameters[index] if name in movable] for index in shown],
         "effects": effects,
         "maps": color_maps(),
     }

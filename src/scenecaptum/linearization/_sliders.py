@@ -1,4 +1,4 @@
-"""Sliders: the coordinates in which a page moves a parameter, and the values that they stand for."""
+"""Sliders: the numbers by which a parameter is moved, and the values that they stand for."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, Literal, TypeAlias
 import torch
 
 from ..errors import SceneCaptumError
-from ..rendering import SceneRenderer
 from ..scene import OPEN_MARGIN, Parameter
 
 Form: TypeAlias = Literal["color", "channels", "vector", "scalar", "dimmer", "offset"]
-Design: TypeAlias = dict[str, tuple[float, ...]]
+Place: TypeAlias = "tuple[float, ...]"
+Design: TypeAlias = dict[str, Place]
 
 # Properties of emitters in which a picture is linear.
 BRIGHTNESS = ("radiance", "irradiance", "intensity", "scale", "sun_scale", "sky_scale", "data", "flux")
@@ -24,22 +24,24 @@ CHANNELS = 3
 
 @dataclass(frozen=True)
 class Slider:
-    """A parameter as a page moves it.
+    """A parameter as it is moved: a few numbers between two ends.
 
     Attributes
     ----------
     name, label, kind
         As in ``Parameter``.
     form
-        ``"color"`` and ``"channels"``: a number for each channel of the picture. ``"vector"``: a number for each
-        direction. ``"scalar"``: one number. ``"dimmer"``: a factor of the scene's own value. ``"offset"``: a number
-        that is added to every texel.
+        ``"color"`` and ``"channels"``: a number for each channel of the picture. ``"vector"``: one for each
+        direction. ``"scalar"``: one number. ``"dimmer"``: a factor of the scene's own value. ``"offset"``: a
+        number that is added to every texel.
     low, high
         Where it ends.
     start
         Where it stands in the scene.
     value
         The scene's own value.
+    bounds
+        The physical bounds of values.
     """
 
     name: str
@@ -48,7 +50,7 @@ class Slider:
     form: Form
     low: float
     high: float
-    start: tuple[float, ...]
+    start: Place
     value: torch.Tensor
     bounds: tuple[float, float]
 
@@ -57,7 +59,7 @@ class Slider:
         """Whether each number changes one channel of the picture, so that one image has all derivatives."""
         return self.form in ("color", "channels")
 
-    def tensor(self, place: tuple[float, ...]) -> torch.Tensor:
+    def tensor(self, place: Place) -> torch.Tensor:
         """Return the value of the parameter where the slider stands at a place."""
         if self.form == "dimmer":
             return self.value * place[0]
@@ -65,8 +67,14 @@ class Slider:
             return (self.value + place[0]).clamp(*self.bounds)
         return self.value.new_tensor(place).reshape(self.value.shape)
 
-    def checked(self, numbers: Any) -> tuple[float, ...]:
-        """Return numbers that a page sent as a place; raise if they are none."""
+    def checked(self, numbers: Any) -> Place:
+        """Return numbers from outside as a place.
+
+        Raises
+        ------
+        SceneCaptumError
+            If they are no numbers, or are not between the ends.
+        """
         try:
             # Booleans and strings are no numbers, and integers may be too large.
             place = tuple(float(n) for n in numbers if type(n) in (int, float))
@@ -83,7 +91,7 @@ class Slider:
             )
         return tuple(min(max(n, self.low), self.high) for n in place)
 
-    def steps(self, place: tuple[float, ...]) -> list[tuple[float, ...]]:
+    def steps(self, place: Place) -> list[Place]:
         """Return the steps of the differences at a place, each of which changes one number or all channels.
 
         A dimmer goes to off, since the picture is linear in it; others go a little towards the farther end.
@@ -96,31 +104,28 @@ class Slider:
             return [tuple(step)]
         return [tuple(n if k == j else 0.0 for k, n in enumerate(step)) for j in range(len(step))]
 
+    def weights(self, way: torch.Tensor) -> torch.Tensor:
+        """Return the weight of each channel of each derivative image on a way, ``(images, 3)``."""
+        return way[None] if self.by_channel else way[:, None].expand(-1, CHANNELS)
+
     def rows(self, totals: torch.Tensor) -> torch.Tensor | None:
-        """Return channel totals of gradients, ``(replicates, C)``, per unit of the slider; None if they do not tell."""
+        """Return channel totals of gradients, ``(replicates, C)``, per unit of the slider, or None."""
         if self.form == "dimmer":
             return None if self.value.ndim > 1 else totals @ self.value.reshape(-1, 1).to(totals)
         return totals.sum(1, keepdim=True) if self.form == "offset" else totals
 
 
-def make_slider(renderer: SceneRenderer, name: str, value: torch.Tensor) -> Slider:
+def make_slider(parameter: Parameter, value: torch.Tensor) -> Slider:
     """Return the slider of a parameter with this value in the scene."""
-    parameter = renderer.parameters[name]
     form, bounds = _form(parameter, value), (parameter.bounds.low, parameter.bounds.high)
-    mean = value.mean().item()
     low, high = _ends(parameter, value)
+    start = tuple(value.reshape(-1).tolist())
     if form == "dimmer":
         low, high, start = 0.0, 2.0, (1.0,)
     elif form == "offset":
+        mean = value.mean().item()
         low, high, start = low - mean, high - mean, (0.0,)
-    else:
-        start = tuple(value.reshape(-1).tolist())
-    return Slider(name, parameter.label, parameter.kind, form, low, high, start, value, bounds)
-
-
-def movable(renderer: SceneRenderer) -> dict[str, Parameter]:
-    """Return the parameters that can have a slider."""
-    return {name: p for name, p in renderer.parameters.items() if not p.problem and p.is_used}
+    return Slider(parameter.name, parameter.label, parameter.kind, form, low, high, start, value, bounds)
 
 
 def _form(parameter: Parameter, value: torch.Tensor) -> Form:
