@@ -56,18 +56,23 @@ def add_view(parser: argparse.ArgumentParser) -> None:
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """Add the scene, the render options, the parameters to differentiate and the checkpoint."""
     add_view(parser)
+    add_inputs(parser)
+    parser.add_argument(
+        "--checkpoint",
+        type=Path,
+        metavar="DIR",
+        help="folder that stores every finished replicate; rerun the same command to resume a killed job",
+    )
+
+
+def add_inputs(parser: argparse.ArgumentParser) -> None:
+    """Add the parameters to differentiate."""
     parser.add_argument(
         "--inputs",
         action="append",
         metavar="SELECTION",
         help="parameters to differentiate: materials, reflectance, roughness, ior, opacity, textures, emitters, "
         "media, all, a glob or a name; may be repeated (default: all)",
-    )
-    parser.add_argument(
-        "--checkpoint",
-        type=Path,
-        metavar="DIR",
-        help="folder that stores every finished replicate; rerun the same command to resume a killed job",
     )
 
 
@@ -98,6 +103,12 @@ def resolution(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def sensor_of(options: argparse.Namespace) -> int | str:
+    """Return the index or the type of the sensor."""
+    chosen: str = options.sensor
+    return int(chosen) if chosen.isdigit() else chosen
+
+
 def definition(text: str) -> tuple[str, str]:
     """Parse ``spp=64``."""
     name, separator, value = text.partition("=")
@@ -119,7 +130,7 @@ def make_renderer(options: argparse.Namespace) -> SceneRenderer:
         resolution=options.resolution,
         spp=options.spp,
         max_depth=options.max_depth,
-        sensor=int(options.sensor) if options.sensor.isdigit() else options.sensor,
+        sensor=sensor_of(options),
         parameters=dict(options.parameters or ()),
     ).with_checkpoint(getattr(options, "checkpoint", None))
 

@@ -17,6 +17,7 @@ from . import (
     _demo,
     _doctor,
     _explain,
+    _explore,
     _optimize,
     _parameters,
     _render,
@@ -27,6 +28,7 @@ from ._interrupt import INTERRUPTED, leave, prompt_exit
 
 COMMANDS = (
     _explain,
+    _explore,
     _attribute,
     _compare,
     _optimize,

@@ -33,13 +33,22 @@ class Recipe:
     Attributes
     ----------
     python
-        Lines that create ``renderer``, whose inputs are ``{inputs}``, and ``metric``.
+        Lines that create ``renderer``, whose inputs are ``{inputs}``, ``metric`` and ``values``.
+    attribute
+        The arguments of ``VanillaSceneGradient.attribute``.
     command
-        A command line, to which the page adds ``--set``.
+        A command line, to which the page adds ``--inputs`` and ``--set``.
+    changed
+        The names of the parameters that these have changed already.
+    inputs
+        The inputs of the renderer if the page changes none.
     """
 
-    python: str = ""
-    command: str = ""
+    python: str = "# renderer and metric: those that are explored; inputs={inputs}\nvalues = renderer.inputs"
+    attribute: str = "values"
+    command: str = "scenecaptum attribute SCENE --metric METRIC"
+    changed: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ("all",)
 
 
 class Exploration:
@@ -356,8 +365,7 @@ class Exploration:
                 for title, metric in zip(titles, self.designs.metrics, strict=True)
             ],
             parameters={name: slider.label for name, slider in self.designs.sliders.items()},
-            python=recipe.python,
-            command=recipe.command,
+            recipe=vars(recipe),
         )
 
     def _publish_picture(self, kind: str, image: torch.Tensor, **message: Any) -> None:

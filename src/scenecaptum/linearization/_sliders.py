@@ -117,7 +117,7 @@ class Slider:
 
 def make_slider(parameter: Parameter, value: torch.Tensor) -> Slider:
     """Return the slider of a parameter with this value in the scene."""
-    form, bounds = _form(parameter, value), (parameter.bounds.low, parameter.bounds.high)
+    form, bounds = _form(parameter, value), (_lowest(parameter), parameter.bounds.high)
     low, high = _ends(parameter, value)
     start = tuple(value.reshape(-1).tolist())
     if form == "dimmer":
@@ -126,6 +126,11 @@ def make_slider(parameter: Parameter, value: torch.Tensor) -> Slider:
         mean = value.mean().item()
         low, high, start = low - mean, high - mean, (0.0,)
     return Slider(parameter.name, parameter.label, parameter.kind, form, low, high, start, value, bounds)
+
+
+def _lowest(parameter: Parameter) -> float:
+    """Return the lowest value, at a small distance from an open bound."""
+    return parameter.bounds.low + (OPEN_MARGIN if parameter.bounds.open_low else 0.0)
 
 
 def _form(parameter: Parameter, value: torch.Tensor) -> Form:
@@ -141,9 +146,9 @@ def _form(parameter: Parameter, value: torch.Tensor) -> Form:
 def _ends(parameter: Parameter, value: torch.Tensor) -> tuple[float, float]:
     """Return the ends of a slider: the bounds, the range of effects if those are infinite, or twice the value."""
     bounds, over = parameter.bounds, parameter.range
+    low = _lowest(parameter)
     if parameter.moves:
-        return max(FAR * over.low, bounds.low + OPEN_MARGIN), min(FAR * over.high, bounds.high)
-    low = bounds.low + (OPEN_MARGIN if bounds.open_low else 0.0)
+        return max(FAR * over.low, low), min(FAR * over.high, bounds.high)
     if math.isfinite(low) and math.isfinite(bounds.high):
         return low, bounds.high
     least, most = (float(extreme) for extreme in (value.min(), value.max()))

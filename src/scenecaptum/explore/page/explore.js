@@ -4,6 +4,7 @@ const QUIET = 100; // ms without a change after which a design is sent
 const LATEST = 1000; // ms after which it is sent while a slider still moves
 const KNEE = 0.6; // of the tone curve, as in visualization/_tonemap.py
 const LAYERS = 3; // objects per pixel
+const OPERATORS = { dimmer: "*", offset: "+" }; // of changes, in Python and on the command line
 const CLEAR = 2; // errors from which a render and its prediction differ
 
 // ------------------------------------------------------------------------------------------------- elements
@@ -563,23 +564,34 @@ class Page {
     if (now) this.parts.announcement.textContent = `${title} ${withError(now.value, now.error)} ${unit}, predicted`;
   }
 
+  /** Return the parameters that differ from those of the scene file. */
+  changed() {
+    const { changed, inputs } = this.scene.recipe;
+    const names = [...new Set([...changed, ...Object.keys(this.design)])];
+    return names.length ? names : inputs;
+  }
+
+  /** Return the changes as code: of the form of a slider, its name and its numbers. */
+  written(write) {
+    return Object.entries(this.design).map(([name, place]) => write(OPERATORS[this.sliders.get(name).form] ?? "", name, place.map(short)));
+  }
+
   python() {
-    const changed = Object.entries(this.design).map(([name, place]) => {
-      const { form, bounds } = this.sliders.get(name);
+    const { python, attribute } = this.scene.recipe;
+    const changes = this.written((operator, name, numbers) => {
       const key = `values[${JSON.stringify(name)}]`;
-      const numbers = place.map(short);
-      if (form === "dimmer") return `${key} = ${key} * ${numbers[0]}`;
-      if (form === "offset") return `${key} = (${key} + ${numbers[0]}).clamp(${bounds.map((bound) => bound ?? "None").join(", ")})`;
-      return `${key} = torch.tensor(${form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
+      const given = `torch.tensor(${this.sliders.get(name).form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
+      return operator ? `${key} = ${key} ${operator} ${numbers[0]}` : `${key} = ${given}`;
     });
-    const names = Object.keys(this.design);
-    return [this.scene.python.replace("{inputs}", names.length ? JSON.stringify(names) : '"all"'), "values = renderer.inputs", ...changed, "print(VanillaSceneGradient(renderer, metric).attribute(values))", ""].join("\n");
+    const inputs = JSON.stringify(this.changed());
+    return [python.replace("{inputs}", () => inputs), ...changes, "renderer.clamp_(values)", `print(VanillaSceneGradient(renderer, metric).attribute(${attribute}))`, ""].join("\n");
   }
 
   command() {
-    const operators = { dimmer: "*=", offset: "+=" };
-    const changed = Object.entries(this.design).map(([name, place]) => ` \\\n  --set '${name}${operators[this.sliders.get(name).form] ?? "="}${place.map(short).join(",")}'`);
-    return `${this.scene.command}${changed.join("")}\n`;
+    const quote = (text) => `'${text.replaceAll("'", "'\\''")}'`;
+    const inputs = this.changed().map((name) => `--inputs ${quote(name)}`);
+    const changes = this.written((operator, name, numbers) => `--set ${quote(`${name}${operator}=${numbers.join(",")}`)}`);
+    return [this.scene.recipe.command, ...inputs, ...changes].join(" \\\n  ") + "\n";
   }
 
   copy(text) {
