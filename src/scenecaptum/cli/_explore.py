@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import inspect
 import shlex
+from pathlib import Path
 from typing import Any
 
-from ..explore import Exploration, Recipe, serve
+from ..explore import Exploration, Recipe, section, serve
 from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
+from ..report import write_report
 from . import _arguments
 from ._design import CHANGES, add_design, designed_values, read_design
 from ._interrupt import leave
@@ -40,6 +42,12 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--port", type=int, default=0, metavar="N", help="port of the page (default: any)")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    parser.add_argument(
+        "--to",
+        type=Path,
+        metavar="FILE",
+        help="write the predictions to an HTML file, which needs no server, instead of opening a page",
+    )
     parser.set_defaults(run=run)
 
 
@@ -60,6 +68,10 @@ def run(options: argparse.Namespace) -> int:
         recipe=_recipe(options, renderer),
         **({} if options.spp is None else {"spp": options.spp}),
     )
+    if options.to is not None:
+        write_report(exploration.linearize().attributions, options.to, sections=[section(exploration)])
+        print(f"{options.to}  interactive page with predictions")
+        return 0
     ended = serve(exploration, port=options.port, open_browser=not options.no_browser)
     print("\nexplore: ended")
     if not ended:

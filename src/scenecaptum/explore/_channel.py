@@ -72,6 +72,11 @@ class Channel:
             self.changed.notify_all()
             return listener
 
+    def listen_once(self) -> list[Published]:
+        """Return everything that is known now."""
+        with self.changed:
+            return list(self.latest.values())
+
     def repeat(self, listener: Listener) -> None:
         """Let a page receive everything again."""
         with self.changed:

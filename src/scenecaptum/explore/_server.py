@@ -10,10 +10,10 @@ import webbrowser
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
 from typing import Any, NoReturn
 
 from ..errors import SceneCaptumError, whole_number
+from ._files import page_text
 from ._session import Exploration
 
 ADDRESS = "127.0.0.1"
@@ -125,7 +125,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_events()
         elif path in FILES:
             name, kind = FILES[path]
-            self._send(HTTPStatus.OK, resources.files(__package__).joinpath("page", name).read_bytes(), kind)
+            self._send(HTTPStatus.OK, page_text(name).encode(), kind)
         else:
             self._send(HTTPStatus.OK, self._buffer(path), "application/octet-stream")
 

@@ -130,6 +130,22 @@ class Exploration:
         """Begin to work, as soon as there is a page."""
         self._thread.start()
 
+    def linearize(self) -> Linearization:
+        """Compute in this thread all that predictions need, without a page; for a report.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the scene cannot be rendered, or a metric cannot be differentiated.
+        """
+        listener = self.channel.listen()
+        try:
+            self._linearize()
+        finally:
+            self.channel.leave(listener)
+        assert self.about is not None
+        return self.about
+
     def close(self, timeout: float = 2.0) -> bool:
         """End the work, and return whether it has ended within so many seconds."""
         self.channel.close()

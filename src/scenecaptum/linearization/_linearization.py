@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -90,15 +91,21 @@ class Linearization:
             self._adjoints.append(torch.stack([metric.value_and_adjoint(mean)[1] for mean in means]))
         functional = _FirstOrder(designs.metrics, [adjoint[0] for adjoint in self._adjoints], self.start)
         values = designs.values(self.start.design)
-        self.attributions = VanillaSceneGradient(
-            _Pausing(designs.renderer, designs.pause), functional
-        ).attribute(
+        method = VanillaSceneGradient(_Pausing(designs.renderer, designs.pause), functional)
+        found = method.attribute(
             {name: values[name] for name in designs.inputs},
             target=list(range(len(designs.metrics))),
             seed=designs.seed,
             spp=GRADIENT_SPP,
             replicates=GRADIENT_REPLICATES,
         )
+        self.attributions = [self._as_measured(number, one) for number, one in enumerate(found)]
+
+    def _as_measured(self, number: int, attribution: SceneAttribution) -> SceneAttribution:
+        """Return an attribution of a metric to first order with the metric itself at the start."""
+        value, error = self.start.value(number)
+        info = {**attribution.info, **self.designs.metrics[number].describe(value, self.start.image)}
+        return dataclasses.replace(attribution, metric_value=value, metric_standard_error=error, info=info)
 
     def leading(self, count: int) -> list[str]:
         """Return the parameters with the largest effects on any metric, relative to the largest on this metric."""

@@ -9,6 +9,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
@@ -20,10 +21,35 @@ from ._data import check, default_titles, report_data
 _SCRIPTS = ("data.js", "picture.js", "table.js", "detail.js", "page.js")
 
 
+@dataclass(frozen=True)
+class Section:
+    """Another part of the page, which draws itself with an ES module.
+
+    Attributes
+    ----------
+    name
+        Of its element ``<div id="NAME" data-NAME="recorded">``; its data is in the element ``NAME-data``.
+    title
+        Its heading.
+    style, module
+        Its style sheet and its ES module.
+    data
+        JSON.
+    """
+
+    name: str
+    title: str
+    style: str
+    module: str
+    data: str
+
+
 def write_report(
     attributions: Attribution | Explanation | Sequence[Attribution | Explanation],
     path: str | os.PathLike[str],
     titles: Sequence[str] | None = None,
+    *,
+    sections: Sequence[Section] = (),
 ) -> None:
     """Write results as one self-contained HTML file to explore in a browser; it needs no network.
 
@@ -42,6 +68,8 @@ def write_report(
         The file to write, atomically.
     titles
         A title for each result; its metric by default.
+    sections
+        Further parts of the page, such as ``explore.section``.
 
     Raises
     ------
@@ -53,13 +81,14 @@ def write_report(
     results = [one.attribution if isinstance(one, Explanation) else one for one in given]
     check(results, titles)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    page = _page(report_data(results, names, explanations))
+    page = _page(report_data(results, names, explanations), sections)
     with atomic_write(path) as partial:
         partial.write_bytes(page.encode("utf-8", "replace"))
 
 
-def _page(data: dict[str, Any]) -> str:
-    style, script = _resource("report.css"), "\n".join(map(_resource, _SCRIPTS))
+def _page(data: dict[str, Any], sections: Sequence[Section]) -> str:
+    style = "\n".join([_resource("report.css"), *(section.style for section in sections)])
+    script = "\n".join(map(_resource, _SCRIPTS))
     scenes = list(dict.fromkeys(str(result["info"].get("scene", "")) for result in data["results"]))
     parts = {
         "title": html.escape(" · ".join(filter(None, [*scenes[:2], "scene attribution"]))),
@@ -68,8 +97,20 @@ def _page(data: dict[str, Any]) -> str:
         "data": _to_json(data),
     }
     # The content security policy allows only this script and this style, so names in a scene stay text.
-    parts |= {f"{name}_hash": _hash(parts[name]) for name in ("style", "script")}
+    parts["style_hash"] = _hash(parts["style"])
+    scripts = [parts["script"], *(section.module for section in sections)]
+    parts["script_hashes"] = " ".join(f"'{_hash(one)}'" for one in scripts)
+    parts["sections"] = "\n".join(map(_section, sections))
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _resource("report.html"))
+
+
+def _section(section: Section) -> str:
+    name, title = html.escape(section.name), html.escape(section.title)
+    return (
+        f'<section aria-label="{title}"><h2>{title}</h2><div id="{name}" data-{name}="recorded"></div>\n'
+        f'<script type="application/json" id="{name}-data">{_escaped(section.data)}</script>\n'
+        f'<script type="module">{section.module}</script></section>'
+    )
 
 
 def _resource(name: str) -> str:
@@ -78,7 +119,10 @@ def _resource(name: str) -> str:
 
 def _to_json(data: Any) -> str:
     """Return JSON without characters that an HTML parser could read as markup."""
-    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return _escaped(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
+
+
+def _escaped(text: str) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

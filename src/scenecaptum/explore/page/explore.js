@@ -126,6 +126,7 @@ class Page {
 
   close() {
     this.model.off?.("msg:custom", this.heard);
+    this.model.send({ type: "bye" });
     clearTimeout(this.timer);
   }
 
@@ -644,7 +645,7 @@ function connect() {
   };
   events.onerror = () => tell({ type: "status", text: "Disconnected: is the server still running?" });
   const send = async (content) => {
-    if (content.type === "hello") return; // the events begin with everything that is known
+    if (content.type === "hello" || content.type === "bye") return; // the events begin with all that is known
     const answer = await fetch("message", { method: "POST", body: JSON.stringify(content) }).catch(() => null);
     if (answer && !answer.ok) tell({ type: "problem", text: (await answer.json()).error });
   };
