@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..explore import Exploration, Recipe, section, serve
+from ..linearization import Designs
 from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
 from ..report import write_report
@@ -66,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         seed=options.seed,
         top=options.top,
         recipe=_recipe(options, renderer),
-        **({} if options.spp is None else {"spp": options.spp}),
+        spp=_spp(options),
     )
     if options.to is not None:
         write_report(exploration.linearize().attributions, options.to, sections=[section(exploration)])
@@ -86,15 +87,19 @@ def _small(resolution: tuple[int, int]) -> tuple[int, int]:
     return max(1, round(width * factor)), max(1, round(height * factor))
 
 
+def _spp(options: argparse.Namespace) -> int:
+    spp: int = _arguments.default_of(Designs, "spp") if options.spp is None else options.spp
+    return spp
+
+
 def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> Recipe:
     """Return the renderer, the first metric and the given design as code and as a command."""
     metric, *_ = options.metrics or [DEFAULT]
     width, height = renderer.resolution
-    spp = _arguments.default_of(Exploration, "spp") if options.spp is None else options.spp
     settings = {**(read_design(options.design) if options.design else {}), **dict(options.settings or ())}
     renderer_options = {
         "resolution": (width, height),
-        "spp": spp,
+        "spp": _spp(options),
         "max_depth": options.max_depth,
         "sensor": _arguments.sensor_of(options),
         "parameters": dict(options.parameters or ()),
@@ -113,7 +118,7 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> Recipe:
     flags = {
         "--metric": metric,
         "--resolution": f"{width}x{height}",
-        "--spp": spp,
+        "--spp": _spp(options),
         "--max-depth": options.max_depth,
         "--sensor": options.sensor,
         "--target": options.target,

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from ..errors import SceneCaptumError, near_misses, whole_number
-from ..estimation import Denoise, Metric, Target, TargetedMetric
+from ..estimation import Metric, TargetedMetric
 from ..linearization import Derivative, Design, Designs, Linearization, Measured, Slider
 from ..metrics import Measure
 from ..rendering import SceneRenderer
@@ -63,20 +63,12 @@ class Exploration:
         A ``SceneRenderer`` with one camera.
     metrics
         A metric of its images, or several by name.
-    inputs
-        The values to start from; by default the scene's own.
-    target
-        Element of the metrics' output, if they return vectors.
-    seed
-        Random seed.
-    spp
-        Samples per pixel of a render.
     top
         Number of parameters that get a slider at once, those with the largest effects.
-    denoise
-        As for ``VanillaSceneGradient``; decided once, for the first picture.
     recipe
         How a page writes a design as code; by default it writes the changed values alone.
+    options
+        ``inputs``, ``target``, ``seed``, ``spp`` and ``denoise``, as for ``Designs``.
 
     Raises
     ------
@@ -89,27 +81,14 @@ class Exploration:
         renderer: SceneRenderer,
         metrics: Metric | Mapping[str, Metric],
         *,
-        inputs: Mapping[str, torch.Tensor] | None = None,
-        target: Target = None,
-        seed: int = 0,
-        spp: int = 32,
         top: int = 12,
-        denoise: Denoise = "auto",
         recipe: Recipe | None = None,
+        **options: Any,
     ) -> None:
         named = metrics if isinstance(metrics, Mapping) else {"": metrics}
         if not named:
             raise SceneCaptumError("An exploration needs at least one metric; the mapping is empty.")
-        self.designs = Designs(
-            renderer,
-            list(named.values()),
-            inputs=inputs,
-            target=target,
-            seed=seed,
-            spp=spp,
-            denoise_mode=denoise,
-            pause=self._pause,
-        )
+        self.designs = Designs(renderer, list(named.values()), pause=self._pause, **options)
         self.channel = Channel()
         self.about: Linearization | None = None  # what predictions come from
         self._starts = 0  # how many there have been
@@ -121,7 +100,8 @@ class Exploration:
         self._tasks: deque[Callable[[], None]] = deque([self._open])
         self._saved: list[dict[str, Any]] = []
         self._thread = threading.Thread(target=self._work, daemon=True, name="scenecaptum-explore")
-        titles = [name or metric.label for name, metric in zip(named, self.designs.metrics, strict=True)]
+        pairs = zip(named, self.designs.metrics, strict=True)
+        titles = [name if metric.measure is None and name else metric.label for name, metric in pairs]
         self._publish_scene(titles, recipe or Recipe())
 
     # ------------------------------------------------------------------------------------------- from the pages

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from ..denoising import denoise
+from ..denoising import denoise as denoised
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     Denoise,
@@ -73,7 +73,7 @@ class Designs:
         Random seed: all designs are rendered with the same random numbers.
     spp
         Samples per pixel of a design.
-    denoise_mode
+    denoise
         Whether metrics are evaluated on denoised images, as for ``VanillaSceneGradient``; decided once.
     pause
         Called before every render and every evaluation of the metrics; what it raises ends the work.
@@ -98,7 +98,7 @@ class Designs:
         target: Target = None,
         seed: int = 0,
         spp: int = 32,
-        denoise_mode: Denoise = "auto",
+        denoise: Denoise = "auto",
         pause: Callable[[], None] = lambda: None,
     ) -> None:
         for metric in metrics:
@@ -119,9 +119,7 @@ class Designs:
         self.seeds = derived_seeds(seed, Stream.SCENES, REPLICATES)
         self._spp = math.ceil(whole_number("spp", spp) / REPLICATES)
         smoothed = all(metric.is_smoothed for metric in self.metrics)
-        self._selector: TransformSelector | None = TransformSelector(
-            denoise_mode, renderer, smoothed=smoothed
-        )
+        self._selector: TransformSelector | None = TransformSelector(denoise, renderer, smoothed=smoothed)
         self._rough = _smaller(renderer)
 
     def values(self, design: Design) -> dict[str, torch.Tensor]:
@@ -139,11 +137,11 @@ class Designs:
         """Return a denoised picture of few pixels with few samples."""
         with torch.no_grad():
             image = self._rough(self.values(design), seed=self.seeds[0], spp=ROUGH_SPP).detach()
-        return denoise(image, self._rough.guides)
+        return denoised(image, self._rough.guides)
 
     def denoised(self, image: torch.Tensor) -> torch.Tensor:
         """Return a picture without noise."""
-        return denoise(image, self.renderer.guides)
+        return denoised(image, self.renderer.guides)
 
     def measure(self, design: Design) -> Measured:
         """Render a design and measure the metrics; the first one decides whether they are of denoised images."""

@@ -105,7 +105,10 @@ class Linearization:
         """Return an attribution of a metric to first order with the metric itself at the start."""
         value, error = self.start.value(number)
         info = {**attribution.info, **self.designs.metrics[number].describe(value, self.start.image)}
-        return dataclasses.replace(attribution, metric_value=value, metric_standard_error=error, info=info)
+        image = self.start.image
+        return dataclasses.replace(
+            attribution, metric_value=value, metric_standard_error=error, image=image, info=info
+        )
 
     def leading(self, count: int) -> list[str]:
         """Return the parameters with the largest effects on any metric, relative to the largest on this metric."""

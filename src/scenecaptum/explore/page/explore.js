@@ -14,6 +14,7 @@ function make(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
+    else if (name === "class") made.className = `explore-${value}`; // the page may be part of another
     else if (value === true) made.setAttribute(name, "");
     else if (value !== false && value != null) made.setAttribute(name, value);
   }
@@ -152,7 +153,7 @@ class Page {
     this.scene = scene;
     this.parts.title.textContent = scene.name;
     this.parts.cards.replaceChildren(...scene.metrics.map((metric, index) => this.makeCard(metric, index)));
-    this.parts.cards.classList.toggle("single", scene.metrics.length < 2);
+    this.parts.cards.toggleAttribute("data-single", scene.metrics.length < 2);
     const options = Object.entries(scene.parameters).map(([name, label]) => make("option", { value: name }, label));
     this.parts.names.replaceChildren(...options);
     this.parts.picture.style.aspectRatio = `${scene.width} / ${scene.height}`;
@@ -171,7 +172,7 @@ class Page {
     const kept = known && !images.length ? { images: known.images, gradients: known.gradients } : { images };
     this.sliders.set(message.name, { ...message, byChannel, ...kept });
     if (!this.rows.has(message.name)) this.makeRow(this.sliders.get(message.name));
-    this.rows.get(message.name).classList.toggle("waiting", !kept.images.length);
+    this.rows.get(message.name).toggleAttribute("data-waiting", !kept.images.length);
     this.rows.get(message.name).querySelectorAll("input, button").forEach((one) => { one.disabled = !kept.images.length; });
     if (images.length) this.rebuild();
   }
@@ -353,7 +354,7 @@ class Page {
   drawPicture() {
     const { picture: frame, render: canvas, badge } = this.parts;
     const shown = this.shown();
-    frame.classList.toggle("empty", !shown);
+    frame.toggleAttribute("data-empty", !shown);
     if (!shown) return;
     if (canvas.width !== shown.width || canvas.height !== shown.height) Object.assign(canvas, { width: shown.width, height: shown.height });
     const context = canvas.getContext("2d");
@@ -388,12 +389,14 @@ class Page {
 
   drawRows() {
     if (!this.base) return;
+    const { unit } = this.scene.metrics[this.metric];
+    this.parts.heading.textContent = this.sliders.size ? `Effect over the range of each${unit ? `, in ${unit}` : ""}; of what you move, that of the move` : "";
     for (const slider of this.sliders.values()) {
       const row = this.rows.get(slider.name);
       const moved = !same(this.place(slider), this.baseDesign(slider));
       const own = moved && this.predict(this.metric, this.design, slider);
       const over = slider.effects[this.metric];
-      row.classList.toggle("moved", moved);
+      row.toggleAttribute("data-moved", moved);
       row.effect.textContent = own ? withError(own.change, own.error, true) : over ? withError(over[0], over[1], true) : "";
       row.effect.title = own ? "effect of this change, to first order" : "effect over its range, to first order";
       row.effect.dataset.sign = Math.sign(own ? own.change : over?.[0] ?? 0);
@@ -446,29 +449,31 @@ class Page {
     p.render = make("canvas", { class: "render" });
     p.overlay = make("canvas", { class: "overlay", hidden: true, "aria-hidden": "true" });
     p.badge = make("span", { class: "badge", role: "status" });
-    p.picture = make("div", { class: "picture empty", role: "img", "aria-label": "The scene. Choose an object below to get its parameters.", onclick: (event) => this.click(event) }, p.render, p.overlay, p.badge);
+    p.picture = make("div", { class: "picture", "data-empty": true, role: "img", "aria-label": "The scene. Choose an object below to get its parameters.", onclick: (event) => this.click(event) }, p.render, p.overlay, p.badge);
     p.caption = make("p", { class: "muted" });
     p.object = make("select", { "aria-label": "Object, to get its parameters", onchange: (event) => this.choose(event.target.value) });
     p.chosen = make("div", { class: "chosen", "aria-live": "polite" });
     const overlay = make("select", { "aria-label": "Map over the picture", onchange: (event) => { this.overlay = event.target.value; this.drawOverlay(); } });
     overlay.append(...[["off", "No map"], ["signed", "Signed map"], ["magnitude", "Map of magnitudes"]].map(([value, text]) => make("option", { value }, text)));
     p.before = button("Before (hold B)", () => {}, { onpointerdown: () => this.hold(true), onpointerup: () => this.hold(false), onpointerleave: () => this.hold(false) });
-    const stage = make("section", { class: "stage", "aria-label": "Picture" }, p.picture, make("div", { class: "tools" }, p.before, overlay, p.object), p.caption, p.chosen);
+    const stage = make("section", { class: "stage", "aria-label": "Picture" }, p.picture, make("div", { class: "tools" }, p.before, overlay, p.object));
     p.undo = button("Undo", () => this.undo(), { title: "Ctrl+Z" });
     p.redo = button("Redo", () => this.undo(this.future, this.past), { title: "Ctrl+Shift+Z" });
     p.reset = button("Reset", () => { this.show({}); this.commit(); });
-    p.start = button("Take this as the new start", () => this.model.send({ type: "start" }));
+    p.start = button("Take this as the new start", () => this.model.send({ type: "start" }), { class: "live" });
+    p.heading = make("p", { class: "muted" });
     p.list = make("div", { class: "sliders" });
     p.names = make("datalist", { id: `names-${this.id}` });
-    p.search = make("input", { type: "search", list: p.names.id, placeholder: "Add a parameter", "aria-label": "Add a parameter by its name", autocomplete: "off", onchange: (event) => this.add(event.target.value) });
+    p.search = make("input", { class: "live", type: "search", list: p.names.id, placeholder: "Add a parameter", "aria-label": "Add a parameter by its name", autocomplete: "off", onchange: (event) => this.add(event.target.value) });
     p.saved = make("ul", { class: "saved" });
     p.name = make("input", { placeholder: "Name of this design", "aria-label": "Name of this design", maxlength: 60, autocomplete: "off", onkeydown: (event) => event.key === "Enter" && this.save() });
     p.code = make("textarea", { class: "code", readonly: true, hidden: true, rows: 8, "aria-label": "Code", spellcheck: "false" });
     const designs = make("section", { class: "designs", "aria-label": "Designs" }, make("h2", {}, "Designs"), make("div", { class: "tools" }, p.name, button("Save", () => this.save())), p.saved,
       make("div", { class: "tools" }, button("Copy as Python", () => this.copy(this.python())), button("Copy as command line", () => this.copy(this.command()))), p.code);
-    const controls = make("section", { class: "controls", "aria-label": "Parameters" }, make("div", { class: "tools" }, p.undo, p.redo, p.reset, p.start), p.list, p.search, p.names, designs);
+    const controls = make("section", { class: "controls", "aria-label": "Parameters" }, make("div", { class: "tools" }, p.undo, p.redo, p.reset, p.start), p.heading, p.list, p.search, p.names);
+    const left = make("div", { class: "left" }, stage, make("div", { class: "below" }, p.caption, p.chosen), designs);
     p.announcement = make("p", { class: "unseen", "aria-live": "polite" });
-    this.el.replaceChildren(make("header", { class: "top" }, make("div", {}, make("p", { class: "brand" }, "scenecaptum · explore"), p.title), p.status), p.problem, p.cards, make("div", { class: "work" }, stage, controls), p.announcement);
+    this.el.replaceChildren(make("header", { class: "top" }, make("div", {}, make("p", { class: "brand" }, "scenecaptum · explore"), p.title), p.status), p.problem, p.cards, make("div", { class: "work" }, left, controls), p.announcement);
   }
 
   makeCard(metric, index) {
@@ -545,13 +550,16 @@ class Page {
   }
 
   save() {
-    if (this.parts.name.value.trim()) this.model.send({ type: "save", name: this.parts.name.value.trim() });
+    const name = this.parts.name.value.trim();
+    clearTimeout(this.timer);
+    this.sendDesign();
+    if (name) this.model.send({ type: "save", name });
     this.parts.name.value = "";
   }
 
   tell(text) {
     this.parts.status.textContent = text;
-    this.el.classList.toggle("busy", Boolean(text));
+    this.el.toggleAttribute("data-busy", Boolean(text));
   }
 
   complain(text) {
@@ -652,16 +660,28 @@ function connect() {
   return { on: (_, listener) => listeners.push(listener), send };
 }
 
-/** The model of an offline page: it has all messages, and nobody to answer. */
+/** The model of an offline page: it has all messages, and keeps saved designs itself. */
 function recorded(text) {
   const listeners = [];
+  const tell = (message, buffers) => listeners.forEach((listener) => listener(message, buffers));
+  let saved = [];
   const play = async () => {
     for (const { buffers, ...message } of JSON.parse(text)) {
-      const all = await Promise.all(buffers.map(async (buffer) => new DataView(await inflate(buffer))));
-      listeners.forEach((listener) => listener(message, all));
+      tell(message, await Promise.all(buffers.map(async (buffer) => new DataView(await inflate(buffer)))));
     }
   };
-  return { on: (_, listener) => listeners.push(listener), send: (content) => content.type === "hello" && play() };
+  const keep = ({ name }, more) => {
+    saved = [...saved.filter((one) => one.name !== name), ...more];
+    tell({ type: "saved", designs: saved });
+  };
+  let design = {};
+  const send = (content) => {
+    if (content.type === "hello") play();
+    else if (content.type === "design") design = content.design;
+    else if (content.type === "save") keep(content, [{ name: content.name, design, metrics: null }]);
+    else if (content.type === "forget") keep(content, []);
+  };
+  return { on: (_, listener) => listeners.push(listener), send };
 }
 
 export function render({ model, el }) {
