@@ -122,10 +122,12 @@ class Linearization:
     def derive(self, slider: Slider) -> Derivative:
         """Compute the derivatives of the picture, by differences with the random numbers of the start.
 
-        Where an attribution has the gradients, one replicate is enough.
+        A dimmer takes all replicates of the start, so that the picture is exact however far it goes. For others
+        one is enough, if an attribution has the gradients.
         """
         known = [self._known_rows(slider, attribution) for attribution in self.attributions]
-        seeds = self.designs.seeds if not known or None in known else self.designs.seeds[:1]
+        takes_all = slider.form == "dimmer" or not known or None in known
+        seeds = self.designs.seeds if takes_all else self.designs.seeds[:1]
         place = self.start.design.get(slider.name, slider.start)
         images = torch.stack([self._differences(slider, place, step, seeds) for step in slider.steps(place)])
         gradients = []

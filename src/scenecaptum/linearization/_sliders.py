@@ -148,7 +148,8 @@ def _ends(parameter: Parameter, value: torch.Tensor) -> tuple[float, float]:
     bounds, over = parameter.bounds, parameter.range
     low = _lowest(parameter)
     if parameter.moves:
-        return max(FAR * over.low, low), min(FAR * over.high, bounds.high)
+        middle = value.mean().item()  # 0 but for a field of view
+        return max(middle + FAR * over.low, low), min(middle + FAR * over.high, bounds.high)
     if math.isfinite(low) and math.isfinite(bounds.high):
         return low, bounds.high
     least, most = (float(extreme) for extreme in (value.min(), value.max()))

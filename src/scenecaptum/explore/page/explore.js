@@ -456,7 +456,8 @@ class Page {
     const overlay = make("select", { "aria-label": "Map over the picture", onchange: (event) => { this.overlay = event.target.value; this.drawOverlay(); } });
     overlay.append(...[["off", "No map"], ["signed", "Signed map"], ["magnitude", "Map of magnitudes"]].map(([value, text]) => make("option", { value }, text)));
     p.before = button("Before (hold B)", () => {}, { onpointerdown: () => this.hold(true), onpointerup: () => this.hold(false), onpointerleave: () => this.hold(false) });
-    const stage = make("section", { class: "stage", "aria-label": "Picture" }, p.picture, make("div", { class: "tools" }, p.before, overlay, p.object));
+    const stage = make("section", { class: "stage", "aria-label": "Picture" }, p.picture);
+    const view = make("div", { class: "tools" }, p.before, overlay, p.object);
     p.undo = button("Undo", () => this.undo(), { title: "Ctrl+Z" });
     p.redo = button("Redo", () => this.undo(this.future, this.past), { title: "Ctrl+Shift+Z" });
     p.reset = button("Reset", () => { this.show({}); this.commit(); });
@@ -471,7 +472,7 @@ class Page {
     const designs = make("section", { class: "designs", "aria-label": "Designs" }, make("h2", {}, "Designs"), make("div", { class: "tools" }, p.name, button("Save", () => this.save())), p.saved,
       make("div", { class: "tools" }, button("Copy as Python", () => this.copy(this.python())), button("Copy as command line", () => this.copy(this.command()))), p.code);
     const controls = make("section", { class: "controls", "aria-label": "Parameters" }, make("div", { class: "tools" }, p.undo, p.redo, p.reset, p.start), p.heading, p.list, p.search, p.names);
-    const left = make("div", { class: "left" }, stage, make("div", { class: "below" }, p.caption, p.chosen), designs);
+    const left = make("div", { class: "left" }, stage, view, p.caption, p.chosen, designs);
     p.announcement = make("p", { class: "unseen", "aria-live": "polite" });
     this.el.replaceChildren(make("header", { class: "top" }, make("div", {}, make("p", { class: "brand" }, "scenecaptum · explore"), p.title), p.status), p.problem, p.cards, make("div", { class: "work" }, left, controls), p.announcement);
   }
@@ -606,7 +607,7 @@ class Page {
   copy(text) {
     Object.assign(this.parts.code, { value: text, hidden: false });
     this.parts.code.select();
-    navigator.clipboard?.writeText(text).then(() => this.tell("Copied"), () => {});
+    navigator.clipboard?.writeText(text).then(() => { this.parts.status.textContent = "Copied"; }, () => {});
   }
 }
 
