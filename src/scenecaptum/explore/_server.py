@@ -7,7 +7,7 @@ import json
 import secrets
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NoReturn
@@ -159,10 +159,14 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self.send_response(status)
-        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(len(body))}.items():
+        self._send_headers({"Content-Type": kind, "Content-Length": str(len(body))})
+        self.wfile.write(body)
+
+    def _send_headers(self, own: Mapping[str, str]) -> None:
+        closing = {"Connection": "close"} if self.close_connection else {}
+        for name, value in {**HEADERS, **own, **closing}.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
 
     def _send_events(self) -> None:
         """Send messages as they come; a page that has gone is noticed by the next heartbeat."""
@@ -171,9 +175,7 @@ class _Handler(BaseHTTPRequestHandler):
             _refuse(HTTPStatus.SERVICE_UNAVAILABLE, f"There are {MAX_PAGES} pages already: close some.")
         self.close_connection = True
         self.send_response(HTTPStatus.OK)
-        for name, value in {**HEADERS, "Content-Type": "text/event-stream", "Connection": "close"}.items():
-            self.send_header(name, value)
-        self.end_headers()
+        self._send_headers({"Content-Type": "text/event-stream"})
         listener = channel.listen()
         try:
             while (taken := channel.take(listener, HEARTBEAT)) is not None:

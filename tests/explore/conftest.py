@@ -1,0 +1,57 @@
+"""A server that explores a tiny cornell box, and its page in a browser window."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from browsers import browser
+from seeds import shifted
+
+from scenecaptum import SceneRenderer, metrics
+from scenecaptum.explore import Exploration, Recipe, Server
+
+__all__ = ["browser"]
+
+PATIENCE = 60.0  # seconds for what takes less than one on a machine that has nothing else to do
+
+
+def wait_for(condition: Callable[[], Any]) -> Any:
+    """Wait until a condition holds, and return what it returned."""
+    end = time.monotonic() + PATIENCE
+    while not (found := condition()):
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.02)
+    return found
+
+
+@pytest.fixture(scope="session")
+def tiny() -> SceneRenderer:
+    return SceneRenderer("cornell-box", inputs="all", resolution=(24, 24), spp=16, max_depth=3)
+
+
+@pytest.fixture(scope="session")
+def exploration(tiny: SceneRenderer) -> Exploration:
+    named = {"brightness": metrics.MeanLuminance(), "highlights": metrics.LuminancePercentile()}
+    python = (
+        "import torch\n\nfrom scenecaptum import SceneRenderer, VanillaSceneGradient, metrics\n\n"
+        "renderer = SceneRenderer('cornell-box', {inputs}, resolution=(24, 24), spp=64, max_depth=3)\n"
+        "metric = metrics.MeanLuminance()\nvalues = renderer.inputs"
+    )
+    recipe = Recipe(
+        python=python, command="scenecaptum attribute cornell-box --resolution 24x24 --max-depth 3"
+    )
+    return Exploration(tiny, named, seed=shifted(), spp=64, recipe=recipe)
+
+
+@pytest.fixture(scope="session")
+def server(exploration: Exploration) -> Iterator[Server]:
+    exploration.start()
+    with Server(exploration) as started:
+        threading.Thread(target=started.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+        yield started
+        started.shutdown()
+    assert exploration.close(timeout=PATIENCE)
