@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
 from browsers import browser
@@ -14,18 +12,9 @@ from seeds import shifted
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.explore import Exploration, Recipe, Server
 
+from .windows import PATIENCE
+
 __all__ = ["browser"]
-
-PATIENCE = 60.0  # seconds for what takes less than one on a machine that has nothing else to do
-
-
-def wait_for(condition: Callable[[], Any]) -> Any:
-    """Wait until a condition holds, and return what it returned."""
-    end = time.monotonic() + PATIENCE
-    while not (found := condition()):
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.02)
-    return found
 
 
 @pytest.fixture(scope="session")

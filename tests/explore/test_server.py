@@ -72,8 +72,8 @@ def test_no_other_file_is_served(server, path):
     assert ask(server, "GET", f"/{server.token}/{path}")[0] == 404
 
 
-def test_a_picture_that_was_replaced_is_gone(server):
-    assert ask(server, "GET", f"/{server.token}/data/999999999/0")[0] == 410
+def test_a_picture_that_was_replaced_has_no_content(server):
+    assert ask(server, "GET", f"/{server.token}/data/999999999/0") == (204, b"")
 
 
 def test_the_page_and_its_files_are_served_under_the_token(server):

@@ -127,16 +127,15 @@ class _Handler(BaseHTTPRequestHandler):
             name, kind = FILES[path]
             self._send(HTTPStatus.OK, page_text(name).encode(), kind)
         else:
-            self._send(HTTPStatus.OK, self._buffer(path), "application/octet-stream")
+            found = self._buffer(path)
+            self._send(HTTPStatus.OK if found else HTTPStatus.NO_CONTENT, found, "application/octet-stream")
 
     def _buffer(self, path: str) -> bytes:
+        """Return a picture, empty if it has been replaced."""
         parts = path.split("/")
         numbers = [int(part) for part in parts[1:] if part.isascii() and part.isdigit() and len(part) < 16]
         if parts[0] == "data" and len(parts) == len(numbers) + 1 == 3:
-            found = self.server.exploration.channel.buffer(*numbers)
-            if found is not None:
-                return found
-            _refuse(HTTPStatus.GONE, "There is a newer picture.")
+            return self.server.exploration.channel.buffer(*numbers) or b""  # there is a newer picture
         _refuse(HTTPStatus.NOT_FOUND, "There is nothing at this address.")
 
     def _post(self, path: str) -> None:

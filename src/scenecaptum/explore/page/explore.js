@@ -203,6 +203,7 @@ class Page {
   /** Send the design once nothing has changed for a moment, and now and then while a slider moves. */
   schedule() {
     const now = performance.now();
+    this.parts.picture.setAttribute("aria-busy", "true");
     this.due ??= now + LATEST;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.sendDesign(), Math.max(0, Math.min(QUIET, this.due - now)));
@@ -263,7 +264,6 @@ class Page {
     if (!this.base) return;
     this.linear = Float32Array.from(this.base.picture);
     this.applied = new Map();
-    this.comparison = null;
   }
 
   baseDesign(slider) {
@@ -340,15 +340,16 @@ class Page {
     if (!this.base) return this.preview && { ...this.preview, label: "First picture" };
     if (this.held) {
       const design = this.saved.find((one) => one.name === this.compared)?.design ?? {};
-      this.comparison ??= { picture: Float32Array.from(this.base.picture), applied: new Map() };
-      const picture = this.follow(this.comparison.picture, this.comparison.applied, design);
+      const picture = this.follow(Float32Array.from(this.base.picture), new Map(), design);
       return { ...this.base, picture, label: this.compared ?? "Before" };
     }
+    const isStart = same(this.design, this.base.design);
+    if (isStart) this.rebuild(); // rounding does not add up
     const picture = this.follow(this.linear, this.applied, this.design);
-    if (this.isRendered()) {
+    if (this.isRendered() && !isStart) {
       return { ...this.rendered, exposure: this.base.exposure, label: this.rendered.rough ? "Rendered roughly" : "Rendered" };
     }
-    return { ...this.base, picture, label: same(this.design, this.base.design) ? "Rendered" : "Predicted" };
+    return { ...this.base, picture, label: isStart ? "Rendered" : "Predicted" };
   }
 
   drawPicture() {
@@ -362,7 +363,7 @@ class Page {
     toneMap(shown.picture, shown.exposure, image.data);
     context.putImageData(image, 0, 0);
     badge.textContent = shown.label;
-    badge.dataset.label = shown.label;
+    frame.setAttribute("aria-busy", String(shown.label !== "Rendered" && !this.held));
   }
 
   drawMetrics() {
@@ -501,7 +502,7 @@ class Page {
 
   makeSaved(one) {
     const values = this.scene?.metrics.map((metric, index) => one.metrics && `${metric.symbol ?? metric.title} ${withError(one.metrics[index].value, one.metrics[index].error)}`).filter(Boolean).join(", ");
-    const compare = button("Compare", () => { this.compared = this.compared === one.name ? null : one.name; this.comparison = null; this.takeSaved(this.saved); }, { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" });
+    const compare = button("Compare", () => { this.compared = this.compared === one.name ? null : one.name; this.takeSaved(this.saved); }, { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" });
     return make("li", {}, make("span", { class: "label" }, one.name), make("span", { class: "muted" }, values || "not rendered"), button("Show", () => { this.show(one.design); this.commit(); }), compare, button("×", () => this.model.send({ type: "forget", name: one.name }), { "aria-label": `Forget ${one.name}` }));
   }
 
@@ -642,7 +643,7 @@ function connect() {
   const tell = (message, buffers) => listeners.forEach((listener) => listener(message, buffers));
   const fetched = async (path) => {
     const answer = await fetch(path);
-    if (!answer.ok) throw new Error(answer.statusText);
+    if (answer.status !== 200) throw new Error("there is a newer picture");
     return new DataView(await answer.arrayBuffer());
   };
   let done = Promise.resolve();
