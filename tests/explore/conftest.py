@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 
 import pytest
@@ -12,7 +11,7 @@ from seeds import shifted
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.explore import Exploration, Recipe, Server
 
-from .windows import PATIENCE
+from .windows import served
 
 __all__ = ["browser"]
 
@@ -38,9 +37,5 @@ def exploration(tiny: SceneRenderer) -> Exploration:
 
 @pytest.fixture(scope="session")
 def server(exploration: Exploration) -> Iterator[Server]:
-    exploration.start()
-    with Server(exploration) as started:
-        threading.Thread(target=started.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+    with served(exploration) as started:
         yield started
-        started.shutdown()
-    assert exploration.close(timeout=PATIENCE)

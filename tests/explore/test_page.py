@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from chance import allowed, together
+from seeds import shifted
 
-from scenecaptum.explore import Server
+from scenecaptum import cli, metrics
+from scenecaptum.explore import Exploration, Server
 from scenecaptum.visualization import automatic_exposure, display_image
 
-from .windows import Window, last_render, wait_for
+from .windows import Window, last_render, served, wait_for
 
 LAMP = "light.emitter.radiance.value"
 WALL = "left_wall.reflectance.value"
@@ -208,9 +211,7 @@ def test_an_object_in_the_picture_has_its_parameters(window):
 @pytest.mark.parametrize("kind", ["signed", "magnitude"])
 def test_a_map_of_effects_lies_over_the_picture(window, kind):
     window.page.get_by_label("Map over the picture").select_option(kind)
-    painted = window.all("overlay").evaluate(
-        "canvas => [...canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data]"
-    )
+    painted = window.pixels("overlay")
     assert len({tuple(painted[at : at + 3]) for at in range(0, len(painted), 4)}) > 3
     assert ("orange" in window.text("left")) == (kind == "signed")
     window.page.get_by_label("Map over the picture").select_option("off")
@@ -244,10 +245,6 @@ def run(script: str) -> str:
 
 
 def test_the_design_as_a_command_gives_the_same_metric(window, capsys):
-    import shlex
-
-    from scenecaptum import cli
-
     window.set(LAMP, 0.6)
     described = confirmed(window)["metrics"][0]
     window.page.get_by_role("button", name="Copy as command line").click()
@@ -293,15 +290,17 @@ def test_a_scene_that_cannot_be_rendered_keeps_the_last_picture(window):
     wait_for(lambda: not window.all("problem").is_visible())
 
 
-def test_a_closed_tab_ends_the_work(exploration, browser, server):
-    wait_for(lambda: not exploration.channel.listeners)
-    exploration.receive({"type": "design", "design": {LAMP: (0.35,)}})
-    started = exploration.channel.message("render")
-    assert exploration.channel.message("render") is started
-    window = Window(browser, server)
-    wait_for(lambda: exploration.channel.message("render").get("design") == {LAMP: (0.35,)})
-    window.ready().close()
-    wait_for(lambda: not exploration.channel.listeners)
+def test_a_closed_tab_ends_the_work_and_another_takes_it_up(tiny, browser):
+    exploration = Exploration(tiny, metrics.MeanLuminance(), seed=shifted(), spp=16)
+    with served(exploration) as server:
+        first = Window(browser, server).ready()
+        first.close()
+        wait_for(lambda: not exploration.channel.listeners)
+        exploration.receive({"type": "design", "design": {LAMP: [0.35]}})
+        assert exploration.channel.message("render") == {}
+        second = Window(browser, server)
+        wait_for(lambda: last_render(exploration).get("design") == {LAMP: (0.35,)})
+        second.close()
 
 
 @pytest.mark.parametrize(

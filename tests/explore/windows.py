@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -19,6 +21,17 @@ def wait_for(condition: Callable[[], Any]) -> Any:
         assert time.monotonic() < end, "nothing happened"
         time.sleep(0.02)
     return found
+
+
+@contextlib.contextmanager
+def served(exploration: Exploration) -> Iterator[Server]:
+    """Serve an exploration, and end both."""
+    exploration.start()
+    with Server(exploration) as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+        yield server
+        server.shutdown()
+    assert exploration.close(timeout=PATIENCE)
 
 
 class Window:
@@ -79,17 +92,21 @@ class Window:
         self.page.mouse.move(*place(share), steps=steps)
         self.page.mouse.up()
 
-    def pixels(self) -> list[int]:
-        """The pixels of the picture as they are shown."""
-        found: list[int] = self.page.locator(".explore-render").evaluate(
-            "canvas => [...canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data]"
-        )
+    def pixels(self, canvas: str = "render") -> list[int]:
+        """The pixels of the picture as they are shown, or of the map over it."""
+        # From a copy, because Chromium warns of pages that read their own canvases often.
+        read = """canvas => {
+            const context = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+            context.drawImage(canvas, 0, 0);
+            return [...context.getImageData(0, 0, canvas.width, canvas.height).data];
+        }"""
+        found: list[int] = self.all(canvas).evaluate(read)
         return found
 
     def close(self) -> None:
         """Close it, and check that it complained of nothing and asked nobody else."""
         self.context.close()
-        assert self.complaints == []
+        assert not self.complaints, self.complaints
         asked = {urlsplit(url).netloc for url in self.requests if not url.startswith(("data:", "blob:"))}
         assert asked == {self.server.hosts[0]}
 

@@ -608,7 +608,7 @@ class Page {
   copy(text) {
     Object.assign(this.parts.code, { value: text, hidden: false });
     this.parts.code.select();
-    navigator.clipboard?.writeText(text).then(() => { this.parts.status.textContent = "Copied"; }, () => {});
+    navigator.clipboard?.writeText(text).then(() => { this.parts.announcement.textContent = "Copied"; }, () => {});
   }
 }
 
