@@ -226,7 +226,7 @@ def test_several_metrics_are_shown_and_one_ranks(window):
     wait_for(lambda: window.slider(LAMP).locator(".explore-effect").inner_text() == first)
 
 
-def test_the_design_as_python_gives_the_same_metric(window, tmp_path):
+def test_the_design_as_python_gives_the_same_metric(window):
     window.set(LAMP, 0.6)
     window.slider(WALL).locator("input[type=color]").fill("#4060c0")
     described = confirmed(window)["metrics"][0]
@@ -244,13 +244,13 @@ def run(script: str) -> str:
     return printed[0]
 
 
-def test_the_design_as_a_command_gives_the_same_metric(window, capsys):
+def test_the_design_as_a_command_gives_the_same_metric(window, capsys, tmp_path):
     window.set(LAMP, 0.6)
     described = confirmed(window)["metrics"][0]
     window.page.get_by_role("button", name="Copy as command line").click()
-    program, *words = shlex.split(window.page.get_by_label("Code").input_value())
+    program, *words = shlex.split(window.page.get_by_label("Code").input_value().replace("\\\n", ""))
     assert program == "scenecaptum"
-    assert cli.main([*words, "--spp", "64", "--json", "--format", "json"]) == 0
+    assert cli.main([*words, "--spp", "64", "--json", "--format", "json", "--out", str(tmp_path)]) == 0
     metric = json.loads(capsys.readouterr().out)["metric"]
     off = metric["value"] - described["value"]
     assert abs(off) < allowed(REPLICATES) * together(metric["standard_error"], described["error"])

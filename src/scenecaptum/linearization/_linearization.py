@@ -126,8 +126,8 @@ class Linearization:
         one is enough, if an attribution has the gradients.
         """
         known = [self._known_rows(slider, attribution) for attribution in self.attributions]
-        takes_all = slider.form == "dimmer" or not known or None in known
-        seeds = self.designs.seeds if takes_all else self.designs.seeds[:1]
+        is_known = bool(known) and all(rows is not None for rows in known)
+        seeds = self.designs.seeds[:1] if is_known else self.designs.seeds
         place = self.start.design.get(slider.name, slider.start)
         images = torch.stack([self._differences(slider, place, step, seeds) for step in slider.steps(place)])
         gradients = []

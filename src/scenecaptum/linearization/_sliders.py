@@ -111,7 +111,7 @@ class Slider:
     def rows(self, totals: torch.Tensor) -> torch.Tensor | None:
         """Return channel totals of gradients, ``(replicates, C)``, per unit of the slider, or None."""
         if self.form == "dimmer":
-            return None if self.value.ndim > 1 else totals @ self.value.reshape(-1, 1).to(totals)
+            return None  # its derivatives have all replicates of the start, and the noise of these
         return totals.sum(1, keepdim=True) if self.form == "offset" else totals
 
 
