@@ -1,7 +1,7 @@
 """Explore a scene: drag a parameter, see the picture and the metric move, and a render confirm it."""
 
-# What users see.
-__all__ = ["Exploration", "Recipe", "Server", "section", "serve", "widget"]
+# What users see; the other names are for tests.
+__all__ = ["Exploration", "Recipe", "section", "serve", "widget"]
 
 from ._files import section as section
 from ._server import Server as Server

@@ -34,7 +34,7 @@ ROUGH_SPP = 4
 
 @dataclass(frozen=True)
 class Measured:
-    """A design with its pictures, ``(replicates, H, W, 3)``, and pseudo-values, ``(replicates, metrics)``."""
+    """A ``design`` with its ``images``, ``(replicates, H, W, 3)``, and pseudo-``values``, ``(replicates, metrics)``."""
 
     design: Design
     images: torch.Tensor
@@ -50,7 +50,10 @@ class Measured:
         return mean_and_error(self.values[:, metric])
 
     def change(self, metric: int, start: Measured) -> tuple[float, float]:
-        """Return the change of a metric from another design, in whose difference most of the noise cancels."""
+        """Return the change of a ``metric`` from another design, ``start``, with its standard error.
+
+        Most of the noise cancels in the difference.
+        """
         return mean_and_error(self.values[:, metric] - start.values[:, metric])
 
 
@@ -127,7 +130,7 @@ class Designs:
         return {**self.inputs, **{name: self.sliders[name].tensor(place) for name, place in design.items()}}
 
     def render(self, design: Design, seed: int) -> torch.Tensor:
-        """Return one replicate of the picture of a design."""
+        """Return the replicate of the picture of a ``design`` that has this ``seed``."""
         self.pause()
         with torch.no_grad():
             image: torch.Tensor = self.renderer(self.values(design), seed=seed, spp=self._spp)

@@ -42,7 +42,7 @@ class Gradient:
 
 @dataclass(frozen=True)
 class Derivative:
-    """The derivative images of a slider, ``(images, H, W, 3)``, and the gradient of each metric."""
+    """The derivatives along a slider: ``images``, ``(images, H, W, 3)``, and the ``gradients`` of the metrics."""
 
     images: torch.Tensor
     gradients: list[Gradient]
