@@ -9,7 +9,8 @@ from browsers import browser
 from seeds import shifted
 
 from scenecaptum import SceneRenderer, metrics
-from scenecaptum.explore import Exploration, Recipe, Server
+from scenecaptum.explore import Exploration, Server
+from scenecaptum.explore._session import RECIPE
 
 from .windows import served
 
@@ -29,8 +30,8 @@ def exploration(tiny: SceneRenderer) -> Exploration:
         "renderer = SceneRenderer('cornell-box', {inputs}, resolution=(24, 24), spp=64, max_depth=3)\n"
         "metric = metrics.MeanLuminance()\nvalues = renderer.inputs"
     )
-    recipe = Recipe(
-        python=python, command="scenecaptum attribute cornell-box --resolution 24x24 --max-depth 3"
+    recipe = dict(
+        RECIPE, python=python, command="scenecaptum attribute cornell-box --resolution 24x24 --max-depth 3"
     )
     return Exploration(tiny, named, seed=shifted(), spp=64, recipe=recipe)
 

@@ -64,9 +64,7 @@ def test_a_lamp_is_predicted_at_once_and_confirmed(window):
 
 def test_the_predicted_picture_is_that_of_the_library(window):
     """The page adds up derivatives and tone-maps as Python does: pixels differ by rounding alone."""
-    window.set(WALL, 0.4)
-    shown = np.array(window.pixels()).reshape(24, 24, 4)[..., :3]
-    assert window.text("badge") == "Predicted"
+    shown = np.array(window.predicted(WALL, 0.4)).reshape(24, 24, 4)[..., :3]
     about = window.exploration.about
     base = about.designs.denoised(about.start.image)
     picture, _ = about.predict({WALL: confirmed(window)["design"][WALL]})
@@ -263,9 +261,9 @@ def test_a_new_start_is_taken(window):
     wait_for(lambda: window.exploration.channel.message("base")["design"] == {LAMP: (0.5,)})
     wait_for(lambda: window.text("status") == "")
     assert window.exploration.about.start.value(0)[0] == value
-    assert not window.all("slider[data-moved]").count()
+    wait_for(lambda: not window.all("slider[data-moved]").count())
     window.page.get_by_role("button", name="Reset", exact=True).click()
-    wait_for(lambda: window.exploration.channel.message("render")["design"] == {})
+    wait_for(lambda: window.exploration.channel.message("rendered")["design"] == {})
     window.page.get_by_role("button", name="Take this as the new start").click()
     wait_for(lambda: window.exploration.channel.message("base")["design"] == {})
 
@@ -297,7 +295,7 @@ def test_a_closed_tab_ends_the_work_and_another_takes_it_up(tiny, browser):
         first.close()
         wait_for(lambda: not exploration.channel.listeners)
         exploration.receive({"type": "design", "design": {LAMP: [0.35]}})
-        assert exploration.channel.message("render") == {}
+        assert exploration.channel.message("rendered") == {}
         second = Window(browser, server)
         wait_for(lambda: last_render(exploration).get("design") == {LAMP: (0.35,)})
         second.close()

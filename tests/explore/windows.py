@@ -11,6 +11,12 @@ from urllib.parse import urlsplit
 
 from scenecaptum.explore import Exploration, Server
 
+# From a copy, because Chromium warns of pages that read their own canvases often.
+READ = """const read = (canvas) => {
+    const context = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+    context.drawImage(canvas, 0, 0);
+    return [...context.getImageData(0, 0, canvas.width, canvas.height).data];
+};"""
 PATIENCE = 60.0  # seconds for what takes less than one on a machine that has nothing else to do
 
 
@@ -94,13 +100,24 @@ class Window:
 
     def pixels(self, canvas: str = "render") -> list[int]:
         """The pixels of the picture as they are shown, or of the map over it."""
-        # From a copy, because Chromium warns of pages that read their own canvases often.
-        read = """canvas => {
-            const context = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
-            context.drawImage(canvas, 0, 0);
-            return [...context.getImageData(0, 0, canvas.width, canvas.height).data];
-        }"""
-        found: list[int] = self.all(canvas).evaluate(read)
+        found: list[int] = self.all(canvas).evaluate(f"canvas => {{ {READ} return read(canvas); }}")
+        return found
+
+    def predicted(self, name: str, value: float) -> list[int]:
+        """Move a slider, and return the pixels of the picture that the next frame shows, before any render."""
+        move = f"""async (slider, value) => {{
+            {READ}
+            slider.value = value;
+            slider.dispatchEvent(new Event("input", {{ bubbles: true }}));
+            await new Promise(requestAnimationFrame);
+            const shown = [read(document.querySelector(".explore-render"))];
+            shown.push(document.querySelector(".explore-badge").innerText);
+            slider.dispatchEvent(new Event("change", {{ bubbles: true }}));
+            return shown;
+        }}"""
+        pixels, badge = self.range(name).evaluate(move, value)
+        assert badge == "Predicted"
+        found: list[int] = pixels
         return found
 
     def close(self) -> None:
@@ -113,5 +130,5 @@ class Window:
 
 def last_render(exploration: Exploration) -> dict[str, Any]:
     """The last design that has been rendered well, as it was sent to pages."""
-    message = exploration.channel.message("render")
+    message = exploration.channel.message("rendered")
     return message if message and not message["rough"] else {}

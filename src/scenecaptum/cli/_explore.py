@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from ..explore import Exploration, Recipe, section, serve
+from ..explore import Exploration, section, serve
 from ..linearization import Designs
 from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
@@ -92,7 +92,7 @@ def _spp(options: argparse.Namespace) -> int:
     return spp
 
 
-def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> Recipe:
+def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, Any]:
     """Return the renderer, the first metric and the given design as code and as a command."""
     metric, *_ = options.metrics or [DEFAULT]
     width, height = renderer.resolution
@@ -129,13 +129,13 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> Recipe:
     words += [word for name, value in flags.items() if value is not None for word in (name, str(value))]
     words += [word for pair in options.parameters or () for word in ("-D", "=".join(pair))]
     words += [word for key, value in options.settings or () for word in ("--set", f"{key}={_joined(value)}")]
-    return Recipe(
-        python="\n".join(python),
-        attribute=f"values, target={options.target}" if options.target is not None else "values",
-        command=shlex.join(words),
-        changed=tuple(key.rstrip("".join(CHANGES)) for key in settings),
-        inputs=tuple(options.inputs or ("all",)),
-    )
+    return {
+        "python": "\n".join(python),
+        "attribute": f"values, target={options.target}" if options.target is not None else "values",
+        "command": shlex.join(words),
+        "changed": [key.rstrip("".join(CHANGES)) for key in settings],
+        "inputs": options.inputs or ["all"],
+    }
 
 
 def _metric_code(name: str, options: argparse.Namespace) -> str:

@@ -5,26 +5,18 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
-Message = dict[str, Any]
+# A page: the keys of the messages that it has not received yet, in the order in which they came.
+Listener: TypeAlias = dict[str, None]
 
 
-@dataclass(frozen=True)
-class Published:
+class Published(NamedTuple):
     """A message with its pictures, and a number that no other message has."""
 
     serial: int
-    message: Message
-    buffers: tuple[bytes, ...] = ()
-
-
-@dataclass(eq=False)
-class Listener:
-    """A page: the keys of the messages that it has not received yet, in the order in which they came."""
-
-    pending: dict[str, None] = field(default_factory=dict)
+    message: dict[str, Any]
+    buffers: Sequence[bytes]
 
 
 class Channel:
@@ -41,72 +33,48 @@ class Channel:
         self._serials = itertools.count(1)
 
     def publish(self, key: str, buffers: Sequence[bytes] = (), **message: Any) -> None:
-        """Replace the message under a key."""
+        """Replace the message under a key, whose first word is the type of the message."""
         with self.changed:
-            self.latest[key] = Published(next(self._serials), message, tuple(buffers))
+            self.latest[key] = Published(
+                next(self._serials), {"type": key.partition(" ")[0], **message}, buffers
+            )
             for listener in self.listeners:
-                listener.pending.pop(key, None)
-                listener.pending[key] = None
+                listener.pop(key, None)
+                listener[key] = None
             self.changed.notify_all()
 
-    def known(self) -> list[str]:
-        """Return the keys of all messages."""
-        with self.changed:
-            return list(self.latest)
-
-    def message(self, key: str) -> Message:
+    def message(self, key: str) -> dict[str, Any]:
         """Return the message under a key, empty if there is none."""
-        with self.changed:
-            return self.latest[key].message if key in self.latest else {}
-
-    def withdraw(self, key: str) -> None:
-        """Forget the message under a key."""
-        with self.changed:
-            self.latest.pop(key, None)
+        found = self.latest.get(key)
+        return {} if found is None else found.message
 
     def listen(self) -> Listener:
         """Add a page, which receives everything that is known now."""
         with self.changed:
-            listener = Listener(dict.fromkeys(self.latest))
+            listener = dict.fromkeys(self.latest)
             self.listeners.append(listener)
             self.changed.notify_all()
             return listener
 
-    def listen_once(self) -> list[Published]:
-        """Return everything that is known now."""
-        with self.changed:
-            return list(self.latest.values())
-
-    def repeat(self, listener: Listener) -> None:
-        """Let a page receive everything again."""
-        with self.changed:
-            listener.pending = dict.fromkeys(self.latest)
-            self.changed.notify_all()
-
     def leave(self, listener: Listener) -> None:
         """Remove a page."""
         with self.changed:
-            if listener in self.listeners:
-                self.listeners.remove(listener)
+            self.listeners = [one for one in self.listeners if one is not listener]
             self.changed.notify_all()
 
     def take(self, listener: Listener, timeout: float) -> list[Published] | None:
         """Wait for messages and return them, none after the timeout; None once the exploration has ended."""
         with self.changed:
-            self.changed.wait_for(lambda: self.closed or listener.pending, timeout)
-            if self.closed:
-                return None
-            taken = [self.latest[key] for key in listener.pending if key in self.latest]
-            listener.pending.clear()
-            return taken
+            self.changed.wait_for(lambda: self.closed or listener, timeout)
+            taken = [self.latest[key] for key in listener if key in self.latest]
+            listener.clear()
+            return None if self.closed else taken
 
     def buffer(self, serial: int, index: int) -> bytes | None:
         """Return a picture of a message, None if it has been replaced."""
         with self.changed:
-            for one in self.latest.values():
-                if one.serial == serial and index < len(one.buffers):
-                    return one.buffers[index]
-        return None
+            found = [one.buffers for one in self.latest.values() if one.serial == serial]
+        return found[0][index] if found and index < len(found[0]) else None
 
     def close(self) -> None:
         """End it for all pages and the worker."""

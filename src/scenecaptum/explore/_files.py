@@ -25,21 +25,11 @@ def section(exploration: Exploration) -> Section:
     -------
     >>> found = Exploration(renderer, metric)  # doctest: +SKIP
     >>> write_report(found.linearize().attributions, "report.html", sections=[section(found)])  # doctest: +SKIP
-
-    Parameters
-    ----------
-    exploration
-        What is explored; its ``linearize`` has been called.
     """
-    messages = []
-    for one in exploration.channel.listen_once():
-        if one.message["type"] in KEPT:
-            buffers = [base64.b64encode(zlib.compress(buffer, 9)).decode() for buffer in one.buffers]
-            messages.append({**one.message, "buffers": buffers})
-    return Section(
-        name="explore",
-        title="What if",
-        style=page_text("explore.css"),
-        module=page_text("explore.js"),
-        data=json.dumps(messages, allow_nan=False),
-    )
+    messages = [
+        {**message, "buffers": [base64.b64encode(zlib.compress(buffer, 9)).decode() for buffer in buffers]}
+        for _, message, buffers in exploration.channel.latest.values()
+        if message["type"] in KEPT
+    ]
+    data = json.dumps(messages, allow_nan=False)
+    return Section("explore", "What if", page_text("explore.css"), page_text("explore.js"), data)

@@ -36,20 +36,7 @@ HEADERS = {
 
 
 class Server(ThreadingHTTPServer):
-    """Serves the page of an exploration at ``address``; ``serve_forever`` and ``shutdown`` are those of its base.
-
-    Parameters
-    ----------
-    exploration
-        What is explored.
-    port
-        Of this machine; 0 for any that is free.
-
-    Raises
-    ------
-    SceneCaptumError
-        If the port is invalid or in use.
-    """
+    """Serves the page of an exploration at ``address``, on any port that is free or on a given one."""
 
     daemon_threads = True
 
@@ -77,9 +64,7 @@ class Server(ThreadingHTTPServer):
 
 
 class _RefusedError(Exception):
-    def __init__(self, status: HTTPStatus, text: str) -> None:
-        super().__init__(text)
-        self.status = status
+    """A request that is refused: status and reason."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -102,7 +87,8 @@ class _Handler(BaseHTTPRequestHandler):
         except _RefusedError as refusal:
             # What was not read of a body would be taken for the next request.
             self.close_connection = True
-            self._send(refusal.status, json.dumps({"error": str(refusal)}).encode(), "application/json")
+            status, reason = refusal.args
+            self._send(status, json.dumps({"error": reason}).encode(), "application/json")
 
     def _path(self) -> str:
         """Return what follows the token; refuse requests without it, and those of other sites."""
@@ -115,8 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
         token, _, path = rest.partition("/")
         if not hmac.compare_digest(token.encode("utf-8", "replace"), self.server.token.encode()):
             _refuse(
-                HTTPStatus.FORBIDDEN,
-                "The address has no token, or a wrong one: use the one that was printed.",
+                HTTPStatus.FORBIDDEN, "The address has no token, or a wrong one: use that which was printed."
             )
         return path
 
@@ -147,7 +132,8 @@ class _Handler(BaseHTTPRequestHandler):
         if len(length) > 9 or int(length) > MAX_BODY:
             _refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"A message has at most {MAX_BODY} bytes.")
         try:
-            message = json.loads(self.rfile.read(int(length)), parse_constant=_refuse_constant)
+            # int() refuses NaN and Infinity.
+            message = json.loads(self.rfile.read(int(length)), parse_constant=int)
         except (ValueError, RecursionError):
             _refuse(HTTPStatus.BAD_REQUEST, "A message is JSON with finite numbers.")
         try:
@@ -195,17 +181,7 @@ def _refuse(status: HTTPStatus, text: str) -> NoReturn:
     raise _RefusedError(status, text)
 
 
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(name)
-
-
-def serve(
-    exploration: Exploration,
-    *,
-    port: int = 0,
-    open_browser: bool = True,
-    announce: Callable[[str], object] = print,
-) -> bool:
+def serve(exploration: Exploration, *, port: int = 0, open_browser: bool = True) -> bool:
     """Explore in a browser until Ctrl-C, and return whether all work has ended by then.
 
     Example
@@ -219,9 +195,7 @@ def serve(
     port
         Of this machine; 0 for any that is free.
     open_browser
-        Whether to open the page in the user's browser.
-    announce
-        Called with a line that has the address.
+        Whether to open the page in the user's browser; its address is printed.
 
     Raises
     ------
@@ -230,7 +204,8 @@ def serve(
     """
     with Server(exploration, port) as server:
         exploration.start()
-        announce(f"Explore {exploration.designs.renderer.name} at {server.address} (Ctrl-C ends it)")
+        name = exploration.designs.renderer.name
+        print(f"Explore {name} at {server.address} (Ctrl-C ends it)", flush=True)
         if open_browser:
             threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
         try:

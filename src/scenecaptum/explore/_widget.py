@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from typing import Any
 
 from ..errors import SceneCaptumError
-from ._channel import Channel, Listener
+from ._channel import Listener
 from ._files import page_text
 from ._session import Exploration
 
 
 def widget(exploration: Exploration) -> Any:
-    """Return a notebook widget that explores; show it as the last line of a cell.
+    """Return a notebook widget that explores; show it as the last line of a cell. Its ``close()`` ends the work.
 
     Example
     -------
     >>> widget(Exploration(renderer, metrics.UnifiedGlareRating(renderer.camera)))  # doctest: +SKIP
-
-    Parameters
-    ----------
-    exploration
-        What is explored; ``close()`` of the widget ends it.
-
-    Returns
-    -------
-    anywidget.AnyWidget
-        The widget.
 
     Raises
     ------
@@ -49,43 +38,25 @@ def widget(exploration: Exploration) -> Any:
             exploration.close()
             super().close()
 
-    made = Explore()
-    views = _Views(made, exploration)
-    made.on_msg(lambda _, message, __: views.receive(message))
-    exploration.start()
-    return made
+    made, channel, views = Explore(), exploration.channel, list[Listener]()
 
+    def send(listener: Listener) -> None:
+        while any(listener is one for one in views) and (taken := channel.take(listener, 1.0)) is not None:
+            for one in taken:
+                made.send(one.message, list(one.buffers))
 
-class _Views:
-    """Passes messages between the views of a widget and an exploration, which rests without views."""
-
-    def __init__(self, made: Any, exploration: Exploration) -> None:
-        self.made, self.exploration = made, exploration
-        self.count = 0
-        self.listener: Listener | None = None
-
-    def receive(self, message: Mapping[str, Any]) -> None:
-        """Pass on what a view asks for."""
-        kind, channel = message.get("type"), self.exploration.channel
-        if kind == "hello":
-            self.count += 1
-            if self.listener is None:
-                self.listener = channel.listen()
-                threading.Thread(target=self._send, args=(channel, self.listener), daemon=True).start()
-            else:
-                channel.repeat(self.listener)
-        elif kind == "bye":
-            self.count -= 1
-            if self.count == 0 and self.listener is not None:
-                channel.leave(self.listener)
-                self.listener = None
+    def receive(_: Any, message: dict[str, Any], __: Any) -> None:
+        if message.get("type") == "hello":
+            views.append(channel.listen())
+            threading.Thread(target=send, args=(views[-1],), daemon=True).start()
+        elif message.get("type") == "bye":
+            channel.leave(views.pop())  # any: all views receive what is sent
         else:
             try:
-                self.exploration.receive(message)
+                exploration.receive(message)
             except SceneCaptumError as error:
-                self.made.send({"type": "problem", "text": str(error)})
+                made.send({"type": "problem", "text": str(error)})
 
-    def _send(self, channel: Channel, listener: Listener) -> None:
-        while listener is self.listener and (taken := channel.take(listener, 1.0)) is not None:
-            for one in taken:
-                self.made.send(one.message, list(one.buffers))
+    made.on_msg(receive)
+    exploration.start()
+    return made

@@ -34,7 +34,7 @@ ROUGH_SPP = 4
 
 @dataclass(frozen=True)
 class Measured:
-    """A ``design`` with its ``images``, ``(replicates, H, W, 3)``, and pseudo-``values``, ``(replicates, metrics)``."""
+    """A ``design``, ``images``, ``(replicates, H, W, 3)``, and pseudo-``values``, ``(replicates, metrics)``."""
 
     design: Design
     images: torch.Tensor

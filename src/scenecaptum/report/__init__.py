@@ -3,10 +3,9 @@
 # What users see; the other names are for the rooms above.
 __all__ = ["Section", "write_csv", "write_json", "write_report"]
 
+from ._data import describe_objects as describe_objects
 from ._numbers import json_text as json_text
 from ._numbers import write_csv as write_csv
 from ._numbers import write_json as write_json
-from ._pixels import color_maps as color_maps
-from ._pixels import encode_surfaces as encode_surfaces
 from ._write import Section as Section
 from ._write import write_report as write_report

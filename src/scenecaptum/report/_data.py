@@ -69,6 +69,20 @@ def report_data(
     return {"results": results, **shared, "maps": color_maps()}
 
 
+def describe_objects(
+    surfaces: SurfaceMap, movable: Mapping[str, Any], attributions: Sequence[Attribution]
+) -> dict[str, Any]:
+    """Return what each pixel shows, which parameters can change it, and the signed effects of each object."""
+    view, shown = _view(surfaces)
+    signed = []
+    for attribution in attributions:
+        effects = attribution.effects()
+        used = used_by_objects(attribution, surfaces, effects)
+        signed.append([sum(effects[name] for name in used[index]) for index in shown])
+    parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
+    return {**view, "parameters": parameters, "effects": signed, "maps": color_maps()}
+
+
 def _index_in(items: list[Any], item: Any) -> int:
     """Return the index of an item in a list; append it if it is new."""
     if item not in items:

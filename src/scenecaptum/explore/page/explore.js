@@ -7,8 +7,6 @@ const LAYERS = 3; // objects per pixel
 const OPERATORS = { dimmer: "*", offset: "+" }; // of changes, in Python and on the command line
 const CLEAR = 2; // errors from which a render and its prediction differ
 
-// ------------------------------------------------------------------------------------------------- elements
-
 /** Make an element. Strings become text, never markup: names come from scenes that anyone may have written. */
 function make(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
@@ -24,10 +22,8 @@ function make(tag, attributes = {}, ...children) {
 
 const button = (text, onclick, attributes = {}) => make("button", { type: "button", onclick, ...attributes }, text);
 
-// -------------------------------------------------------------------------------------------------- numbers
-
 const minus = (text) => text.replaceAll("-", "−");
-const exponent = (number) => Number(number.toExponential(3).split("e")[1]);
+const exponent = (number) => Number(number.toExponential(3).split("e")[1]); // after rounding
 
 /** Write a value to the digits that its error leaves: ``["0.0978", "0.0008"]``. */
 function written(value, error, signed = false) {
@@ -40,8 +36,6 @@ function written(value, error, signed = false) {
 
 const withError = (value, error, signed) => written(value, error, signed).filter(Boolean).join(" ± ");
 const short = (number) => Number(number.toPrecision(6));
-
-// ------------------------------------------------------------------------------------------------- pictures
 
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
@@ -106,16 +100,13 @@ function advance(linear, slider, from, to) {
 const toHex = (linear) => `#${linear.map((x) => SRGB[Math.round(STEPS * Math.min(Math.max(x, 0), 1))].toString(16).padStart(2, "0")).join("")}`;
 const toLinear = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255).map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4));
 
-// ----------------------------------------------------------------------------------------------------- page
-
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 const sorted = (design) => Object.fromEntries(Object.entries(design).sort(([a], [b]) => (a < b ? -1 : 1)));
 
 class Page {
   constructor(model, el) {
-    Object.assign(this, { model, el, id: Math.random().toString(36).slice(2), sliders: new Map(), rows: new Map() });
-    Object.assign(this, { scene: null, base: null, preview: null, rendered: null, saved: [], objects: null });
-    Object.assign(this, { design: {}, past: [], future: [], metric: 0, overlay: "off", compared: null, held: false });
+    Object.assign(this, { model, el, id: Math.random().toString(36).slice(2), sliders: new Map(), rows: new Map(), saved: [] });
+    Object.assign(this, { design: {}, now: {}, past: [], future: [], metric: 0, overlay: "off", compared: null, held: false });
     this.heard = (message, buffers) => this.receive(message, buffers ?? []);
     el.classList.add("explore");
     el.addEventListener("keydown", (event) => this.press(event));
@@ -131,26 +122,15 @@ class Page {
     clearTimeout(this.timer);
   }
 
-  // ----------------------------------------------------------------------------------------------- messages
-
   receive(message, buffers) {
     const pictures = (message.scales ?? []).map((scale, index) => decode(buffers[index], scale));
-    const taken = { ...message, picture: pictures[0] };
-    if (message.type === "scene") this.takeScene(message);
-    else if (message.type === "preview") this.preview = taken;
-    else if (message.type === "base") this.takeBase(taken);
-    else if (message.type === "slider") this.takeSlider(message, pictures);
-    else if (message.type === "render") this.rendered = { ...taken, design: sorted(message.design) };
-    else if (message.type === "objects") this.takeObjects(message);
-    else if (message.type === "design") this.takeDesign(message);
-    else if (message.type === "saved") this.takeSaved(message.designs);
-    else if (message.type === "status") this.tell(message.text);
-    else if (message.type === "problem") this.complain(message.text);
+    const taken = { ...message, design: message.design && sorted(message.design), picture: pictures[0] };
+    if (["scene", "preview", "base", "rendered"].includes(taken.type)) this[taken.type] = taken;
+    this[`take${taken.type[0].toUpperCase()}${taken.type.slice(1)}`]?.(taken, pictures);
     this.draw();
   }
 
   takeScene(scene) {
-    this.scene = scene;
     this.parts.title.textContent = scene.name;
     this.parts.cards.replaceChildren(...scene.metrics.map((metric, index) => this.makeCard(metric, index)));
     this.parts.cards.toggleAttribute("data-single", scene.metrics.length < 2);
@@ -160,21 +140,25 @@ class Page {
     this.el.style.setProperty("--ratio", scene.width / scene.height);
   }
 
-  takeBase(base) {
-    this.base = { ...base, design: sorted(base.design) };
-    this.preview = null;
-    this.rebuild();
+  takeStatus({ text }) {
+    this.parts.status.textContent = text;
+    this.el.toggleAttribute("data-busy", Boolean(text));
+  }
+
+  takeProblem({ text }) {
+    this.parts.problem.textContent = text;
+    this.parts.problem.hidden = !text;
   }
 
   takeSlider(message, images) {
     const known = this.sliders.get(message.name);
     const byChannel = message.form === "color" || message.form === "channels";
-    const kept = known && !images.length ? { images: known.images, gradients: known.gradients } : { images };
+    const kept = known && !images.length ? { images: known.images, gradients: known.gradients } : { images }; // till then
     this.sliders.set(message.name, { ...message, byChannel, ...kept });
     if (!this.rows.has(message.name)) this.makeRow(this.sliders.get(message.name));
     this.rows.get(message.name).toggleAttribute("data-waiting", !kept.images.length);
     this.rows.get(message.name).querySelectorAll("input, button").forEach((one) => { one.disabled = !kept.images.length; });
-    if (images.length) this.rebuild();
+    if (images.length) this.takeBase();
   }
 
   async takeObjects(message) {
@@ -188,13 +172,12 @@ class Page {
   takeDesign({ design, origin }) {
     if (origin === this.id && this.greeted) return;
     this.greeted = true;
-    if (same(sorted(design), this.design)) return;
-    this.design = sorted(design);
-    this.commit(false);
-    this.placeAll();
+    if (same(design, this.design)) return;
+    this.put(design);
+    this.commit();
   }
 
-  takeSaved(designs) {
+  takeSaved({ designs }) {
     this.saved = designs.map((one) => ({ ...one, design: sorted(one.design) }));
     if (this.compared && !this.saved.some((one) => one.name === this.compared)) this.compared = null;
     this.parts.saved.replaceChildren(...this.saved.map((one) => this.makeSaved(one)));
@@ -215,10 +198,8 @@ class Page {
     this.model.send({ type: "design", design: this.design, origin: this.id });
   }
 
-  // ---------------------------------------------------------------------------------------------- the design
-
-  place(slider) {
-    return this.design[slider.name] ?? slider.start;
+  place(slider, design = this.design) {
+    return design[slider.name] ?? slider.start;
   }
 
   move(slider, place) {
@@ -229,52 +210,49 @@ class Page {
     this.draw();
   }
 
-  /** Note the design for undo, after a change that is complete. */
-  commit(own = true) {
-    if (same(this.design, this.now ?? {})) return;
-    this.past.push(this.now ?? {});
+  /** Note the design for undo, after a change that is complete, and say what it does. */
+  commit() {
+    if (same(this.design, this.now)) return;
+    this.past.push(this.now);
     this.future = [];
     this.now = this.design;
-    if (own) this.announce();
+    const now = this.base && this.measured(this.metric);
+    if (now) this.parts.announcement.textContent = `${this.scene.metrics[this.metric].title} ${withError(now.value, now.error)}`;
     this.draw();
   }
 
   show(design) {
-    this.design = design;
-    this.placeAll();
+    this.put(design);
     this.schedule();
+  }
+
+  /** Move all sliders to a design. */
+  put(design) {
+    this.design = design;
+    for (const slider of this.sliders.values()) this.rows.get(slider.name).place(this.place(slider));
     this.draw();
   }
 
   undo(from = this.past, to = this.future) {
     if (!from.length) return;
-    to.push(this.now ?? {});
+    to.push(this.now);
     this.now = from.pop();
     this.show(this.now);
   }
 
-  placeAll() {
-    for (const slider of this.sliders.values()) this.rows.get(slider.name).place(this.place(slider));
-  }
-
-  // --------------------------------------------------------------------------------------------- predictions
 
   /** Compute the predicted picture anew, from the start that is known now. */
-  rebuild() {
+  takeBase() {
     if (!this.base) return;
     this.linear = Float32Array.from(this.base.picture);
     this.applied = new Map();
-  }
-
-  baseDesign(slider) {
-    return this.base.design[slider.name] ?? slider.start;
   }
 
   /** Bring a picture to a design, changing only what has moved since. */
   follow(linear, applied, design) {
     for (const slider of this.sliders.values()) {
       if (!slider.images.length) continue;
-      const [from, to] = [applied.get(slider.name) ?? this.baseDesign(slider), design[slider.name] ?? slider.start];
+      const [from, to] = [applied.get(slider.name) ?? this.place(slider, this.base.design), this.place(slider, design)];
       advance(linear, slider, from, to);
       applied.set(slider.name, to);
     }
@@ -286,9 +264,9 @@ class Page {
     const totals = new Map(); // replicates of the same render are added before their spread is taken
     let turned = 0;
     for (const slider of only ? [only] : this.sliders.values()) {
-      const [from, to] = [this.baseDesign(slider), design[slider.name] ?? slider.start];
+      const [from, to] = [this.place(slider, this.base.design), this.place(slider, design)];
       if (same(from, to)) continue;
-      if (!slider.gradients) return null;
+      if (!slider.gradients.length) return null;
       const { rows, turned: adjoint } = slider.gradients[metric];
       const along = (row) => row.reduce((sum, one, index) => sum + one * (to[index] - from[index]), 0);
       const sums = totals.get(rows.length) ?? rows.map(() => 0);
@@ -320,10 +298,8 @@ class Page {
   }
 
   isRendered() {
-    return this.rendered !== null && same(this.rendered.design, this.design);
+    return this.rendered && same(this.rendered.design, this.design);
   }
-
-  // ------------------------------------------------------------------------------------------------- drawing
 
   draw() {
     if (this.frame) return;
@@ -344,7 +320,7 @@ class Page {
       return { ...this.base, picture, label: this.compared ?? "Before" };
     }
     const isStart = same(this.design, this.base.design);
-    if (isStart) this.rebuild(); // rounding does not add up
+    if (isStart) this.takeBase(); // rounding does not add up
     const picture = this.follow(this.linear, this.applied, this.design);
     if (this.isRendered() && !isStart) {
       return { ...this.rendered, exposure: this.base.exposure, label: this.rendered.rough ? "Rendered roughly" : "Rendered" };
@@ -357,7 +333,7 @@ class Page {
     const shown = this.shown();
     frame.toggleAttribute("data-empty", !shown);
     if (!shown) return;
-    if (canvas.width !== shown.width || canvas.height !== shown.height) Object.assign(canvas, { width: shown.width, height: shown.height });
+    Object.assign(canvas, { width: shown.width, height: shown.height });
     const context = canvas.getContext("2d");
     const image = context.createImageData(shown.width, shown.height);
     toneMap(shown.picture, shown.exposure, image.data);
@@ -368,6 +344,7 @@ class Page {
 
   drawMetrics() {
     if (!this.base) return;
+    const isStart = same(this.design, this.base.design);
     this.scene.metrics.forEach((metric, index) => {
       const [value, verdict, change, note] = this.parts.cards.children[index].querySelectorAll("[data-part]");
       const now = this.measured(index);
@@ -375,7 +352,7 @@ class Page {
       value.textContent = now ? withError(now.value, now.error) + unit : "…";
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
       verdict.textContent = !now ? "" : now.verdict ?? (metric.bands.length ? band?.[1] ?? metric.above : "");
-      const changed = now && (now.change ?? (same(this.design, this.base.design) ? null : now.predicted));
+      const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
       const isOff = now?.errors > CLEAR;
@@ -385,7 +362,7 @@ class Page {
     this.parts.undo.disabled = !this.past.length;
     this.parts.redo.disabled = !this.future.length;
     this.parts.reset.disabled = !Object.keys(this.design).length;
-    this.parts.start.disabled = same(this.design, this.base.design);
+    this.parts.start.disabled = isStart;
   }
 
   drawRows() {
@@ -394,21 +371,16 @@ class Page {
     this.parts.heading.textContent = this.sliders.size ? `Effect over the range of each${unit ? `, in ${unit}` : ""}; of what you move, that of the move` : "";
     for (const slider of this.sliders.values()) {
       const row = this.rows.get(slider.name);
-      const moved = !same(this.place(slider), this.baseDesign(slider));
+      const moved = !same(this.place(slider), this.place(slider, this.base.design));
       const own = moved && this.predict(this.metric, this.design, slider);
       const over = slider.effects[this.metric];
       row.toggleAttribute("data-moved", moved);
       row.effect.textContent = own ? withError(own.change, own.error, true) : over ? withError(over[0], over[1], true) : "";
       row.effect.title = own ? "effect of this change, to first order" : "effect over its range, to first order";
       row.effect.dataset.sign = Math.sign(own ? own.change : over?.[0] ?? 0);
-      row.number.textContent = this.numberOf(slider);
+      const place = this.place(slider);
+      row.number.textContent = slider.form === "dimmer" ? `${Math.round(100 * place[0])} %` : minus(place.map((one) => String(Number(one.toPrecision(3)))).join("  "));
     }
-  }
-
-  numberOf(slider) {
-    const place = this.place(slider);
-    if (slider.form === "dimmer") return `${Math.round(100 * place[0])} %`;
-    return minus(place.map((number) => String(Number(number.toPrecision(3)))).join("  "));
   }
 
   /** Paint each pixel with the effects of what it shows. */
@@ -440,8 +412,6 @@ class Page {
     context.putImageData(image, 0, 0);
     caption.textContent = `Effects over the ranges of the parameters, up to ${short(Number(largest.toPrecision(2)))} ${this.scene.metrics[this.metric].unit}${signed ? "; blue raises the metric, orange lowers it" : ""}.`;
   }
-
-  // ------------------------------------------------------------------------------------------------ elements
 
   layout() {
     const p = { title: make("h1"), status: make("p", { class: "status", role: "status" }), problem: make("p", { class: "problem", role: "alert", hidden: true }) };
@@ -475,7 +445,7 @@ class Page {
     const controls = make("section", { class: "controls", "aria-label": "Parameters" }, make("div", { class: "tools" }, p.undo, p.redo, p.reset, p.start), p.heading, p.list, p.search, p.names);
     const left = make("div", { class: "left" }, stage, view, p.caption, p.chosen, designs);
     p.announcement = make("p", { class: "unseen", "aria-live": "polite" });
-    this.el.replaceChildren(make("header", { class: "top" }, make("div", {}, make("p", { class: "brand" }, "scenecaptum · explore"), p.title), p.status), p.problem, p.cards, make("div", { class: "work" }, left, controls), p.announcement);
+    this.el.replaceChildren(make("header", { class: "top" }, make("div", {}, make("p", { class: "muted" }, "scenecaptum · explore"), p.title), p.status), p.problem, p.cards, make("div", { class: "work" }, left, controls), p.announcement);
   }
 
   makeCard(metric, index) {
@@ -489,7 +459,7 @@ class Page {
     const row = make("div", { class: "slider", role: "group", "aria-label": slider.label, "data-name": slider.name, "data-form": slider.form });
     const moved = (place) => this.move(slider, place);
     const range = (label, low, high, read) => make("input", { type: "range", min: low, max: high, step: "any", "aria-label": label, oninput: read, onchange: () => this.commit() });
-    const [controls, place] = slider.form === "color" ? colorControls(slider, range, moved, () => this.place(slider), () => this.commit()) : numberControls(slider, range, moved);
+    const [controls, place] = slider.form === "color" ? colorControls(slider, range, moved, () => this.commit()) : numberControls(slider, range, moved);
     row.effect = make("output", { class: "effect" });
     row.number = make("span", { class: "number" });
     const back = button("×", () => { this.move(slider, slider.start); row.place(slider.start); this.commit(); }, { class: "back", title: "back to the scene's value", "aria-label": `Reset ${slider.label}` });
@@ -502,11 +472,9 @@ class Page {
 
   makeSaved(one) {
     const values = this.scene?.metrics.map((metric, index) => one.metrics && `${metric.symbol ?? metric.title} ${withError(one.metrics[index].value, one.metrics[index].error)}`).filter(Boolean).join(", ");
-    const compare = button("Compare", () => { this.compared = this.compared === one.name ? null : one.name; this.takeSaved(this.saved); }, { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" });
+    const compare = button("Compare", () => { this.compared = this.compared === one.name ? null : one.name; this.takeSaved({ designs: this.saved }); }, { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" });
     return make("li", {}, make("span", { class: "label" }, one.name), make("span", { class: "muted" }, values || "not rendered"), button("Show", () => { this.show(one.design); this.commit(); }), compare, button("×", () => this.model.send({ type: "forget", name: one.name }), { "aria-label": `Forget ${one.name}` }));
   }
-
-  // ------------------------------------------------------------------------------------------------- actions
 
   press(event) {
     if (event.target.matches("input:not([type=range]):not([type=radio]), textarea, select")) return;
@@ -559,40 +527,19 @@ class Page {
     this.parts.name.value = "";
   }
 
-  tell(text) {
-    this.parts.status.textContent = text;
-    this.el.toggleAttribute("data-busy", Boolean(text));
-  }
-
-  complain(text) {
-    this.parts.problem.textContent = text;
-    this.parts.problem.hidden = !text;
-  }
-
-  announce() {
-    const now = this.base && this.measured(this.metric);
-    const { title, unit } = this.scene.metrics[this.metric];
-    if (now) this.parts.announcement.textContent = `${title} ${withError(now.value, now.error)} ${unit}, predicted`;
-  }
-
-  /** Return the parameters that differ from those of the scene file. */
+  /** Return the inputs of a renderer for code: the parameters that differ from those of the scene file. */
   changed() {
-    const { changed, inputs } = this.scene.recipe;
-    const names = [...new Set([...changed, ...Object.keys(this.design)])];
-    return names.length ? names : inputs;
-  }
-
-  /** Return the changes as code: of the form of a slider, its name and its numbers. */
-  written(write) {
-    return Object.entries(this.design).map(([name, place]) => write(OPERATORS[this.sliders.get(name).form] ?? "", name, place.map(short)));
+    const names = [...new Set([...this.scene.recipe.changed, ...Object.keys(this.design)])];
+    return names.length ? names : this.scene.recipe.inputs;
   }
 
   python() {
     const { python, attribute } = this.scene.recipe;
-    const changes = this.written((operator, name, numbers) => {
-      const key = `values[${JSON.stringify(name)}]`;
-      const given = `torch.tensor(${this.sliders.get(name).form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
-      return operator ? `${key} = ${key} ${operator} ${numbers[0]}` : `${key} = ${given}`;
+    const changes = Object.entries(this.design).map(([name, place]) => {
+      const { form } = this.sliders.get(name);
+      const [key, numbers] = [`values[${JSON.stringify(name)}]`, place.map(short)];
+      if (OPERATORS[form]) return `${key} = ${key} ${OPERATORS[form]} ${numbers[0]}`;
+      return `${key} = torch.tensor(${form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
     });
     const inputs = JSON.stringify(this.changed());
     return [python.replace("{inputs}", () => inputs), ...changes, "renderer.clamp_(values)", `print(VanillaSceneGradient(renderer, metric).attribute(${attribute}))`, ""].join("\n");
@@ -601,7 +548,8 @@ class Page {
   command() {
     const quote = (text) => `'${text.replaceAll("'", "'\\''")}'`;
     const inputs = this.changed().map((name) => `--inputs ${quote(name)}`);
-    const changes = this.written((operator, name, numbers) => `--set ${quote(`${name}${operator}=${numbers.join(",")}`)}`);
+    const operator = (name) => OPERATORS[this.sliders.get(name).form] ?? "";
+    const changes = Object.entries(this.design).map(([name, place]) => `--set ${quote(`${name}${operator(name)}=${place.map(short).join(",")}`)}`);
     return [this.scene.recipe.command, ...inputs, ...changes].join(" \\\n  ") + "\n";
   }
 
@@ -613,7 +561,7 @@ class Page {
 }
 
 /** A colour, and how bright it is. */
-function colorControls(slider, range, moved, current, commit) {
+function colorControls(slider, range, moved, commit) {
   let hue = [1, 1, 1];
   const color = make("input", { type: "color", "aria-label": `${slider.label}, colour`, oninput: () => moved(place(toLinear(color.value))), onchange: commit });
   const bright = range(`${slider.label}, brightness`, 0, 1, () => moved(set(hue.map((part) => part * Number(bright.value)))));
@@ -635,12 +583,14 @@ function numberControls(slider, range, moved) {
   return [lines, (numbers) => numbers.forEach((number, index) => { ranges[index].value = number; })];
 }
 
-// -------------------------------------------------------------------------------------------------- models
+function hub() {
+  const listeners = [];
+  return { on: (_, listener) => listeners.push(listener), tell: (...message) => listeners.forEach((one) => one(...message)) };
+}
 
 /** The model of a page of the local server: messages come as events, pictures by their addresses. */
 function connect() {
-  const listeners = [];
-  const tell = (message, buffers) => listeners.forEach((listener) => listener(message, buffers));
+  const { on, tell } = hub();
   const fetched = async (path) => {
     const answer = await fetch(path);
     if (answer.status !== 200) throw new Error("there is a newer picture");
@@ -659,13 +609,12 @@ function connect() {
     const answer = await fetch("message", { method: "POST", body: JSON.stringify(content) }).catch(() => null);
     if (answer && !answer.ok) tell({ type: "problem", text: (await answer.json()).error });
   };
-  return { on: (_, listener) => listeners.push(listener), send };
+  return { on, send };
 }
 
 /** The model of an offline page: it has all messages, and keeps saved designs itself. */
 function recorded(text) {
-  const listeners = [];
-  const tell = (message, buffers) => listeners.forEach((listener) => listener(message, buffers));
+  const { on, tell } = hub();
   let saved = [];
   const play = async () => {
     for (const { buffers, ...message } of JSON.parse(text)) {
@@ -683,7 +632,7 @@ function recorded(text) {
     else if (content.type === "save") keep(content, [{ name: content.name, design, metrics: null }]);
     else if (content.type === "forget") keep(content, []);
   };
-  return { on: (_, listener) => listeners.push(listener), send };
+  return { on, send };
 }
 
 export function render({ model, el }) {
