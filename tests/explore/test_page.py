@@ -204,6 +204,7 @@ def test_an_object_in_the_picture_has_its_parameters(window):
     assert focused == WALL
     window.page.get_by_label("Object, to get its parameters").select_option(label="tall_box_shape")
     assert "tall_box: reflectance" in window.text("chosen")
+    assert "tall_box_shape: translation" in window.text("chosen")
 
 
 @pytest.mark.parametrize("kind", ["signed", "magnitude"])

@@ -266,8 +266,9 @@ class Exploration:
         )
         self._say("Ranking the parameters")
         about.rank()
-        shown = self.designs.surfaces, self.designs.sliders, about.attributions
-        self.channel.publish("objects", **describe_objects(*shown))
+        movable = {name: slider.moves for name, slider in self.designs.sliders.items()}
+        shown = describe_objects(self.designs.surfaces, movable, about.attributions)
+        self.channel.publish("objects", **shown)
         sliders = [self._slider(name) for name in dict.fromkeys([*about.leading(self._top), *self._shown()])]
         for slider in sliders:
             self._publish_slider(slider)

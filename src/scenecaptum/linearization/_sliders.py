@@ -42,6 +42,8 @@ class Slider:
         The scene's own value.
     bounds
         The physical bounds of values.
+    moves
+        The objects that it moves, for a pose.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Slider:
     start: Place
     value: torch.Tensor
     bounds: tuple[float, float]
+    moves: tuple[str, ...] = ()
 
     @property
     def by_channel(self) -> bool:
@@ -125,7 +128,8 @@ def make_slider(parameter: Parameter, value: torch.Tensor) -> Slider:
     elif form == "offset":
         mean = value.mean().item()
         low, high, start = low - mean, high - mean, (0.0,)
-    return Slider(parameter.name, parameter.label, parameter.kind, form, low, high, start, value, bounds)
+    names = parameter.name, parameter.label, parameter.kind
+    return Slider(*names, form, low, high, start, value, bounds, parameter.shapes)
 
 
 def _lowest(parameter: Parameter) -> float:

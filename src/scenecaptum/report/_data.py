@@ -70,16 +70,23 @@ def report_data(
 
 
 def describe_objects(
-    surfaces: SurfaceMap, movable: Mapping[str, Any], attributions: Sequence[Attribution]
+    surfaces: SurfaceMap, movable: Mapping[str, Sequence[str]], attributions: Sequence[Attribution]
 ) -> dict[str, Any]:
-    """Return what each pixel shows, which parameters can change it, and the signed effects of each object."""
+    """Return what each pixel shows, which parameters can change it, and the signed effects of each object.
+
+    ``movable`` has the parameters that may be listed, each with the objects that it moves.
+    """
     view, shown = _view(surfaces)
     signed = []
     for attribution in attributions:
         effects = attribution.effects()
         used = used_by_objects(attribution, surfaces, effects)
         signed.append([sum(effects[name] for name in used[index]) for index in shown])
-    parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
+    parameters = [
+        [*(name for name in surfaces.parameters[index] if name in movable)]
+        + [name for name, moved in movable.items() if surfaces.objects[index] in moved]
+        for index in shown
+    ]
     return {**view, "parameters": parameters, "effects": signed, "maps": color_maps()}
 
 
