@@ -357,7 +357,7 @@ class Page {
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
-      note.textContent = isOff ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${now.errors.toFixed(1)} errors.` : "";
+      note.textContent = isOff ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} errors.` : "";
     });
     this.parts.undo.disabled = !this.past.length;
     this.parts.redo.disabled = !this.future.length;
