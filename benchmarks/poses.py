@@ -4,11 +4,13 @@
 script, with other seeds and two steps: in the office, in the Cornell box, and in a Cornell box with meshes that
 have face or vertex normals, instances and small lamps. ``coverage`` counts how often the 95 % intervals hold the
 result of long runs. ``cost`` times the poses of 30 objects of the office to a stable top 5, with and without
-leaving out the objects that cannot reach it, and the camera beside a plain attribution.
+leaving out the objects that cannot reach it. ``camera`` times the rotation and the field of view of the camera
+beside a plain attribution, in turns.
 
     python benchmarks/poses.py differences [--scene office|cornell-box|meshes] [--seeds 8]
     python benchmarks/poses.py coverage [--seeds 100] [--metric UGR]
     python benchmarks/poses.py cost
+    python benchmarks/poses.py camera [--turns 5]
 """
 
 from __future__ import annotations
@@ -290,7 +292,7 @@ def timed(run: Callable[[], SceneAttribution]) -> tuple[SceneAttribution, float]
 
 
 def cost(options: argparse.Namespace) -> None:
-    """Time a stable top 5 of 30 objects, and the camera beside materials."""
+    """Time a stable top 5 of 30 objects."""
     books = {f"book_{k}": f"book_{k}" for k in range(5)} | {"curtain_left": "curtain_[0-6]"}
     renderer = SceneRenderer(
         "office",
@@ -318,15 +320,30 @@ def cost(options: argparse.Namespace) -> None:
     print(
         f"alike for all objects, by the time of the first round: {first * sum(per_round):.0f} s", flush=True
     )
-    for inputs in ("materials", ["materials", "camera.pose.rotation", "camera.fov"]):
-        other = SceneRenderer("office", inputs, resolution=(160, 90), spp=64, max_depth=DEPTH)
-        gradient = VanillaSceneGradient(other, metrics.MeanLuminance())
-        gradient.attribute(seed=0)
-        times = [timed(lambda gradient=gradient, k=k: gradient.attribute(seed=k))[1] for k in range(1, 6)]
-        print(f"{inputs}: {np.median(times):.2f} s", flush=True)
 
 
-SECTIONS = {"differences": differences, "coverage": coverage, "cost": cost}
+def camera(options: argparse.Namespace) -> None:
+    """Time the rotation and the field of view of the camera beside materials alone, in turns."""
+    turning = ["materials", "camera.pose.rotation", "camera.fov"]
+    methods = [
+        VanillaSceneGradient(
+            SceneRenderer("office", inputs, resolution=(160, 90), spp=64, max_depth=DEPTH),
+            metrics.MeanLuminance(),
+        )
+        for inputs in ("materials", turning)
+    ]
+    for method in methods:
+        method.attribute(seed=0)  # warm-up
+    turns = [
+        [timed(lambda method=method, k=k: method.attribute(seed=k))[1] for method in methods]
+        for k in range(1, options.turns + 1)
+    ]
+    plain, with_camera = np.median(turns, axis=0)
+    ratio = np.median([after / before for before, after in turns])
+    print(f"materials: {plain:.2f} s; with the camera: {with_camera:.2f} s; ratio {ratio:.2f}")
+
+
+SECTIONS = {"differences": differences, "coverage": coverage, "cost": cost, "camera": camera}
 
 
 def main() -> None:
@@ -337,6 +354,7 @@ def main() -> None:
     parser.add_argument("--scene", default="office", choices=list(OBJECTS))
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--metric", choices=("luminance", "UGR"), help="of coverage (default: both)")
+    parser.add_argument("--turns", type=int, default=5, help="of camera (default: %(default)s)")
     options = parser.parse_args()
     SECTIONS[options.section](options)
 

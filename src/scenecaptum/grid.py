@@ -243,6 +243,25 @@ class GridPoints:
         rest = (part[inside][:, None] for part in (self.positions, self.normals, self.inside, self.plan))
         return GridPoints(*rest)
 
+    def spread(self, values: torch.Tensor) -> torch.Tensor:
+        """Return values of the points inside, ``(points,)``, in rows and columns, ``(H, W)``, and 0 elsewhere."""
+        placed = values.new_zeros(self.inside.shape)
+        placed[self.inside] = values
+        return placed
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The coordinates of the scene that ``plan`` shows across and up: ``("x", "y")`` where z is up."""
+        across, up = (
+            [
+                axis
+                for axis, own in zip("xyz", self.positions.unbind(-1), strict=True)
+                if torch.equal(own, shown)
+            ]
+            for shown in self.plan.unbind(-1)
+        )
+        return across[0], up[-1]
+
     @property
     def width(self) -> int:
         """Number of columns."""

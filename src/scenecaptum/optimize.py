@@ -21,6 +21,7 @@ from .estimation import (
     Target,
     TargetedMetric,
     TransformSelector,
+    at_values,
     channel_totals,
     derived_seeds,
     input_values,
@@ -57,7 +58,7 @@ Limit: TypeAlias = "float | Sequence[float]"
 
 # Properties of emitters that are part of their construction.
 CONSTRUCTION = ("cutoff_angle", "beam_width")
-LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range
+LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range or limits
 BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 _NAME_WIDTH = 36
@@ -159,12 +160,12 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         return render_images(renderer, changed, budget.seeds[0], budget.spp[0])
 
     targeted = TargetedMetric(metric, target)
-    selector = TransformSelector(denoise, renderer, smoothed=targeted.is_smoothed)
+    selector = TransformSelector(denoise, renderer, values, smoothed=targeted.is_smoothed)
     (transformed,) = with_image_transform([targeted], render(values), selector)
 
     def measure(changed: Mapping[str, torch.Tensor]) -> Measured:
         images = render(changed)
-        estimate = jackknife(transformed, images)
+        estimate = jackknife(at_values(transformed, renderer, changed), images)
         return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
     start = {row.name: values[row.name] for row in top_rows}
@@ -176,8 +177,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     history: list[float] = []
     before = after = measure(values)
     for step_seed in tqdm(step_seeds, disable=not show_progress, desc=name, unit="step"):
-        image = renderer({**values, **optimizer.values()}, seed=step_seed, spp=spp)
-        value, adjoint = transformed.value_and_adjoint(image)
+        current = {**values, **optimizer.values()}
+        image = renderer(current, seed=step_seed, spp=spp)
+        value, adjoint = at_values(transformed, renderer, current).value_and_adjoint(image)
         history.append(value)
         # The value of a step is biased low, since the optimizer fits its noise: check with independent samples.
         if value < below:
@@ -230,7 +232,7 @@ def _chosen_limits(
 
 
 class _BoundedAdam:
-    """Adam on offsets from ``start`` by channel, in units of the ranges.
+    """Adam on offsets from ``start`` by channel, in units of the ranges or, where there are some, of the limits.
 
     They stay within bounds, and within ``change`` or limits. A step that moves an object into another is refused
     for that object.
@@ -247,7 +249,11 @@ class _BoundedAdam:
         self._collisions = Capabilities(renderer).collisions
         self._touching = self._pairs({name: torch.zeros_like(value) for name, value in start.items()})
         self._check_start()
-        self._ranges = {name: length.item() for name, length in range_lengths(renderer, start).items()}
+        # Limits say how far to go: for a pose, farther than the range over which its effect is measured.
+        spans = {name: float((high - low).max()) for name, (low, high) in limits.items()}
+        self._ranges = {
+            name: spans.get(name) or length.item() for name, length in range_lengths(renderer, start).items()
+        }
         bounds = Capabilities(renderer).bounds or {}
         self._bounds = {name: bounds[name] for name in start}
         self._offsets = {
@@ -343,7 +349,7 @@ class Moved:
     before, after
         Its values; for a texture, the mean over the texels.
     fraction
-        The change as a fraction of its range; for a colour, that of the channel that changed most.
+        The change as a fraction of its range or limits; for a colour, that of the channel that changed most.
     """
 
     name: str

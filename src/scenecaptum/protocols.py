@@ -101,10 +101,15 @@ class Capabilities:
     surfaces = _Offer[Any]("What each pixel shows.")
     checkpoint = _Offer[Any]("Where finished renders are stored.")
     parameters_table = _Offer[Callable[[], Mapping[str, Any]]]("Describes every parameter of the scene.")
-    surfaces_with_texels = _Offer[Callable[[Iterable[str]], Any]](
-        "What each pixel shows, with the texels of textures."
+    guides_of = _Offer[Callable[[Mapping[str, torch.Tensor]], Any]](
+        "The guides where objects and the camera are moved."
     )
-    see_through = _Offer[Callable[[Iterable[str]], Any]]("What each pixel shows in mirrors and behind glass.")
+    surfaces_with_texels = _Offer[Callable[[Iterable[str], Mapping[str, torch.Tensor]], Any]](
+        "What each pixel shows, with the texels of textures, where objects and the camera are moved."
+    )
+    see_through = _Offer[Callable[[Iterable[str], Mapping[str, torch.Tensor]], Any]](
+        "What each pixel shows in mirrors and behind glass, where objects and the camera are moved."
+    )
     effective_samples = _Offer[Callable[..., dict[str, float]]]("Counts the samples behind each variance.")
     require_memory = _Offer[Callable[..., None]]("Raises if images do not fit into memory.")
     held_values = _Offer[Callable[..., Mapping[str, torch.Tensor]]](

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,12 @@ FILE_WALL = "wall_shape.bsdf.reflectance.value"
 FILE = f"scene.xml -D level=0.25 {VIEW}"
 SCENE = f"cornell-box {VIEW} --inputs reflectance --inputs emitters --sensor 0 --checkpoint kept"
 WALL = "left_wall.reflectance.value"
+
+# Four points under a pane.
+DAYLIGHT = (
+    "room.xml -D level=0.4 --inputs reflectance --spp 8 --max-depth 3 --spacing 1 --height 0.5 --margin 0.4 "
+    "--floor floor_shape --weather year.epw.gz --north 90 --subdivision 1"
+)
 
 # Arguments, exit status, words that are printed, and files that are left.
 Case = tuple[str, int, list[str], list[str]]
@@ -59,7 +66,7 @@ CASES: dict[str, Case] = {
     "explore": (
         f"explore cornell-box {VIEW} --inputs reflectance --sensor 0 --metric luminance --metric ugr "
         f"--threshold-factor 2 --set {WALL}=0.5 --set {WALL}*=0.5 --design design.json --top 2 --port 0 "
-        "--no-browser --to explore.html",
+        "--no-browser --checkpoint kept --to explore.html",
         0,
         ["explore.html"],
         [],
@@ -70,6 +77,25 @@ CASES: dict[str, Case] = {
         ["explore.html"],
         [],
     ),
+    "explain daylight": (
+        f"explain {DAYLIGHT} --metric annual-illumination --changes 0 --report --out out",
+        0,
+        ["total annual illumination = ", "SYNTHETIC", "latitude 48°", "Which points decide", "plan.png"],
+        ["explanation.json", "explanation.md", "plan.png", "report.html"],
+    ),
+    "daylight": (
+        f"daylight {DAYLIGHT} --metric sda --metric daylight-factor --changes 1 --checkpoint kept --seed 1 "
+        "--set roof.bsdf.specular_transmittance.value=0.5 --design empty.json --report --no-progress --out out",
+        0,
+        ["% relaxed)", "SYNTHETIC", "CIE overcast", "roof specular transmittance"],
+        ["daylight-factor", "report.html", "sda"],
+    ),
+    "daylight as numbers": (
+        f"daylight {DAYLIGHT} --metric da --changes 0 --json --out out",
+        0,
+        ['"definition"', '"rows"'],
+        ["explanation.json", "explanation.md", "plan.png"],
+    ),
     "attribute": (
         f"attribute {SCENE} --metric luminance --method gradient --scale unit --groups kind --signed "
         f"--set {WALL}=0.5 --design design.json --replicates 2 --tolerance 2.0 --time-limit 30 --denoise off "
@@ -77,6 +103,19 @@ CASES: dict[str, Case] = {
         0,
         ["mean luminance = ", "reflectance", "emitters", "attribution.csv", "heatmap.png", "report.html"],
         ["attribution.csv", "heatmap.png", "report.html"],
+    ),
+    "attribute daylight": (
+        f"attribute {DAYLIGHT} --metric udi --replicates 2 --report --out out",
+        0,
+        ["useful daylight illuminance", "by the definition", "SYNTHETIC", "plan.png"],
+        [
+            "attribution.csv",
+            "attribution.json",
+            "attribution.npz",
+            "bars.png",
+            "plan.png",
+            "report.html",
+        ],
     ),
     "attribute an element": (
         f"attribute {FILE} --metric own_metric.py:channels --target 2 --json --format json --out out",
@@ -96,6 +135,12 @@ CASES: dict[str, Case] = {
         "--from other.toml --no-progress --out out",
         0,
         ["before: mean luminance", "after: mean luminance", "change: −", "cd/m²", "comparison.html"],
+        ["comparison.html"],
+    ),
+    "compare daylight": (
+        f"compare {DAYLIGHT} --metric da --set roof.bsdf.specular_transmittance.value=0.01 --out out",
+        0,
+        ["as it is: daylight autonomy", "by the definition", "change: −", "SYNTHETIC", "comparison.html"],
         ["comparison.html"],
     ),
     "compare an element": (
@@ -132,6 +177,12 @@ CASES: dict[str, Case] = {
         f"validate {SCENE} --metric luminance --top 2 --no-progress --out out",
         0,
         ["Confirmed", "validation.json"],
+        ["validation.csv", "validation.json", "validation.png"],
+    ),
+    "validate daylight": (
+        f"validate {DAYLIGHT} --metric annual-illumination --top 1 --out out",
+        0,
+        ["Confirmed", "SYNTHETIC"],
         ["validation.csv", "validation.json", "validation.png"],
     ),
     "validate an element": (
@@ -200,6 +251,18 @@ XML = """<scene version="3.0.0">
   <emitter type="constant" id="sky"><rgb name="radiance" value="1"/></emitter>
 </scene>
 """
+ROOM = """<scene version="3.0.0">
+  <integrator type="path"/>
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0,-1,1" target="0,1,1" up="0,0,1"/></transform>
+    <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+  <shape type="rectangle" id="floor_shape"><bsdf type="diffuse">
+    <rgb name="reflectance" value="$level"/></bsdf></shape>
+  <shape type="rectangle" id="roof"><transform name="to_world"><translate z="2"/></transform>
+    <bsdf type="thindielectric"><rgb name="specular_transmittance" value="0.6"/></bsdf></shape>
+  <emitter type="constant" id="sky"/>
+</scene>
+"""
 METRIC = "def channels(image):\n    return 179 * image.mean((0, 1))\n"
 
 
@@ -209,6 +272,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(_demo, "ARGUMENTS", ("office", "--resolution", "16x9", "--spp", "8"))
     (tmp_path / "scene.xml").write_text(XML)
+    (tmp_path / "room.xml").write_text(ROOM)
+    (tmp_path / "empty.json").write_text("{}")
+    with as_file(files("scenecaptum.daylight") / "synthetic.epw.gz") as year:
+        (tmp_path / "year.epw.gz").write_bytes(year.read_bytes())
     (tmp_path / "own_metric.py").write_text(METRIC)
     (tmp_path / "design.json").write_text(json.dumps({WALL: [0.3, 0.2, 0.1]}))
     (tmp_path / "other.toml").write_text("[left_wall.reflectance]\nvalue = [0.9, 0.2, 0.1]\n")
@@ -264,7 +331,11 @@ def test_the_example_in_the_help_runs(name: str, folder: Path, capsys: pytest.Ca
     assert example[0] == name
     if name == "tradeoff":
         example = ["cornell-box" if word == "office" else word for word in example] + ["--runs", "2"]
-    small = [] if name in ("parameters", "demo") else ["--resolution", "16x9", "--spp", "16"]
+    small = {
+        "parameters": [],
+        "demo": [],
+        "daylight": ["--spacing", "4", "--inputs", "pane.*", "--changes", "0", "--spp", "2"],
+    }.get(name, ["--resolution", "16x9", "--spp", "16"])
     small += ["--to", "explore.html"] if name == "explore" else []  # which would wait for Ctrl-C
     status = cli.main([*example, *small])
     # A tiny picture need not reach the goal or confirm the prediction.

@@ -13,6 +13,7 @@ from refusals import message
 from seeds import seeds, shifted
 
 from scenecaptum.daylight import (
+    BY_NAME,
     AnnualSunlightExposure,
     ContinuousDaylightAutonomy,
     DaylightAutonomy,
@@ -244,6 +245,24 @@ def test_a_metric_is_the_mean_over_the_points(name):
     assert metric(coefficients[3:4]) == pytest.approx(points[3])
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "label", "levels"),
+    [
+        ("DA", [50, 50], "DA in %", (25, 50, 75)),
+        ("UDI-exceeded", [25, 0], "UDI in %", (25, 50, 75)),
+        ("sDA", [50, 50], "hours with at least 300 lx in %", (50,)),
+        ("ASE", [1, 1], "hours with more than 1000 lx of direct sun", (2.5,)),
+        ("provision-medium", [25, 25], "hours with at least 500 lx in %", (50,)),
+        ("TAI", [4150, 1800], "TAI in lx·h", (2e5, 5e5, 1e6, 2e6, 5e6, 1e7)),
+    ],
+)
+def test_a_map_shows_what_is_compared_with_the_limit(name, values, label, levels):
+    coefficients, sky = setup(TABLE)
+    shown = (RELAXED | CONTINUOUS)[name](sky).on_plan(coefficients.requires_grad_())
+    assert shown.values.tolist() == pytest.approx(values)
+    assert (shown.label, shown.levels) == (label, levels)
+
+
 def test_the_bands_of_useful_illuminance_add_up():
     coefficients, sky = setup(random_illuminance(shifted(6)))
     for value in ("__call__", "hard"):
@@ -433,3 +452,19 @@ def test_settings_are_shown():
     for make in (RELAXED | CONTINUOUS).values():
         assert "146 patches" in repr(make(sky))
     assert repr(DaylightFactor(sky)) == "DaylightFactor(SkyMatrix(146 patches, 1 hours), statistic='mean')"
+
+
+def test_every_name_creates_a_metric_from_a_sky(weather, radiance):
+    skies: dict[str, SkyMatrix] = {}  # of a kind of light, which takes a second
+    for name, named in BY_NAME.items():
+        patches = SkyPatches(named.subdivision)
+        if named.light not in skies:
+            skies[named.light] = named.sky(weather, patches)
+        metric = named.create(skies[named.light])
+        share = torch.linspace(0.0, 0.3, 4)[:, None, None]
+        coefficients = (share * patches.projected_solid_angles.float()[:, None]).expand(-1, -1, 3)
+        shown = metric.on_plan(coefficients)
+        assert shown.values.shape == (4,), name
+        assert (shown.values.diff() >= 0).all() or name == "udi", name
+        assert metric.hard(coefficients) > 0, name
+        assert named.needs_weather == (metric.sky.weather is not None), name

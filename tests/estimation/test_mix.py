@@ -71,7 +71,7 @@ def test_a_pilot_measures_the_variance_of_each_part():
     ]
     draws = 2 * variance_of([gradient(renderer.matrix, adjoint) for adjoint in pairs])
 
-    selector = TransformSelector(False, renderer, smoothed=True)
+    selector = TransformSelector(False, renderer, {}, smoothed=True)
     measured = []
     for seed in seeds(60):
         pilot = Pilot(renderer, [TargetedMetric(METRIC)], selector, SPP, seed, 8)

@@ -268,7 +268,7 @@ def test_rounds_together_propagate_the_adjoint_of_all_pictures():
             return pictures[-1][0] + exact - exact.detach()
 
     renderer, metric = NoisyPictures(), TargetedMetric(contrast)
-    raw = TransformSelector(False, renderer, smoothed=False)
+    raw = TransformSelector(False, renderer, {}, smoothed=False)
     with Progress("", show=False) as bar:
         rounds, total = (
             Rounds(renderer, [metric], raw, bar, seed=shifted(), time=TimeLimit(), picture_ratio=1.0),

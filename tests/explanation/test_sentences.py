@@ -8,7 +8,7 @@ from typing import Any
 import results
 import torch
 
-from scenecaptum.attr import Change, Explanation, Source
+from scenecaptum.attr import Change, Definition, Explanation, Row, Source
 
 UGR = {
     "name": "unified glare rating",
@@ -88,3 +88,51 @@ def test_lines_of_text_do_not_break_inside_a_number():
 def test_without_error_bars_it_says_so():
     attribution = results.make(barred=False)
     assert any("no error bars" in line for line in lines(Explanation(attribution))["What could not be told"])
+
+
+SDA = {
+    "name": "spatial daylight autonomy",
+    "symbol": "sDA",
+    "unit": "%",
+    "better": "higher",
+    "limits": [55.0],
+}
+
+
+def of_daylight(value: float, error: float, **parts: Any) -> Explanation:
+    attribution = results.make(measure=SDA, verdict="at least 55 %")
+    attribution = dataclasses.replace(attribution, metric_value=value, metric_standard_error=error)
+    return Explanation(attribution, **parts)
+
+
+def test_the_value_by_the_definition_decides_and_the_relaxed_one_stands_beside_it():
+    exact = Definition(47.0, "below 55 %, the limit")
+    (headline, notes), *_ = of_daylight(56.8, 0.5, definition=exact, premises=("weather: Oslo",)).sections()
+    # 55 lies between the two.
+    assert headline == (
+        "spatial daylight autonomy = 47 % (56.8 ± 0.5 % relaxed): below 55 %, the limit; too close to 55 to be "
+        "sure"
+    )
+    assert notes[0] == "weather: Oslo"
+    said = lines(of_daylight(46.0, 0.5, definition=exact, changes=(change(2.0, 0.1, predicted=2.1),)))
+    assert "sDA 46.00 → 48.00 %" in said["What would change it, in relaxed values"][0]
+
+
+def test_the_fewest_rows_with_most_of_the_effect_decide():
+    rows = (
+        Row("y = 5", 7, 0.0, 0.0, 0.0),
+        Row("y = 4", 7, 7.5, 3.0, 0.3),
+        Row("y = 3", 7, 80.0, 2.5, 0.1),
+        Row("y = 2", 7, 100.0, 0.1, 0.2),
+    )
+    first, *others = lines(of_daylight(57.0, 0.5, rows=rows))["Which points decide"]
+    assert first == "y = 4 and y = 3 decide: 100 % of the effect of 10 % more light"
+    assert others[1] == "y = 4, 7 points: sDA 7.5 % there; with 10 % more light sDA +3.00 ± 0.30 %"
+    assert len(others) == 4
+    three = tuple(dataclasses.replace(row, effect=1.0, effect_error=0.1) for row in rows[:3])
+    assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0].startswith(
+        "y = 5, y = 4 and y = 3 decide: 100 %"
+    )
+    dark = tuple(dataclasses.replace(row, effect=0.0) for row in rows)
+    (nothing,) = lines(of_daylight(0.0, 0.0, rows=dark))["Which points decide"]
+    assert nothing.startswith("none: ")

@@ -66,7 +66,7 @@ def test_the_predicted_picture_is_that_of_the_library(window):
     """The page adds up derivatives and tone-maps as Python does: pixels differ by rounding alone."""
     shown = np.array(window.predicted(WALL, 0.4)).reshape(24, 24, 4)[..., :3]
     about = window.exploration.about
-    base = about.designs.denoised(about.start.image)
+    base = about.designs.denoised(about.start.image, {})
     picture, _ = about.predict({WALL: confirmed(window)["design"][WALL]})
     expected = display_image(picture, automatic_exposure(base)) * 255
     assert np.abs(shown - expected.numpy()).max() < 1.5

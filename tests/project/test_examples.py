@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -78,6 +79,31 @@ def test_the_ceiling_lights_the_work_plane(
     assert found["mean illuminance"].ranking(top=1)[0].label == "ceiling: reflectance"
     assert (tmp_path / "new" / "work-plane.png").is_file()
     assert "uniformity by the definition" in capsys.readouterr().out
+
+
+def test_desk_and_lamp_move_until_the_glare_is_low(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = load("desk_lamp")
+    found = example.main(tmp_path / "new", (64, 36), 16, steps=6)
+    assert found.after.value < found.before.value - 2 * (found.after.error + found.before.error)
+    assert {moved.name for moved in found.moved} == {example.DESK, example.SHADE}
+    low, high = (torch.tensor(limit) for limit in example.LIMITS[example.DESK])
+    assert ((low <= found.values[example.DESK]) & (found.values[example.DESK] <= high)).all()
+    assert (tmp_path / "new" / "desk-lamp.png").is_file()
+    assert "Move the desk" in capsys.readouterr().out
+
+
+def test_a_turn_of_the_camera_lowers_a_margin(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], single_thread: None
+) -> None:
+    found = load("lost_view").main(tmp_path / "new", spp=32, steps=2, turns=2)
+    first, *_, last = found.steps
+    assert last.margin < first.margin - allowed(8) * math.hypot(first.error, last.error)
+    assert len(found.random) == 2
+    assert found.classes[0] == "sphere"
+    assert (tmp_path / "new" / "lost-view.png").is_file()
+    assert "random turns" in capsys.readouterr().out
 
 
 @pytest.mark.long

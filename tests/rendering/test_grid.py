@@ -279,6 +279,11 @@ BAD_SPECS = {
 }
 
 
+def test_points_above_the_ceiling_are_not_in_the_room_under_a_sky_either(mi: Any) -> None:
+    with pytest.raises(SceneCaptumError, match="No point of the sensor grid is in the room"):
+        SceneRenderer(side_lit_room(), "emitters", sensor=SensorGrid(height=2.1))
+
+
 @pytest.mark.parametrize("case", BAD_SPECS)
 def test_a_bad_setting_is_one_clear_line(case: str) -> None:
     options, message = BAD_SPECS[case]

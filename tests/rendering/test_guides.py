@@ -9,7 +9,7 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum import SceneRenderer
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.denoising import denoise
 
 
@@ -63,3 +63,30 @@ def test_the_captum_bridge_denoises_on_request(mirrored):
     forward, inputs = mirrored.as_captum(metric, seed=shifted(4), denoise=True)
     image = mirrored(seed=shifted(4))
     assert math.isclose(forward(*inputs).item(), metric(denoise(image, mirrored.guides)).item(), rel_tol=1e-4)
+
+
+def test_guides_and_maps_are_those_of_the_poses(mi: Any) -> None:
+    """A pose moves what the denoiser and the maps see, and only there."""
+    name, values = "tall_box_shape.pose.translation", torch.tensor([0.4, 0.0, 0.0])
+    renderer = SceneRenderer("cornell-box", [name, "reflectance"], resolution=(24, 24), spp=4)
+    loaded = SceneRenderer("cornell-box", "reflectance", resolution=(24, 24), spp=4)
+    renderer({name: values}, seed=shifted())  # leaves the box where it was moved to
+    assert torch.equal(renderer.mask("tall_box_shape"), loaded.mask("tall_box_shape"))
+    assert torch.equal(renderer.guides.normal, loaded.guides.normal)
+
+    guides, surfaces = renderer.guides_of({name: values}), renderer.surfaces_with_texels([], {name: values})
+    before, after = (torch.from_numpy(one.mask("tall_box_shape")) for one in (renderer.surfaces, surfaces))
+    columns = torch.arange(24.0)
+    assert (after.sum(0) @ columns) / after.sum() > (before.sum(0) @ columns) / before.sum() + 2
+    # Where the picture has become another one, so have the guides; rounding moves few rays across edges.
+    differs = (guides.albedo - loaded.guides.albedo).abs().sum(-1) + (
+        guides.normal - loaded.guides.normal
+    ).abs().sum(-1)
+    assert (differs[(before == 0) & (after == 0)] > 1e-5).float().mean() < 0.01
+    assert differs[(before == 1) & (after == 0)].max() > 0.1
+    assert torch.equal(renderer.guides.normal, loaded.guides.normal)
+
+    result = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(
+        {name: values}, seed=shifted(), replicates=2
+    )
+    assert result.surfaces.mask("tall_box_shape").tolist() == after.tolist()

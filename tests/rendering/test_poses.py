@@ -116,6 +116,25 @@ def same_pictures(left: Config, right: Config, values: dict[str, torch.Tensor]) 
     torch.testing.assert_close(renderer(seed=shifted(1)), before, atol=1e-4, rtol=1e-4)
 
 
+def test_a_part_moves_with_its_whole(mi: Any) -> None:
+    """A part turns within the whole, about its own centre; the whole takes it along."""
+    arm = {"type": "rectangle", "to_world": _translate((1.3, 0, 0)).rotate([1, 0, 0], 90).scale(0.4)}
+    turn = _translate((1.3, 0, 0)).rotate([0, 1, 0], 40).translate([-1.3, 0, 0])
+    whole = moved((0.35, 0.0, 0.0))  # the centre of the bounds of both, x from -1 to 1.7
+    values = pose("robot") | {"arm.pose.rotation": torch.tensor([0.0, math.radians(40), 0.0])}
+    robot = {"robot": ["body", "arm"], "arm": "arm"}
+    renderer = SceneRenderer(scene(body={"type": "cube"}, arm=arm), list(values), objects=robot, spp=4)
+    other = scene(
+        body={"type": "cube", "to_world": whole}, arm=arm | {"to_world": whole @ turn @ arm["to_world"]}
+    )
+    found = renderer(values, seed=shifted(1))
+    expected = SceneRenderer(other, "reflectance", spp=4)(seed=shifted(1))
+    off = ((found - expected).abs() > 1e-3).any(-1).float().mean()
+    assert off < 0.02, f"{100 * off:.1f} % of the pixels differ"
+    assert (found - renderer(seed=shifted(1))).abs().max() > 0.01
+    assert renderer.collisions({"arm.pose.translation": torch.tensor([-1.0, 0.0, 0.0])}) == []
+
+
 def centre(shape: Config) -> tuple[float, float, float]:
     import mitsuba as mi
 
@@ -428,8 +447,10 @@ def test_poses_that_are_refused(mi: Any) -> None:
     parts = scene(ball={"type": "sphere"})
     assert "the same from all directions" in message(lambda: SceneRenderer(parts, "sky.pose.rotation"))
     assert "no shape matches" in refusal("poses", objects={"boxes": "*_bix*"})
-    twice = {"a": "tall_box*", "b": "*_box_shape"}
+    twice = {"a": ["tall_box*", "floor*"], "b": "*_box_shape"}
     assert "belongs to the objects 'a' and 'b'" in refusal("poses", objects=twice)
+    same = {"a": "*_box_shape", "b": "*_box_shape"}
+    assert "belongs to the objects 'a' and 'b'" in refusal("poses", objects=same)
     renderer = SceneRenderer("cornell-box", "poses", resolution=(8, 8), spp=1)
     name = "tall_box_shape.pose.scale"
     assert "outside the physical range" in message(lambda: renderer({name: torch.tensor(-1.0)}))

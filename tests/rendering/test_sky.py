@@ -67,6 +67,30 @@ def test_other_lamps_do_not_count(mi: Any) -> None:
     assert abs(z) < 5
 
 
+def test_the_rows_of_the_picture_are_the_points_inside(mi: Any) -> None:
+    post = {
+        "type": "cube",
+        "to_world": mi.ScalarTransform4f().translate([1, 0.5, 0.5]).scale([0.2, 0.2, 0.5]),
+    }
+    scene = {**side_lit_room(), "post": {**post, "bsdf": grey(0.5)}}
+    with pytest.warns(UserWarning, match="1 of 6 points of the sensor grid lie inside objects"):
+        renderer = SceneRenderer(scene, "reflectance", sensor=GRID, sky_patches=PATCHES, spp=16)
+    assert renderer.grid.inside.tolist() == [[True, True, False], [True, True, True]]
+    light = renderer(seed=shifted(2)).sum((1, 2))
+    assert light.shape == (5,)
+    placed = renderer.grid.spread(light)
+    assert placed[0, 2] == 0
+    assert (placed[1] > placed[0]).all(), "the second row is the one at the window"
+
+
+def test_the_radiances_of_sky_and_lamps_are_no_inputs(mi: Any) -> None:
+    renderer = SceneRenderer(side_lit_room(), "all", sensor=GRID, sky_patches=PATCHES)
+    assert "floor.bsdf.reflectance.value" in renderer.inputs
+    assert "sky.radiance.value" not in renderer.inputs
+    with pytest.raises(SceneCaptumError, match=r"'sky.radiance.value' cannot be .*, whatever its own is"):
+        SceneRenderer(side_lit_room(), "sky.radiance.value", sensor=GRID, sky_patches=PATCHES)
+
+
 def test_a_scene_with_y_up_has_the_same_sky(mi: Any) -> None:
     """A wall to the south hides the patches there, whichever axis points up."""
     tables = []

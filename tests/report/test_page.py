@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 from pages import HEIGHT, NASTY, PHONE, VALUES, WIDTH, Page, make, quarters
 from PIL import Image
 from seeds import shifted
@@ -122,6 +123,28 @@ def test_unit_verdict_and_metric_are_at_the_headline(browser, tmp_path):
     assert bare == ["as it is · unified glare rating", "2.3369 ± 0.0005 cd/m²", VERDICT]
     assert explanation[2] == f"{VERDICT}; too close to 2.337 to be sure (EN 12464-1)"
     assert plain == ["Glare", "2.3369 ± 0.0005"]
+    page.check(path)
+    page.context.close()
+
+
+def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
+    path = written(
+        tmp_path,
+        ranged(surfaces=None),
+        ranged(),
+        titles=["Grid", "View"],
+        plans=[Figure(figsize=(4, 3)), None],
+    )
+    page = Page(browser, path)
+    for plan in (True, False):
+        page.page.get_by_text("Grid" if plan else "View", exact=True).click()
+        assert page.page.locator("#plan").is_visible() == plan
+        for selector in ("#picture", "#scale", "#opacity", "#png"):
+            assert page.page.locator(selector).is_visible() != plan
+        page.page.locator("#rows tr").first.click()
+        assert page.page.locator("#detail").get_by_text("of the picture").count() == (0 if plan else 1)
+        page.page.keyboard.press("Escape")
+    assert page.page.locator("#rows .tag").count() > 0, "the picture does not show all"
     page.check(path)
     page.context.close()
 

@@ -167,6 +167,24 @@ def test_invalid_input_is_refused(results, titles, words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_plan_stands_in_place_of_a_picture(tmp_path):
+    from matplotlib.figure import Figure
+
+    of_a_grid, figure = make(surfaces=None), Figure(figsize=(4, 3))
+    write_report([of_a_grid, make()], tmp_path / "report.html", plans=[figure, None])
+    data = data_of(tmp_path / "report.html")
+    plan, view = (data["views"][result["view"]] for result in data["results"])
+    assert (plan["width"], plan["height"], plan["names"]) == (600, 450, [])
+    assert view["names"]
+    assert [data["pictures"][result["picture"]][:15] for result in data["results"]] == [
+        "data:image/png;",
+        "data:image/jpeg",
+    ]
+    assert [len(result["rows"]) for result in data["results"]] == [6, 6]
+    with pytest.raises(SceneCaptumError, match="a figure or None for each of the 2"):
+        write_report([make(), make()], tmp_path / "other.html", plans=[None])
+
+
 def test_an_unwritable_path_is_named_and_no_file_is_left(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from scenecaptum.scene import SceneGraph, find_objects, load_scene
+from scenecaptum.scene import SceneGraph, find_objects, load_scene, touching
 from scenecaptum.scene._objects import stems
 
 
@@ -40,3 +40,21 @@ def test_objects_of_the_office(mi: Any) -> None:
     assert low[2] == 0
     assert abs(high[2] - 0.74) < 1e-6
     assert found["desk"].pivot[2] == (low[2] + high[2]) / 2
+
+
+def test_an_object_can_be_a_part_of_another(mi: Any) -> None:
+    graph = SceneGraph(load_scene("office"))
+    groups = {
+        "head": ["lamp_shade_*", "bulb"],
+        "lamp": ["lamp_*", "bulb"],
+        "desk": ["desk_*", "lamp_*", "bulb"],
+    }
+    found = {one.name: one for one in find_objects(graph, groups)}
+    assert found["head"].part_of == ("lamp", "desk")
+    assert found["lamp"].part_of == ("desk",)
+    assert found["desk"].part_of == found["chair"].part_of == ()
+    assert set(found["head"].keys) < set(found["lamp"].keys) < set(found["desk"].keys)
+    assert found["head"].is_related(found["desk"])
+    assert not found["head"].is_related(found["chair"])
+    assert "head" in touching(found.values(), found["chair"], 10.0)
+    assert "head" not in touching(found.values(), found["desk"], 10.0)

@@ -56,6 +56,8 @@ def test_axes_are_in_metres_with_equal_aspect():
     # Each point is the centre of its cell, and y points up.
     assert ax.get_xlim() == (-0.25, 3.25)
     assert ax.get_ylim() == (-0.25, 2.25)
+    other, _ = plot_plan(ramp(), plan(5, 7), axes=("x", "z")).axes
+    assert other.get_ylabel() == "z in m"
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1)])

@@ -284,7 +284,7 @@ def make_attribution(
     """
     scale = 1 / gradients.weight
     names = list(gradients.mean)
-    surfaces = surfaces_of(renderer, names)
+    surfaces = surfaces_of(renderer, names, values)
     replicates = {name: scale * gradients.rows(name) for name in names}
     has_errors = gradients.degrees_of_freedom > 0
     bias = (
@@ -317,7 +317,7 @@ def make_attribution(
             "replicates": gradients.replicates,
             "degrees_of_freedom": gradients.degrees_of_freedom,
             "metric_bias": adjoints.bias,
-            "seen_through": seen_through(renderer, surfaces, names),
+            "seen_through": seen_through(renderer, surfaces, names, values),
             "jumps": steps.jumps,
             "left_out": steps.left_out,
             "left_out_notes": steps.notes,
@@ -344,18 +344,25 @@ def _effective_samples(
     return estimate(values, adjoint, spp=max(1, spp // count), replicates=count)
 
 
-def surfaces_of(renderer: Renderer, names: Iterable[str]) -> SurfaceMap | None:
-    """Return the renderer's map from pixels to objects, with the texels of the named parameters, if it has one."""
+def surfaces_of(renderer: Renderer, names: Iterable[str], values: Tensors) -> SurfaceMap | None:
+    """Return the renderer's map from pixels to objects, with the texels of the named parameters, if it has one.
+
+    Objects are where the ``values`` move them.
+    """
     with_texels = Capabilities(renderer).surfaces_with_texels
-    surfaces: SurfaceMap | None = with_texels(names) if with_texels else Capabilities(renderer).surfaces
+    surfaces: SurfaceMap | None = (
+        with_texels(names, values) if with_texels else Capabilities(renderer).surfaces
+    )
     return surfaces
 
 
-def seen_through(renderer: Renderer, surfaces: SurfaceMap | None, names: Iterable[str]) -> list[str]:
+def seen_through(
+    renderer: Renderer, surfaces: SurfaceMap | None, names: Iterable[str], values: Tensors
+) -> list[str]:
     """Return the parameters whose objects are seen only in mirrors or behind glass."""
     hidden = set(names) - (set(names) if surfaces is None else surfaces.visible_parameters())
     trace = Capabilities(renderer).see_through
-    behind = trace(()) if trace is not None and hidden else None
+    behind = trace((), values) if trace is not None and hidden else None
     return [] if behind is None else sorted(hidden & behind.visible_parameters())
 
 

@@ -182,8 +182,8 @@ class Explanation:
                 "Where the glare comes from" if is_glare else "What it sees in the picture",
                 self._source_lines(),
             ),
-            (f"What it depends on: {axis_label(self.attribution)}", self._effect_lines()),
-            ("What would change it", self._change_lines()),
+            (f"What it depends on: {axis_label(self.attribution, width=None)}", self._effect_lines()),
+            (f"What would change it{', in relaxed values' if self.definition else ''}", self._change_lines()),
             ("Which points decide", self._row_lines()),
             (
                 f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
@@ -263,10 +263,10 @@ class Explanation:
             if sum(abs(one.effect) for one in deciding) < MOST * total:
                 deciding.append(row)
         share = sum(abs(one.effect) for one in deciding) / total
-        names = " and ".join(row.name for row in self.rows if row in deciding)
+        *names, last = [row.name for row in self.rows if row in deciding]
         return [
-            f"{names} {'decides' if len(deciding) == 1 else 'decide'}: {100 * share:.0f} % of the effect of 10 % "
-            "more light",
+            f"{' and '.join(filter(None, [', '.join(names), last]))} {'decide' if names else 'decides'}: "
+            f"{100 * share:.0f} % of the effect of 10 % more light",
             *(self._row_line(row) for row in self.rows),
         ]
 
@@ -322,7 +322,10 @@ class Explanation:
             return [
                 *lines,
                 *(
-                    [f"no effect of the {len(unclear)} is clear of the noise: use more samples"]
+                    [
+                        f"which of {pluralize(len(unclear), 'parameter')} matter: no effect is clear of the "
+                        "noise; use more samples"
+                    ]
                     if unclear
                     else []
                 ),

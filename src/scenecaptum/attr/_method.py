@@ -116,7 +116,7 @@ class Run:
     def __post_init__(self) -> None:
         self.watch = Stopwatch(self.renderer)
         self.transform_selector = TransformSelector(
-            self.settings.denoise, self.renderer, smoothed=self.metrics[0].is_smoothed
+            self.settings.denoise, self.renderer, self.values, smoothed=self.metrics[0].is_smoothed
         )
 
     def attribute(
@@ -187,7 +187,7 @@ class Run:
             goal,
             dataclasses.replace(self.settings, spp=first_spp),
             against=against,
-            prepare=lambda: surfaces_of(self.renderer, self.values),
+            prepare=lambda: surfaces_of(self.renderer, self.values, self.values),
             unranked=self._without_derivative,
         )
         interrupted, rounds = planner.run(), planner.rounds

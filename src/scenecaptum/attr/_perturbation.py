@@ -17,6 +17,7 @@ from ..estimation import (
     Metric,
     TargetedMetric,
     TransformSelector,
+    at_values,
     check_renderer_and_metric,
     covariance_of_mean,
     describe_picture,
@@ -116,7 +117,9 @@ class Perturbation:
         rows, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            selector = TransformSelector(settings.denoise, renderer, smoothed=metrics[0].is_smoothed)
+            selector = TransformSelector(
+                settings.denoise, renderer, arms[0].values(), smoothed=metrics[0].is_smoothed
+            )
             metrics = tuple(with_image_transform(metrics, images, selector))
             values, first = _pseudo_values(metrics, images, arms[0].description)
             image = torch.stack(images).mean(0)
@@ -125,7 +128,8 @@ class Perturbation:
             try:
                 for arm in arms[1:]:
                     images = _images(renderer, arm, budget)
-                    rows.append(_pseudo_values(metrics, images, arm.description)[1])
+                    moved = [at_values(metric, renderer, arm.values()) for metric in metrics]
+                    rows.append(_pseudo_values(moved, images, arm.description)[1])
                     bar.update()
             except KeyboardInterrupt:
                 interrupted = True
@@ -169,7 +173,7 @@ class Perturbation:
         bias = value - unbiased.mean().item() if count > 1 else None
         error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
         drift = None if bias is None or error is None else (bias, error)
-        surfaces = surfaces_of(self.renderer, effects)
+        surfaces = surfaces_of(self.renderer, effects, measured.inputs)
         spp_per_arm = None if measured.budget.spp[0] is None else count * measured.budget.spp[0]
         result_info = {
             **(Capabilities(self.renderer).info or {}),
@@ -188,7 +192,7 @@ class Perturbation:
             "picture": describe_picture(
                 measured.metrics[index].transform, value, drift, spp_per_arm, metric=measured.metrics[index]
             ),
-            "seen_through": seen_through(self.renderer, surfaces, measured.inputs),
+            "seen_through": seen_through(self.renderer, surfaces, measured.inputs, measured.inputs),
             "interrupted": measured.interrupted,
             "versions": versions(),
             **info,

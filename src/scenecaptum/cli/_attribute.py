@@ -10,15 +10,18 @@ from typing import Any, get_args
 
 from ..attr import GROUPS, METHODS, AttributionInterrupted, SceneAttribution
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Denoise
+from ..estimation import DEFAULT_REPLICATES, Denoise, Metric
 from ..protocols import Scale
+from ..rendering import SceneRenderer
 from ..report import json_text, write_report
 from ..visualization import table_text
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import print_files, writable, write_files
-from ._formats import FORMATS, default_formats, selected_formats
+from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._metrics import DEFAULT, add_metric, find_metrics
+from ._plan import by_definition, plan_format, plan_of
+from ._points import needed_coefficients, premises
 
 REPORT = "report.html"
 
@@ -41,7 +44,7 @@ def add(commands: Any) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command, which ``attribute`` reads."""
     _arguments.add_scene(parser)
-    add_metric(parser, several=True)
+    add_metric(parser, several=True, of_daylight=True)
     parser.add_argument(
         "--method",
         choices=METHODS,
@@ -120,25 +123,30 @@ def add_results(parser: argparse.ArgumentParser) -> None:
 
 def attribute(options: argparse.Namespace) -> int:
     """Run the command."""
-    metrics = find_metrics(options.metrics or [DEFAULT], options)
+    names = options.metrics or [DEFAULT]
+    metrics, coefficients = find_metrics(names, options), needed_coefficients(names, options)
     method, arguments = METHODS[options.method].create, _method_arguments(options)
     with writable(options.out):
-        renderer = _arguments.make_renderer(options)
-        finished: list[SceneAttribution] = []
-        for name, create in metrics.items():
-            folder = options.out if len(metrics) == 1 else options.out / _folder_name(name)
+        renderer = _arguments.make_renderer(options, coefficients)
+        if not renderer.shows_a_view:
+            check_formats(options.formats or ())
+        # All of them before the first run, which may take long.
+        created = {name: create(renderer) for name, create in metrics.items()}
+        finished: list[tuple[SceneAttribution, Metric]] = []
+        for name, metric in created.items():
+            folder = options.out if len(metrics) == 1 else options.out / folder_name(name)
             try:
-                attribution = method(renderer, create(renderer)).attribute(
+                attribution = method(renderer, metric).attribute(
                     designed_values(options, renderer), **arguments
                 )
             except AttributionInterrupted as interruption:
-                _write_result(interruption.partial, folder, options)
-                _write_report([*finished, interruption.partial], options)
+                _write_result(interruption.partial, folder, options, renderer, metric)
+                _write_report([*finished, (interruption.partial, metric)], options, renderer)
                 raise
-            _write_result(attribution, folder, options)
-            finished.append(attribution)
+            _write_result(attribution, folder, options, renderer, metric)
+            finished.append((attribution, metric))
             # After every metric, so that an interruption of the next one leaves a report.
-            _write_report(finished, options)
+            _write_report(finished, options, renderer)
         if not options.json:
             _arguments.print_resumed(renderer)
     return 0
@@ -172,27 +180,43 @@ def _number_or_name(text: str) -> float | str:
         return text
 
 
-def _folder_name(metric: str) -> str:
+def folder_name(metric: str) -> str:
+    """Return the name of the folder for the files of one of several metrics."""
     return "".join(c if c.isalnum() else "-" for c in metric).strip("-")
 
 
-def _write_result(attribution: SceneAttribution, folder: Path, options: argparse.Namespace) -> None:
+def _write_result(
+    attribution: SceneAttribution,
+    folder: Path,
+    options: argparse.Namespace,
+    renderer: SceneRenderer,
+    metric: Metric,
+) -> None:
     """Write the files of a result and print it."""
-    names = options.formats or default_formats(view=attribution.surfaces is not None)
-    formats = selected_formats(names, options.scale, signed=options.signed)
+    view = renderer.shows_a_view
+    formats = selected_formats(
+        options.formats or default_formats(view=view), options.scale, signed=options.signed
+    )
+    if not (view or options.formats):
+        formats.append(plan_format(renderer, metric, lambda one: one))
     write_files(attribution, folder, formats)
     if options.json:
         print(json_text(attribution))
         return
     print(table_text(attribution, scale=options.scale))
+    exact = by_definition(attribution, metric)
+    lines = [f"{exact}; relaxed above, for the derivative"] if exact else []
+    print("".join(f"\n{line}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
 
 
-def _write_report(attributions: Sequence[SceneAttribution], options: argparse.Namespace) -> None:
+def _write_report(
+    finished: Sequence[tuple[SceneAttribution, Metric]], options: argparse.Namespace, renderer: SceneRenderer
+) -> None:
     """Write the report of the results so far, if requested."""
     if not options.report:
         return
     path = options.out / REPORT
-    write_report(attributions, path)
+    write_report([one for one, _ in finished], path, plans=[plan_of(one, renderer, m) for one, m in finished])
     if not options.json:
         print(f"{path}  interactive page with all results")

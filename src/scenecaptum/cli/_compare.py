@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -32,6 +32,11 @@ from . import _arguments
 from ._design import add_design, design_of, designed_values, read_design
 from ._files import print_files, writable
 from ._metrics import add_metric, find_metrics
+from ._plan import by_definition, plan_of
+from ._points import needed_coefficients, premises
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REPORT = "comparison.html"
 ROWS = 10
@@ -50,7 +55,7 @@ def add(commands: Any) -> None:
     )
     _arguments.add_scene(parser)
     parser.add_argument("other", nargs="?", metavar="B", help="another scene or saved result")
-    add_metric(parser)
+    add_metric(parser, of_daylight=True)
     add_design(parser)
     parser.add_argument("--from", type=Path, dest="origin", metavar="FILE", help="the design that is A")
     parser.add_argument("--titles", nargs=2, metavar=("A", "B"), help="names of the two in the output")
@@ -60,20 +65,34 @@ def add(commands: Any) -> None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two results of one metric, their titles, and the change of the metric with its standard error."""
+    """Two results of one metric, their titles, and the change of the metric with its standard error.
+
+    Of metrics of daylight, also the values by the definition, under which light, and the plans.
+    """
 
     before: SceneAttribution
     after: SceneAttribution
     titles: Sequence[str]
     change: float
     error: float | None
+    sides: Sequence[Side]
+
+
+@dataclass(frozen=True)
+class Side:
+    """What belongs to one of the two results: its plan, its value by the definition, and under which light."""
+
+    plan: Figure | None = None
+    exact: str = ""
+    premises: Sequence[str] = ()
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     with writable(options.out):
         found = _compare(options)
-        write_report([found.before, found.after], options.out / REPORT, titles=found.titles)
+        plans = [side.plan for side in found.sides]
+        write_report([found.before, found.after], options.out / REPORT, found.titles, plans=plans)
     if options.json:
         print(json.dumps(_numbers(found), indent=1, ensure_ascii=False))
         return 0
@@ -116,7 +135,15 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
         "the design" if options.design is None else options.design.stem,
     ]
     change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
-    return Comparison(before, after, titles, *change)
+    sides = [_side(one, renderer, metric, options) for one in (before, after)]
+    return Comparison(before, after, titles, *change, sides)
+
+
+def _side(
+    attribution: SceneAttribution, renderer: SceneRenderer, metric: Metric, options: argparse.Namespace
+) -> Side:
+    plan = plan_of(attribution, renderer, metric)
+    return Side(plan, by_definition(attribution, metric), premises(metric, options))
 
 
 def _compare_scenes(options: argparse.Namespace) -> Comparison:
@@ -124,7 +151,9 @@ def _compare_scenes(options: argparse.Namespace) -> Comparison:
         raise SceneCaptumError(
             "--from needs --set or --design: it is the design that they are compared with."
         )
-    before, after = (_loaded_or_attributed(options, given) for given in (options.scene, options.other))
+    (before, side), (after, other) = (
+        _loaded_or_attributed(options, given) for given in (options.scene, options.other)
+    )
     if metric_name(before) != metric_name(after):
         raise SceneCaptumError(
             f"The results are of different metrics, {metric_name(before)} and {metric_name(after)}: compare "
@@ -133,21 +162,29 @@ def _compare_scenes(options: argparse.Namespace) -> Comparison:
     a, b = before.metric_standard_error, after.metric_standard_error
     error = None if a is None or b is None else math.hypot(a, b)
     titles = options.titles or [_name(options.scene), _name(options.other)]
-    return Comparison(before, after, titles, after.metric_value - before.metric_value, error)
+    change = after.metric_value - before.metric_value
+    return Comparison(before, after, titles, change, error, [side, other])
 
 
-def _loaded_or_attributed(options: argparse.Namespace, given: str) -> SceneAttribution:
+def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[SceneAttribution, Side]:
     if given.endswith(".npz"):
-        return SceneAttribution.load(given)
-    result: SceneAttribution = VanillaSceneGradient(*_renderer_and_metric(options, given)).attribute(
+        loaded = SceneAttribution.load(given)
+        if loaded.surfaces is None:
+            raise SceneCaptumError(
+                f"{given} has no picture of objects, as a sensor grid has none: compare the scenes, not the files."
+            )
+        return loaded, Side()
+    renderer, metric = _renderer_and_metric(options, given)
+    result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
-    return result
+    return result, _side(result, renderer, metric, options)
 
 
 def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
     (create,) = find_metrics([options.metric], options).values()
-    renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}))
+    coefficients = needed_coefficients([options.metric], options)
+    renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}), coefficients)
     return renderer, create(renderer)
 
 
@@ -161,9 +198,12 @@ def _lines(found: Comparison) -> list[str]:
     before, after = found.before, found.after
     suffix = f" {metric_unit(before)}".rstrip()
     text = [
-        f"{found.titles[0]}: {metric_line(before)}",
-        f"{found.titles[1]}: {metric_line(after)}",
+        *(
+            f"{title}: {metric_line(one)}{f' relaxed, {side.exact}' if side.exact else ''}"
+            for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
+        ),
         f"change: {signed_with_error(found.change, found.error)}{suffix}",
+        *found.sides[0].premises,
     ]
     moved = [
         (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))

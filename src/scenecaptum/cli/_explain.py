@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from ..attr import Explanation
+from ..estimation import Metric
 from ..explanation import explain
+from ..rendering import SceneRenderer
 from ..report import write_report
 from ..visualization import metric_name, metric_unit, verdict
 from . import _arguments
@@ -16,6 +22,8 @@ from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
 from ._optimize import optimization_numbers
+from ._plan import plan_format, plan_of
+from ._points import needed_coefficients, premises
 
 REPORT = "report.html"
 
@@ -30,11 +38,18 @@ def add(commands: Any) -> None:
         epilog="example: scenecaptum explain office --metric ugr --spp 64 --resolution 160x90",
     )
     _arguments.add_scene(parser)
-    add_metric(parser)
+    add_metric(parser, of_daylight=True)
     add_design(parser)
     parser.add_argument(
         "--below", type=float, metavar="X", help="also search for changes that bring the metric below X"
     )
+    add_changes(parser)
+    _arguments.add_output(parser)
+    parser.set_defaults(run=run)
+
+
+def add_changes(parser: argparse.ArgumentParser) -> None:
+    """Add the number of changes to render, and the report."""
     parser.add_argument(
         "--changes",
         type=int,
@@ -43,63 +58,94 @@ def add(commands: Any) -> None:
         help="number of changes to render (default: %(default)s)",
     )
     parser.add_argument("--report", action="store_true", help="also write report.html, an interactive page")
-    _arguments.add_output(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     (create,) = find_metrics([options.metric], options).values()
+    coefficients = needed_coefficients([options.metric], options)
     with writable(options.out):
-        renderer = _arguments.make_renderer(options)
-        explanation = explain(
-            renderer,
-            create(renderer),
-            designed_values(options, renderer),
-            target=options.target,
-            below=options.below,
-            changes=options.changes,
-            seed=options.seed,
-            show_progress=_arguments.shows_progress(options),
-        )
-        write_files(explanation, options.out, FORMATS)
+        renderer = _arguments.make_renderer(options, coefficients)
+        metric = create(renderer)
+        values = designed_values(options, renderer)
+        explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
+        formats = explanation_formats(renderer, metric)
+        write_files(explanation, options.out, formats)
         if options.report:
-            write_report(explanation, options.out / REPORT)
+            plan = plan_of(explanation.attribution, renderer, metric)
+            write_report(explanation, options.out / REPORT, plans=[plan])
     if options.json:
         print(_json(explanation))
         return 0
     print(explanation)
-    print_files(options.out, FORMATS)
+    print_files(options.out, formats)
     if options.report:
         print(f"{options.out / REPORT}  interactive page")
     _arguments.print_resumed(renderer)
     return 0
 
 
-def _json(explanation: Explanation) -> str:
+def explained(
+    renderer: SceneRenderer,
+    metric: Metric,
+    values: Mapping[str, torch.Tensor] | None,
+    options: argparse.Namespace,
+    *,
+    target: int | None = None,
+    below: float | None = None,
+) -> Explanation:
+    """Return the explanation of a metric, and under which light it was computed."""
+    explanation = explain(
+        renderer,
+        metric,
+        values,
+        target=target,
+        below=below,
+        changes=options.changes,
+        seed=options.seed,
+        show_progress=_arguments.shows_progress(options),
+    )
+    return dataclasses.replace(explanation, premises=premises(metric, options))
+
+
+def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputFormat[Explanation]]:
+    """Return the files of an explanation, with a plan if it is one of a sensor grid."""
+    if renderer.shows_a_view:
+        return FORMATS
+    return [*FORMATS, plan_format(renderer, metric, lambda explanation: explanation.attribution)]
+
+
+def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
+    """Return an explanation as plain values."""
     attribution, goal = explanation.attribution, explanation.goal
     changes = [
         {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
         for change in explanation.changes
     ]
-    numbers = {
+    return {
         "metric": {
             "name": metric_name(attribution),
             "unit": metric_unit(attribution),
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
             "verdict": verdict(attribution),
+            "definition": None if explanation.definition is None else vars(explanation.definition),
         },
+        "premises": list(explanation.premises),
         "sources": [vars(source) for source in explanation.sources],
         "effects": [
             {"name": row.name, "label": row.label, "effect": row.effect, "standard_error": row.effect_error}
             for row in attribution.ranking()
         ],
         "changes": changes,
+        "rows": [vars(row) for row in explanation.rows],
         "goal": None if goal is None else optimization_numbers(goal),
         "sentences": dict(explanation.sections()),
     }
-    return json.dumps(numbers, indent=1, ensure_ascii=False)
+
+
+def _json(explanation: Explanation) -> str:
+    return json.dumps(explanation_numbers(explanation), indent=1, ensure_ascii=False)
 
 
 def _write_json(explanation: Explanation, path: Path) -> None:

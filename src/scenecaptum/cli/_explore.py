@@ -17,6 +17,7 @@ from . import _arguments
 from ._design import CHANGES, add_design, designed_values, read_design
 from ._interrupt import leave
 from ._metrics import DEFAULT, OPTIONS, add_metric, find_metrics
+from ._points import chosen_sensor
 
 WIDTH = 320  # pixels of the picture where no resolution is given
 
@@ -30,8 +31,7 @@ def add(commands: Any) -> None:
         "and then renders it. The page is on this machine only; Ctrl-C ends it.",
         epilog="example: scenecaptum explore office --metric ugr",
     )
-    _arguments.add_view(parser)
-    _arguments.add_inputs(parser)
+    _arguments.add_scene(parser)
     add_metric(parser, several=True)
     add_design(parser)
     parser.add_argument(
@@ -100,8 +100,8 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, A
     renderer_options = {
         "resolution": (width, height),
         "spp": _spp(options),
-        "max_depth": options.max_depth,
-        "sensor": _arguments.sensor_of(options),
+        "max_depth": renderer.plan.max_depth,
+        "sensor": chosen_sensor(options, None),
         "parameters": dict(options.parameters or ()),
     }
     arguments = "".join(f", {name}={value!r}" for name, value in renderer_options.items() if value)
@@ -119,7 +119,7 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, A
         "--metric": metric,
         "--resolution": f"{width}x{height}",
         "--spp": _spp(options),
-        "--max-depth": options.max_depth,
+        "--max-depth": renderer.plan.max_depth,
         "--sensor": options.sensor,
         "--target": options.target,
         "--design": options.design,

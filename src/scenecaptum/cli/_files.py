@@ -27,6 +27,7 @@ class OutputFormat(Generic[Result]):
     description: str  # of its content, in one line
     write: Callable[[Result, Path], None]
     by_default: bool = True  # unless other formats are selected
+    of_a_view: bool = False  # whether it shows the objects of a picture
 
 
 def figure_writer(draw: Callable[[Result], Figure]) -> Callable[[Result, Path], None]:

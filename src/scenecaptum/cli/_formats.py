@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from ..attr import SceneAttribution
+from ..errors import SceneCaptumError
 from ..projection import export
 from ..protocols import Scale
 from ..report import write_csv, write_json
@@ -27,13 +28,20 @@ FORMATS: dict[str, OutputFormat[SceneAttribution]] = {
     "npz": OutputFormat(
         "attribution.npz", "complete result, for SceneAttribution.load", SceneAttribution.save
     ),
-    "render": OutputFormat("render.png", "render", _write_render),
+    "render": OutputFormat("render.png", "render", _write_render, of_a_view=True),
     "heatmap": OutputFormat(
-        "heatmap.png", "render and map of the effects", figure_writer(SceneAttribution.plot_heatmap)
+        "heatmap.png",
+        "render and map of the effects",
+        figure_writer(SceneAttribution.plot_heatmap),
+        of_a_view=True,
     ),
     "bars": OutputFormat("bars.png", "effects with error bars", figure_writer(SceneAttribution.plot_bars)),
     "exr": OutputFormat(
-        "attribution.exr", "render, effects and objects for compositing", export, by_default=False
+        "attribution.exr",
+        "render, effects and objects for compositing",
+        export,
+        by_default=False,
+        of_a_view=True,
     ),
 }
 
@@ -57,6 +65,17 @@ def selected_formats(
 def default_formats(*, view: bool = True) -> list[str]:
     """Return the names of the formats that are written unless others are selected.
 
-    A sensor grid is no view: its pixels show no objects to draw a map on.
+    A sensor grid is no view: its pixels show no objects, and a map on the plan stands for its picture.
     """
-    return [name for name, one in FORMATS.items() if one.by_default and (view or name != "heatmap")]
+    return [name for name, one in FORMATS.items() if one.by_default and (view or not one.of_a_view)]
+
+
+def check_formats(names: Collection[str]) -> None:
+    """Raise if one of the formats needs a view, for a sensor grid."""
+    for name in names:
+        if FORMATS[name].of_a_view:
+            others = [other for other, one in FORMATS.items() if not one.of_a_view]
+            raise SceneCaptumError(
+                f"--format {name} needs a picture of objects, and a sensor grid shows none: choose "
+                f"{', '.join(others[:-1])} or {others[-1]}, or leave --format out, which also writes a plan."
+            )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -14,6 +15,7 @@ from ..errors import SceneCaptumError, near_misses
 from . import (
     _attribute,
     _compare,
+    _daylight,
     _demo,
     _doctor,
     _explain,
@@ -29,6 +31,7 @@ from ._interrupt import INTERRUPTED, leave, prompt_exit
 COMMANDS = (
     _explain,
     _explore,
+    _daylight,
     _attribute,
     _compare,
     _optimize,
@@ -61,10 +64,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run() -> int:
     """Run the command of this process; it ends within seconds of Ctrl-C."""
+    warnings.formatwarning = _one_line
     status = main()
     if status == INTERRUPTED:
         leave(status)
     return status
+
+
+def _one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Return a warning without the place in the source code, which means nothing to users of a command."""
+    return f"scenecaptum: warning: {message}\n"
 
 
 def _say_interrupted(options: argparse.Namespace, started: float) -> None:

@@ -13,6 +13,7 @@ from ..validation import Ablated, AblationTest, ablation_test
 from . import _arguments
 from ._files import OutputFormat, figure_writer, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
+from ._points import needed_coefficients, premises
 
 NOT_CONFIRMED = 1
 
@@ -27,7 +28,7 @@ def add(commands: Any) -> None:
         epilog="example: scenecaptum validate office --metric luminance --spp 256 --out out",
     )
     _arguments.add_scene(parser)
-    add_metric(parser)
+    add_metric(parser, of_daylight=True)
     parser.add_argument(
         "--top",
         type=int,
@@ -43,10 +44,11 @@ def validate(options: argparse.Namespace) -> int:
     """Run the command."""
     (create,) = find_metrics([options.metric], options).values()
     with writable(options.out):
-        renderer = _arguments.make_renderer(options)
+        renderer = _arguments.make_renderer(options, needed_coefficients([options.metric], options))
+        metric = create(renderer)
         test = ablation_test(
             renderer,
-            create(renderer),
+            metric,
             target=options.target,
             top=options.top,
             seed=options.seed,
@@ -56,7 +58,7 @@ def validate(options: argparse.Namespace) -> int:
     if options.json:
         print(_json(test))
     else:
-        print(test)
+        print(test, *premises(metric, options), sep="\n")
         print_files(options.out, FORMATS)
         _arguments.print_resumed(renderer)
     return 0 if test.is_confirmed else NOT_CONFIRMED

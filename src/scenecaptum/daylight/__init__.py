@@ -13,6 +13,7 @@ __all__ = [
     "DaylightMetric",
     "DaylightProvision",
     "PatchRows",
+    "PlanValues",
     "SkyMatrix",
     "SkyPatches",
     "SpatialDaylightAutonomy",
@@ -35,6 +36,7 @@ from ._named import BY_NAME as BY_NAME
 from ._named import NamedDaylightMetric as NamedDaylightMetric
 from ._patches import PatchRows as PatchRows
 from ._patches import SkyPatches as SkyPatches
+from ._plan_values import PlanValues as PlanValues
 from ._sky_matrix import EFFICACY as EFFICACY
 from ._sky_matrix import SkyMatrix as SkyMatrix
 from ._spatial_daylight_autonomy import SpatialDaylightAutonomy as SpatialDaylightAutonomy

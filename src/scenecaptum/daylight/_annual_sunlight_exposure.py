@@ -7,6 +7,7 @@ import torch
 from ..metrics import Band, Measure
 from ._checks import positive
 from ._metric import RELAXATION, Hours, PointMetric
+from ._plan_values import PlanValues
 from ._sky_matrix import SkyMatrix
 from ._step import step
 
@@ -67,6 +68,11 @@ class AnnualSunlightExposure(PointMetric):
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         sunny = step(values, self.threshold, relaxation, exclusive=True).sum(-1, dtype=torch.float64)
         return 100 * step(sunny, self.hours, relaxation, exclusive=True)
+
+    def _on_plan(self, values: torch.Tensor) -> PlanValues:
+        sunny = step(values, self.threshold, 0.0, exclusive=True).sum(-1, dtype=torch.float64)
+        label = f"hours with more than {self.threshold:g} lx of direct sun"
+        return PlanValues(sunny, label, (self.hours,))
 
     def extra_repr(self) -> str:
         """Show the settings."""

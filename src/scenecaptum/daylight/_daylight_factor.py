@@ -43,6 +43,8 @@ class DaylightFactor(PointMetric):
     CIE 16-1970, "Daylight"; EN 17037 and ISO 15469 for the sky.
     """
 
+    levels = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
+
     def __init__(self, sky: SkyMatrix, statistic: Statistic = "mean") -> None:
         if sky.hours != 1:
             raise SceneCaptumError(

@@ -10,6 +10,7 @@ from ..metrics import Band, Measure
 from ._checks import choice
 from ._lower_limits import LowerLimits
 from ._metric import RELAXATION, DaylightMetric, Hours, mean_over_hours
+from ._plan_values import PlanValues, hours_with
 from ._sky_matrix import SkyMatrix
 from ._step import step
 
@@ -78,6 +79,11 @@ class DaylightProvision(DaylightMetric):
             for illuminance, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
         return 100 * torch.minimum(target, minimum)
+
+    def _on_plan(self, values: torch.Tensor) -> PlanValues:
+        target, _ = _ILLUMINANCES[self.level]
+        daylit = mean_over_hours(step(values, target, 0.0))
+        return PlanValues(100 * daylit, hours_with(target), (100 * _SHARE_OF_HOURS,))
 
     def extra_repr(self) -> str:
         """Show the settings."""

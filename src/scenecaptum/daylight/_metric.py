@@ -11,6 +11,7 @@ from ..errors import SceneCaptumError
 from ..metrics import Measure
 from ._checks import choice, positive
 from ._illuminance import illuminance
+from ._plan_values import PlanValues
 from ._sky_matrix import SkyMatrix
 
 Hours: TypeAlias = "Literal['occupied', 'daylight', 'all'] | torch.Tensor"
@@ -76,6 +77,19 @@ class DaylightMetric(torch.nn.Module):
         with torch.no_grad():
             return _cast(self._value(illuminance(coefficients, self.sky), 0.0), coefficients)
 
+    def on_plan(self, coefficients: torch.Tensor) -> PlanValues:
+        """Return what a map of the room shows for daylight coefficients ``(points, P, 3)``, without relaxation.
+
+        It is the value of each point; of metrics that count points, what they compare with a limit; of others,
+        the mean illuminance.
+        """
+        with torch.no_grad():
+            return self._on_plan(illuminance(coefficients, self.sky))
+
+    def _on_plan(self, values: torch.Tensor) -> PlanValues:
+        """Return what a map shows for the illuminance ``(points, hours)`` in lx."""
+        return PlanValues(mean_over_hours(values), "mean illuminance in lx")
+
     @abstractmethod
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         """Return the value for the illuminance ``(points, hours)`` in lx, a 0-d tensor."""
@@ -86,7 +100,12 @@ class DaylightMetric(torch.nn.Module):
 
 
 class PointMetric(DaylightMetric):
-    """Base class of the metrics that have a value for each point, whose mean is the metric."""
+    """Base class of the metrics that have a value for each point, whose mean is the metric.
+
+    ``levels`` are those of the contours on a map of the room.
+    """
+
+    levels: tuple[float, ...] = (25.0, 50.0, 75.0)  # of shares in %
 
     def of_points(self, coefficients: torch.Tensor) -> torch.Tensor:
         """Return the value of each point, ``(points,)``, in the unit of the metric."""
@@ -98,6 +117,11 @@ class PointMetric(DaylightMetric):
 
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         return self._of_points(values, relaxation).mean()
+
+    def _on_plan(self, values: torch.Tensor) -> PlanValues:
+        measure = self.measure
+        label = f"{measure.symbol or measure.name} in {measure.unit}"
+        return PlanValues(self._of_points(values, 0.0), label, self.levels)
 
 
 def hours_mask(sky: SkyMatrix, during: Hours) -> torch.Tensor:

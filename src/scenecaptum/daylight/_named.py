@@ -32,13 +32,23 @@ class NamedDaylightMetric(NamedTuple):
     @property
     def subdivision(self) -> int:
         """That of the sky's patches by default: finer for the sun, which patches blur."""
-        return 2 if self.light == "sun" else 1
+        return 2 if self.direct else 1
+
+    @property
+    def needs_weather(self) -> bool:
+        """Whether it depends on the weather of a place, and so on where north is."""
+        return self.light != "overcast"
+
+    @property
+    def direct(self) -> bool:
+        """Whether its coefficients are those of direct light alone: ``SceneRenderer(…, direct_sky=True)``."""
+        return self.light == "sun"
 
     def sky(self, weather: Weather, patches: SkyPatches, north: float = 0.0) -> SkyMatrix:
         """Return the sky that it needs; raises as `SkyMatrix.from_weather`."""
-        if self.light == "overcast":
+        if not self.needs_weather:
             return SkyMatrix.cie_overcast(patches)
-        sun: Literal["only", "patches"] = "only" if self.light == "sun" else "patches"
+        sun: Literal["only", "patches"] = "only" if self.direct else "patches"
         return SkyMatrix.from_weather(weather, patches, sun=sun, north=north)
 
 

@@ -8,6 +8,7 @@ from ..metrics import Band, Measure
 from ._checks import positive, share
 from ._lower_limits import LowerLimits
 from ._metric import RELAXATION, Hours, PointMetric, mean_over_hours
+from ._plan_values import PlanValues, hours_with
 from ._sky_matrix import SkyMatrix
 from ._step import step
 
@@ -77,6 +78,10 @@ class SpatialDaylightAutonomy(PointMetric):
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         autonomy = mean_over_hours(step(values, self.threshold, relaxation))
         return 100 * step(autonomy, self.fraction, relaxation)
+
+    def _on_plan(self, values: torch.Tensor) -> PlanValues:
+        autonomy = mean_over_hours(step(values, self.threshold, 0.0))
+        return PlanValues(100 * autonomy, hours_with(self.threshold), (100 * self.fraction,))
 
     def extra_repr(self) -> str:
         """Show the settings."""

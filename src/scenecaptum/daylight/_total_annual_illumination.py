@@ -24,6 +24,7 @@ class TotalAnnualIllumination(PointMetric):
     CIE 157:2004, "Control of damage to museum objects by optical radiation", for limits of the annual exposure.
     """
 
+    levels = tuple(step * 1e6 for step in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0))
     measure = Measure("total annual illumination", "TAI", unit="lx·h")
 
     def __init__(self, sky: SkyMatrix, *, during: Hours = "all") -> None:

@@ -60,7 +60,7 @@ def differences(
     """
     pair = _RendererPair(renderer, other)
     # No denoising: the bias that noise causes in the two metrics largely cancels.
-    transform_selector = TransformSelector(False, pair, smoothed=False)
+    transform_selector = TransformSelector(False, pair, point.values, smoothed=False)
     changes = [pair.difference(metric) for metric in metrics]
     gradients = GradientEstimator(pair, changes, budget, transform_selector, bar)
     sums, interrupted = sum_gradients(gradients, [point])

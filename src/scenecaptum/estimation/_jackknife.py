@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 
+from ..protocols import Renderer
 from ._adjoints import Adjoints
 from ._jackknife_of_draws import jackknife_of_draws
 from ._linearity import is_linear, is_rounding
 from ._metric import Draws, TargetedMetric
-from ._metric_image import IDENTITY, TransformSelector
+from ._metric_image import IDENTITY, TransformSelector, guides_of
 from ._transform_errors import transform_errors
 from ._weighted_means import evaluate_at_means, second_order, steps, weighted_mean
 
@@ -155,6 +157,15 @@ def adjoints_if_linear(metric: TargetedMetric, known: Adjoints, image: torch.Ten
     if not (known.is_linear and is_rounding(adjoint - known.per_replicate[0], adjoint)):
         return None
     return Adjoints(value, None, 0.0, (adjoint,), None)
+
+
+def at_values(
+    metric: TargetedMetric, renderer: Renderer, values: Mapping[str, torch.Tensor]
+) -> TargetedMetric:
+    """Return a metric for images of a scene in which something may have moved, denoised as before."""
+    if not metric.transform.denoises:
+        return metric
+    return metric.with_transform(dataclasses.replace(metric.transform, guides=guides_of(renderer, values)))
 
 
 def with_image_transform(

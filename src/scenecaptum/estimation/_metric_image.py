@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -99,14 +99,23 @@ def _halves(
     return first, second
 
 
+def guides_of(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> Guides | None:
+    """Return a renderer's guides, if it has them, where objects and the camera are as in ``values``."""
+    moved = Capabilities(renderer).guides_of
+    guides: Guides | None = Capabilities(renderer).guides if moved is None else moved(values)
+    return guides
+
+
 class TransformSelector:
     """Selects the image transform for one call of ``attribute`` with ``denoise=mode``.
 
     A metric that averages over noise of the picture (``smoothed``) hardly changes by a little more noise, and is
-    not denoised unless this is asked for.
+    not denoised unless this is asked for. The images are those of the scene with these ``values``.
     """
 
-    def __init__(self, mode: Denoise, renderer: Renderer, *, smoothed: bool) -> None:
+    def __init__(
+        self, mode: Denoise, renderer: Renderer, values: Mapping[str, torch.Tensor], *, smoothed: bool
+    ) -> None:
         if mode not in ("auto", True, False):
             raise SceneCaptumError(f'denoise must be "auto", True or False, not {mode!r}.')
         shows_a_view = Capabilities(renderer).shows_a_view is not False
@@ -117,6 +126,7 @@ class TransformSelector:
         self.mode = mode
         self._denoises = shows_a_view and (not smoothed or mode is True)
         self._renderer = renderer
+        self._values = values
         self._last = IDENTITY
 
     def select(
@@ -126,6 +136,6 @@ class TransformSelector:
         if not self._denoises:
             return IDENTITY
         if len(images) > 1 or self._last is IDENTITY:
-            guides = Capabilities(self._renderer).guides if is_picture(images[0]) else None
+            guides = guides_of(self._renderer, self._values) if is_picture(images[0]) else None
             self._last = choose_transform(self.mode, images, samples, guides)
         return self._last

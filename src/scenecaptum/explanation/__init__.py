@@ -1,6 +1,7 @@
 """The answer in sentences: what a metric says of a scene, what causes it, and what would change it."""
 
-# What users see.
+# What users see; the other name is for the rooms above.
 __all__ = ["explain"]
 
+from ._explain import definition_of as definition_of
 from ._explain import explain as explain

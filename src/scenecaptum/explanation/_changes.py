@@ -28,7 +28,12 @@ def propose(
     sign: int,
     count: int,
 ) -> list[Change]:
-    """Return the ``count`` single changes with the largest predicted effect of this sign, clear of the noise."""
+    """Return the ``count`` single changes with the largest predicted effect of this sign, clear of the noise.
+
+    Without error bars, of a single replicate, none is.
+    """
+    if attribution.covariance is None:
+        return []
     ranges = Capabilities(renderer).ranges or Capabilities(renderer).bounds or {}
     bounds = Capabilities(renderer).bounds or {}
     unlimited = (-math.inf, math.inf)

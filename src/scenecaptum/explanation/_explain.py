@@ -95,7 +95,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     return Explanation(
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
-        definition=_definition(metric, attribution),
+        definition=definition_of(metric, attribution),
         sources=find_sources(
             scenes.metric, scenes.images, _surfaces(renderer, attribution), attribution.labels
         ),
@@ -106,8 +106,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     )
 
 
-def _definition(metric: Metric, attribution: SceneAttribution) -> Definition | None:
-    """Return the value of a relaxed metric without relaxation, of the same picture."""
+def definition_of(metric: Metric, attribution: SceneAttribution) -> Definition | None:
+    """Return the value of a relaxed metric of daylight without relaxation, of the picture of a result."""
     if not isinstance(metric, DaylightMetric) or not metric.relaxation or attribution.image is None:
         return None
     value = metric.hard(attribution.image).item()
@@ -117,5 +117,5 @@ def _definition(metric: Metric, attribution: SceneAttribution) -> Definition | N
 def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:
     """Return what each pixel shows, through glass and in mirrors if the renderer can tell."""
     trace = Capabilities(renderer).see_through
-    found: SurfaceMap | None = None if trace is None else trace(())
+    found: SurfaceMap | None = None if trace is None else trace((), attribution.parameter_values)
     return attribution.surfaces if found is None else found

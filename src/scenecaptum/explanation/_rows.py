@@ -8,6 +8,7 @@ from ..attr import Row
 from ..daylight import DaylightMetric, PointMetric
 from ..estimation import TargetedMetric, delete_one_jackknife
 from ..grid import GridPoints
+from ..visualization import minus
 
 MORE_LIGHT = 0.1  # the change of the illuminance at a row
 MAX_ROWS = 12
@@ -33,7 +34,7 @@ def find_rows(metric: TargetedMetric, images: torch.Tensor, grid: GridPoints) ->
     values = metric.metric.of_points(images.mean(0)) if isinstance(metric.metric, PointMetric) else None
     return tuple(
         Row(
-            f"{axis} = {place:g}",
+            f"{axis} = {minus(f'{place:g}')}",
             len(row),
             None if values is None else values[row].mean().item(),
             means[index].item(),
@@ -50,7 +51,7 @@ def is_of_daylight(metric: TargetedMetric) -> bool:
 
 def _rows(grid: GridPoints, light: torch.Tensor) -> tuple[str, dict[float, torch.Tensor]]:
     """Return the axis across the rows, and the points of each row by its place on this axis, from high to low."""
-    plan, positions = grid.plan[grid.inside], grid.positions[grid.inside]
+    plan = grid.plan[grid.inside]
     found = []
     for axis in (0, 1):
         places = plan[:, axis].mul(100).round().div(100)
@@ -61,5 +62,4 @@ def _rows(grid: GridPoints, light: torch.Tensor) -> tuple[str, dict[float, torch
         means = torch.stack([light[row].mean() for row in rows.values()])
         found.append((means.var(correction=0).item(), axis, rows))
     _, axis, rows = max(found, key=lambda one: one[:2])
-    name = next("xyz"[k] for k in range(3) if torch.equal(positions[:, k], plan[:, axis]))
-    return name, rows if len(rows) < len(plan) else {}
+    return grid.axes[axis], rows if len(rows) < len(plan) else {}

@@ -244,7 +244,7 @@ class Exploration:
         metrics = self._numbers(measured)
         for number, one in enumerate(metrics):
             one["change"] = measured.change(number, self.about.start)
-        fine = self.designs.denoised(measured.image)
+        fine = self.designs.denoised(measured.image, design)
         self._publish_picture(
             "rendered", fine, design=design, rough=False, metrics=metrics, base=self._starts
         )
@@ -256,7 +256,7 @@ class Exploration:
         self._say("Rendering the start")
         if measured is None or measured.design != design:
             measured = self.designs.measure(design)
-        picture = self.designs.denoised(measured.image)
+        picture = self.designs.denoised(measured.image, design)
         numbers, exposure = self._numbers(measured), automatic_exposure(picture)
         about = self.about = Linearization(self.designs, measured)
         self._starts += 1
@@ -286,10 +286,10 @@ class Exploration:
 
     def _numbers(self, measured: Measured) -> list[dict[str, Any]]:
         """Return value, error and meaning of each metric."""
-        values = [measured.value(number) for number in range(len(self.designs.metrics))]
+        values = map(measured.value, range(len(self.designs.metrics)))
         return [
             {"value": value, "error": error, "verdict": metric.verdict(value, measured.image)}
-            for metric, (value, error) in zip(self.designs.metrics, values, strict=True)
+            for metric, (value, error) in zip(self.designs.metrics_of(measured.design), values, strict=True)
         ]
 
     def _shown(self) -> list[str]:

@@ -17,6 +17,7 @@ from ..estimation import (
     Target,
     TargetedMetric,
     TransformSelector,
+    at_values,
     check_renderer_and_metric,
     derived_seeds,
     input_values,
@@ -122,7 +123,9 @@ class Designs:
         self.seeds = derived_seeds(seed, Stream.SCENES, REPLICATES)
         self._spp = math.ceil(whole_number("spp", spp) / REPLICATES)
         smoothed = all(metric.is_smoothed for metric in self.metrics)
-        self._selector: TransformSelector | None = TransformSelector(denoise, renderer, smoothed=smoothed)
+        self._selector: TransformSelector | None = TransformSelector(
+            denoise, renderer, self.inputs, smoothed=smoothed
+        )
         self._rough = _smaller(renderer)
 
     def values(self, design: Design) -> dict[str, torch.Tensor]:
@@ -140,11 +143,16 @@ class Designs:
         """Return a denoised picture of few pixels with few samples."""
         with torch.no_grad():
             image = self._rough(self.values(design), seed=self.seeds[0], spp=ROUGH_SPP).detach()
-        return denoised(image, self._rough.guides)
+        return denoised(image, self._rough.guides_of(self.values(design)))
 
-    def denoised(self, image: torch.Tensor) -> torch.Tensor:
-        """Return a picture without noise."""
-        return denoised(image, self.renderer.guides)
+    def denoised(self, image: torch.Tensor, design: Design) -> torch.Tensor:
+        """Return a picture without noise: an ``image`` of a ``design``."""
+        return denoised(image, self.renderer.guides_of(self.values(design)))
+
+    def metrics_of(self, design: Design) -> list[TargetedMetric]:
+        """Return the metrics for pictures of a design, whose poses a denoiser has to know."""
+        values = self.values(design)
+        return [at_values(metric, self.renderer, values) for metric in self.metrics]
 
     def measure(self, design: Design) -> Measured:
         """Render a design and measure the metrics; the first one decides whether they are of denoised images."""
@@ -152,11 +160,12 @@ class Designs:
         if self._selector is not None:
             self.metrics = with_image_transform(self.metrics, list(images), self._selector)
             self._selector = None
+        metrics = self.metrics_of(design)
 
         def values(kept: torch.Tensor) -> torch.Tensor:
             self.pause()
             mean = images[kept].mean(0)
-            found = [metric.check_value(metric.value(mean)) for metric in self.metrics]
+            found = [metric.check_value(metric.value(mean)) for metric in metrics]
             return torch.tensor(found, dtype=torch.float64)
 
         return Measured(design, images, pseudo_values(values, len(images)))

@@ -86,7 +86,7 @@ class Linearization:
         """Attribute the metrics, to first order about the picture of the start."""
         designs, images = self.designs, self.start.images
         means = [images.mean(0), images[::2].mean(0), images[1::2].mean(0)]
-        for metric in designs.metrics:
+        for metric in designs.metrics_of(self.start.design):
             designs.pause()
             self._adjoints.append(torch.stack([metric.value_and_adjoint(mean)[1] for mean in means]))
         functional = _FirstOrder(designs.metrics, [adjoint[0] for adjoint in self._adjoints], self.start)
@@ -137,7 +137,7 @@ class Linearization:
             rows = known[number]
             turned = (products[1] - products[2]).mean(0) / 2
             gradients.append(Gradient(products[0] if rows is None else rows, turned))
-        guides = self.designs.renderer.guides
+        guides = self.designs.renderer.guides_of(self.designs.values(self.start.design))
         denoised = torch.stack([_denoise_signed(one, guides) for one in images.mean(1)])
         self._derived[slider.name] = Derivative(denoised, gradients)
         return self._derived[slider.name]
@@ -150,7 +150,7 @@ class Linearization:
         KeyError
             If a slider that the design moves has not been derived.
         """
-        picture = self.designs.denoised(self.start.image)
+        picture = self.designs.denoised(self.start.image, self.start.design)
         totals: list[dict[int, torch.Tensor]] = [{} for _ in self._adjoints]
         turned = [0.0 for _ in self._adjoints]
         for name in {**self.start.design, **design}:

@@ -125,6 +125,10 @@ def _floor_points(grid: SensorGrid, shapes: Mapping[str, Any], scene: Any) -> Gr
     inside = np.all([inside_outline(points) for points in corners], 0).reshape(plan.shape[:2])
     positions = np.empty((*plan.shape[:2], 3))
     positions[..., [across, along]], positions[..., up] = plan, level + grid.height
+    # Where only the floor is, nothing but the sky is above the points; otherwise they would be above the ceiling.
+    top = float(scene.bbox().max[up])
+    if level < top < level + grid.height:
+        inside[:] = False
     return _open_points(
         torch.from_numpy(positions), up, torch.from_numpy(inside), torch.from_numpy(plan), scene
     )

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import torch
 
-from ..scene import SceneObject, camera_object, pose_matrix, pose_name
+from ..scene import SceneObject, camera_object, placement, pose_name
 from ._dr_arrays import owned
-
-_AT_REST = {"translation": torch.zeros(3), "rotation": torch.zeros(3), "scale": torch.zeros(())}
 
 
 class Moving(NamedTuple):
@@ -24,89 +23,111 @@ class Moving(NamedTuple):
 
 
 class Poses:
-    """The poses of objects, by the names of their inputs."""
+    """The poses of objects, by the names of their inputs.
+
+    What belongs to several objects moves with each: first with the smallest, a part of the others.
+    """
 
     def __init__(self, objects: Iterable[Moving]) -> None:
-        self._moving = [_Pose(*moving) for moving in objects if not moving.object.problem]
-        self._by_name = {name: moving for moving in self._moving for name in moving.names.values()}
+        moving = [one for one in objects if not one.object.problem]
+        self._owners = {
+            pose_name(one.object.name, component): one.object
+            for one in moving
+            for component in one.object.components
+        }
+        places: dict[tuple[int, str], _Place] = {}
+        for one in sorted(moving, key=lambda one: len(one.object.part_of), reverse=True):
+            for key in one.object.keys:
+                place = places.setdefault((id(one.params), key), _Place(one.params, key))
+                place.objects.append(one.object)
+        self._places = list(places.values())
+        self.remember()
 
     def __contains__(self, name: object) -> bool:
-        return name in self._by_name
+        return name in self._owners
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._by_name)
+        return iter(self._owners)
 
     @property
     def original(self) -> dict[str, torch.Tensor]:
         """The poses of the scene as it was loaded: 0, and the field of view of its camera."""
+        fields_of_view = {place.fov_name: place.field_of_view for place in self._places if place.is_fov}
         return {
-            name: moving.original(component)
-            for moving in self._moving
-            for component, name in moving.names.items()
+            name: fields_of_view.get(name, torch.zeros(() if name.endswith("scale") else 3))
+            for name in self._owners
         }
 
     def remember(self) -> None:
         """Read where everything is, as the scene's own places: its owner may have moved something."""
-        for moving in self._moving:
-            moving.remember()
+        for place in self._places:
+            place.remember()
 
     def write(self, names: Iterable[str], values: Mapping[str, torch.Tensor]) -> None:
         """Move what the named inputs move, given the values of all of them."""
-        changed = {id(moving): moving for name in names if (moving := self._by_name.get(name)) is not None}
-        for moving in changed.values():
-            moving.write({component: values[name] for component, name in moving.names.items()})
-        for params in {id(moving.params): moving.params for moving in changed.values()}.values():
+        moved = {self._owners[name].name for name in names if name in self._owners}
+        changed = [place for place in self._places if any(one.name in moved for one in place.objects)]
+        objects = {one.name: one for place in changed for one in place.objects}
+        matrices = {name: placement(one, values) for name, one in objects.items()}
+        for place in changed:
+            place.write(matrices, values)
+        for params in {id(place.params): place.params for place in changed}.values():
             params.update()
 
 
-class _Pose:
-    """An object of a live scene, with its places as loaded."""
+class _Place:
+    """A value of a live scene that holds where something is, and the objects it belongs to, parts first."""
 
-    def __init__(self, one: SceneObject, params: Any) -> None:
+    def __init__(self, params: Any, key: str) -> None:
         self.params = params
-        self.names = {component: pose_name(one.name, component) for component in one.components}
-        self._object = one
-        self.remember()
+        self.objects: list[SceneObject] = []
+        self._key = key
+
+    @property
+    def is_fov(self) -> bool:
+        """Whether it is the field of view of a camera, which no transform moves."""
+        return self._key.endswith("x_fov")
+
+    @property
+    def fov_name(self) -> str:
+        """The name of the input of a field of view."""
+        return pose_name(self.objects[0].name, "fov")
+
+    @property
+    def field_of_view(self) -> torch.Tensor:
+        """The field of view as loaded, in degrees."""
+        return torch.tensor(float(self._base[0]))
 
     def remember(self) -> None:
-        self._base = {key: _copy(self.params[key]) for key in self._object.keys}
+        self._base = _copy(self.params[self._key])
         # Vertices are moved by torch.
-        self._vertices: dict[str, torch.Tensor] = {}
+        self._vertices: torch.Tensor | None = None
 
-    def original(self, component: str) -> torch.Tensor:
-        if component == "fov":
-            key = next(key for key in self._object.keys if key.endswith("x_fov"))
-            return torch.tensor(float(self._base[key][0]))
-        return _AT_REST[component].clone()
+    def write(self, matrices: Mapping[str, torch.Tensor | None], values: Mapping[str, torch.Tensor]) -> None:
+        if self.is_fov:
+            self.params[self._key] = dr.opaque(mi.Float, values[self.fov_name].item())
+            return
+        moves = [matrix for one in self.objects if (matrix := matrices[one.name]) is not None]
+        # Also where it is at rest: Mitsuba computes the normals again of a mesh whose vertices alone are written.
+        self.params[self._key] = (
+            self._moved(reduce(lambda inner, outer: outer @ inner, moves)) if moves else _copy(self._base)
+        )
 
-    def write(self, values: Mapping[str, torch.Tensor]) -> None:
-        pose = {**_AT_REST, **{name: value for name, value in values.items() if name != "fov"}}
-        is_at_rest = not any(bool(value.any()) for value in pose.values())
-        matrix = pose_matrix(self._object.pivot, **pose)
-        for key in self._object.keys:
-            if key.endswith("x_fov"):
-                self.params[key] = dr.opaque(mi.Float, values["fov"].item())
-            else:
-                # Also where it is at rest: Mitsuba computes the normals again of a mesh whose vertices alone are
-                # written.
-                self.params[key] = _copy(self._base[key]) if is_at_rest else self._moved(key, matrix)
-
-    def _moved(self, key: str, matrix: torch.Tensor) -> Any:
-        """Return the value of a place that is moved by a ``(4, 4)`` matrix."""
-        base, kind = self._base[key], key.rpartition(".")[2]
+    def _moved(self, matrix: torch.Tensor) -> Any:
+        """Return the value moved by a ``(4, 4)`` matrix."""
+        base, kind = self._base, self._key.rpartition(".")[2]
         if kind == "to_world":
             return _transform(type(base), matrix @ _matrix(base))
         if kind == "position":
             place = torch.tensor([base.x[0], base.y[0], base.z[0], 1.0], dtype=torch.float64)
             return type(base)(*(dr.opaque(mi.Float, x) for x in (matrix @ place)[:3].tolist()))
-        if key not in self._vertices:
-            self._vertices[key] = base.torch().reshape(-1, 3).clone()
-        vertices = self._vertices[key]
-        linear, shift = matrix[:3, :3].to(vertices), matrix[:3, 3].to(vertices)
+        if self._vertices is None:
+            self._vertices = base.torch().reshape(-1, 3).clone()
+        linear, shift = matrix[:3, :3].to(self._vertices), matrix[:3, 3].to(self._vertices)
         if kind == "vertex_normals":
-            moved = vertices @ linear.T / matrix[:3, :3].det().pow(1 / 3).to(vertices)
+            moved = self._vertices @ linear.T / matrix[:3, :3].det().pow(1 / 3).to(self._vertices)
         else:
-            moved = vertices @ linear.T + shift
+            moved = self._vertices @ linear.T + shift
         return owned(mi.Float(moved.reshape(-1).contiguous()))
 
 

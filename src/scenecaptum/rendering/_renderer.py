@@ -22,6 +22,7 @@ from ..grid import GridPoints, SensorGrid
 from ..projection import SurfaceMap
 from ..scene import (
     OPEN_MARGIN,
+    Moved,
     Objects,
     SceneGraph,
     SceneLike,
@@ -53,6 +54,8 @@ from ._sensors import (
     grid_of,
     shows_a_view,
 )
+
+_NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
 
 
 class SceneRenderer(torch.nn.Module):
@@ -104,7 +107,8 @@ class SceneRenderer(torch.nn.Module):
     sky_patches
         With a sensor grid: the picture is then the daylight coefficients, ``(points, patches, 3)``, the irradiance
         at each point of the grid per unit radiance of each patch of the sky. See ``scenecaptum.daylight`` for
-        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count.
+        metrics of a year. The scene needs a constant emitter as its sky; other lamps do not count, and no
+        emitter is an input.
     direct_sky
         With ``sky_patches``: only the light that no surface reflects, as annual sunlight exposure needs. Panes,
         and cloth with an opacity, let it through.
@@ -209,6 +213,8 @@ class SceneRenderer(torch.nn.Module):
         table = SceneParameters(
             [*in_scene.values(), *pose_parameters(found), *camera_parameters(camera.object)]
         )
+        if self.sky_patches is not None:
+            table = table.without_derivatives("emitters", _NO_LAMPS)
         self._names = select(table, inputs)
         self._ranges = choose_ranges(table, self._names, ranges or {})
         self._table = table.with_ranges(self._ranges)
@@ -238,7 +244,7 @@ class SceneRenderer(torch.nn.Module):
             )
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
-        self._guides: Guides | None = None
+        self._guides: tuple[Moved, Guides] | None = None  # of the last poses
         self._views = [
             make_view(
                 LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
@@ -509,6 +515,8 @@ class SceneRenderer(torch.nn.Module):
     def grid(self) -> GridPoints:
         """The points of a renderer with a sensor grid: what each pixel measures.
 
+        Of daylight coefficients, each row of the picture is a point inside, in the order of the grid.
+
         Raises
         ------
         SceneCaptumError
@@ -598,27 +606,31 @@ class SceneRenderer(torch.nn.Module):
         """
         if not self.shows_a_view:
             raise SceneCaptumError("The pixels of a sensor grid show no objects, so it has no mask of them.")
-        maps = [view.surface_map((), False) for view in self._views]
+        maps = [view.surface_map((), False, ()) for view in self._views]
         masks = torch.stack([torch.from_numpy(surfaces.mask(objects)) for surfaces in maps]).to(self._device)
         return masks if self._stacked else masks[0]
 
-    def surfaces_with_texels(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
+    def surfaces_with_texels(
+        self, names: Iterable[str] | None = None, values: Mapping[str, torch.Tensor] | None = None
+    ) -> SurfaceMap | None:
         """Return ``surfaces`` with the texels that each pixel shows, of the named parameters, or of all inputs.
 
         They are texels of bitmaps or of the environment map, or vertex or face attributes of a mesh; others are
-        ignored.
+        ignored. Objects and the camera are where ``values`` move them.
         """
-        return self._surface_map(names)
+        return self._surface_map(names, values)
 
-    def see_through(self, names: Iterable[str] | None = None) -> SurfaceMap | None:
+    def see_through(
+        self, names: Iterable[str] | None = None, values: Mapping[str, torch.Tensor] | None = None
+    ) -> SurfaceMap | None:
         """Return the objects that each pixel shows in mirrors and behind glass; None for a list of sensors.
 
         Rays continue at specular surfaces, up to 12 times, to the first surface that scatters or emits light.
         Where a surface reflects and transmits, its fraction of a pixel is split as its light is. Absorption is
-        ignored, so that fractions sum to 1. ``heatmap(surfaces=…)`` paints on the map. ``names`` are as in
-        ``surfaces_with_texels``.
+        ignored, so that fractions sum to 1. ``heatmap(surfaces=…)`` paints on the map. ``names`` and
+        ``values`` are as in ``surfaces_with_texels``.
         """
-        return self._surface_map(names, through=True)
+        return self._surface_map(names, values, through=True)
 
     @property
     def guides(self) -> Guides:
@@ -627,25 +639,44 @@ class SceneRenderer(torch.nn.Module):
         They are those of the first surface that scatters light, through mirrors and glass, with the scene's own
         values.
         """
+        return self.guides_of({})
+
+    def guides_of(self, values: Mapping[str, torch.Tensor]) -> Guides:
+        """Return ``guides`` where objects and the camera are as in ``values``; materials are the scene's own."""
         from ._guides import trace_guides
 
-        if self._guides is None:
+        moved = self._moved(values)
+        if self._guides is None or self._guides[0] != moved:
             guides = []
             for view in self._views:
-                with view.live.with_values({}):
+                with view.live.with_values({name: values[name] for name, _ in moved}):
                     guides.append(trace_guides(view.live.scene, view.live.sensor, self.resolution))
             stacks = torch.stack([g.albedo for g in guides]), torch.stack([g.normal for g in guides])
-            self._guides = Guides(*stacks) if self._stacked else guides[0]
-        return self._guides
+            self._guides = moved, Guides(*stacks) if self._stacked else guides[0]
+        return self._guides[1]
 
-    def _surface_map(self, names: Iterable[str] | None, *, through: bool = False) -> SurfaceMap | None:
+    def _moved(self, values: Mapping[str, torch.Tensor] | None) -> Moved:
+        """Return the poses among ``values`` that differ from those of the scene as loaded."""
+        return tuple(
+            (name, tuple(value.tolist()) if value.ndim else value.item())
+            for name, value in (values or {}).items()
+            if name in self._table and self._table[name].moves and not self._state.is_original(name, value)
+        )
+
+    def _surface_map(
+        self,
+        names: Iterable[str] | None,
+        values: Mapping[str, torch.Tensor] | None = None,
+        *,
+        through: bool = False,
+    ) -> SurfaceMap | None:
         """Return the sensor's surface map with the texels of these inputs; None where pixels show no view."""
         if self._stacked or not self.shows_a_view:
             return None
         wanted = self._names if names is None else names
         in_scene = (name for name in wanted if name in self._state.original)
         textures = tuple(name for name in in_scene if len(self._table[name].shape) in (2, 3))
-        return self._views[0].surface_map(textures, through)
+        return self._views[0].surface_map(textures, through, self._moved(values))
 
     def forward(
         self,

@@ -145,9 +145,8 @@ def _create_grid(
     points = place_grid(grid, scene)
     count = scene.sensors()[0].sampler().sample_count()
     sampler = {"type": "independent", "sample_count": count}
-    if patches is not None:
-        points = points.as_list()
-    film = rgb_film(points.width if patches is None else patches.count, points.height)
+    size = (points.width, points.height) if patches is None else (patches.count, int(points.inside.sum()))
+    film = rgb_film(*size)
     sensor = mi.load_dict({"type": SENSORS["grid"].plugin, "film": film, "sampler": sampler})
     sensor.place(points, by_row=patches is not None)
     return sensor

@@ -116,7 +116,7 @@ def sky_of(scene: Any, parameters: SceneParameters) -> str:
     if sky is None:
         raise SceneCaptumError(
             "Daylight coefficients need a sky, and the scene has none: add a constant emitter to it, such as "
-            '"sky": {"type": "constant"}.'
+            '"sky": {"type": "constant"}, in XML <emitter type="constant"/>.'
         )
     if sky.class_name() != "ConstantBackgroundEmitter":
         raise SceneCaptumError(

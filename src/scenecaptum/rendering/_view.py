@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import lru_cache, partial
 
 import torch
 
 from ..checkpoint import Checkpoint
 from ..daylight import SkyPatches
 from ..projection import SurfaceMap
-from ..scene import SceneParameters
+from ..scene import Moved, SceneParameters
 from ._checkpointed import CheckpointedEngine
 from ._engine import Engine, StockEngine
 from ._importance_maps import ImportanceMaps
@@ -24,6 +24,9 @@ from ._sky_engine import SkyEngine
 from ._texels import find_textures
 from ._visibility import trace_surfaces
 
+# Maps of one scene with and without texels and mirrors, and of a few scenes in which something has moved.
+CACHED_MAPS = 8
+
 
 @dataclass(frozen=True)
 class View:
@@ -32,7 +35,8 @@ class View:
     live: LiveScene
     engine: Engine | CheckpointedEngine
     pilots: Pilots | None  # None for Mitsuba's own integrators
-    surface_map: Callable[[tuple[str, ...], bool], SurfaceMap]  # with these texels, through specular surfaces
+    # With these texels, through specular surfaces, where objects and the camera are moved.
+    surface_map: Callable[[tuple[str, ...], bool, Moved], SurfaceMap]
 
     def with_checkpoint(self, checkpoint: Checkpoint | None, fingerprint: str) -> View:
         """Return the view with an engine that uses a checkpoint, or none."""
@@ -44,7 +48,7 @@ class View:
 
     def describe_pixels(self, pixels: torch.Tensor) -> str:
         """Return a sentence that names the objects on a mask of pixels ``(H, W)``."""
-        names = self.surface_map((), False).objects_on(pixels.numpy(force=True))
+        names = self.surface_map((), False, ()).objects_on(pixels.numpy(force=True))
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         return f" They show {', '.join(names[:3])}{more}: look for an extreme value there, or in the lights."
 
@@ -59,16 +63,16 @@ def make_view(
 ) -> View:
     """Create what the plan requires to render a live scene, or its daylight coefficients by ``sky_patches``."""
 
-    @cache  # because no input moves geometry
-    def surface_map(textures: tuple[str, ...], through: bool) -> SurfaceMap:
-        with live.exclusive():
+    @lru_cache(maxsize=CACHED_MAPS)
+    def surface_map(textures: tuple[str, ...], through: bool, moved: Moved) -> SurfaceMap:
+        with live.with_values({name: torch.tensor(value) for name, value in moved}):
             lookups = list(find_textures(live, {name: parameters[name].shape for name in textures}))
             return trace_surfaces(
                 live.graph, parameters, live.sensor, live.resolution, lookups, through=through
             )
 
     integrator = plan.create_integrator()
-    importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False))
+    importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False, ()))
     moved = (
         copy_materials(movable_materials(live.graph, parameters, dict(plan.differences)))
         if plan.kind.path_differences and importance_maps.film and sky_patches is None

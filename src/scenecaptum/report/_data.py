@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,10 @@ from ..visualization import (
     verdict,
     with_error,
 )
-from ._pixels import color_maps, encode_map, encode_picture, encode_surfaces
+from ._pixels import color_maps, encode_figure, encode_map, encode_picture, encode_surfaces
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _DIGITS = 9  # of single precision
 _MAX_CHANNELS = 64
@@ -47,22 +50,20 @@ _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmit
 def report_data(
     attributions: Sequence[Attribution],
     titles: Sequence[str],
-    explanations: Sequence[Explanation | None] | None = None,
+    explanations: Sequence[Explanation | None],
+    plans: Sequence[Figure | None],
 ) -> dict[str, Any]:
     """Return the data of the page; views and images that results share are stored once."""
-    explanations = [None] * len(attributions) if explanations is None else explanations
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
     views: dict[int, tuple[int, NDArray[np.int64]]] = {}
     results = []
-    for attribution, title, explanation in zip(attributions, titles, explanations, strict=True):
-        surfaces = attribution.surfaces
-        assert surfaces is not None, "write_report checks it"
-        assert attribution.image is not None, "write_report checks it"
+    for attribution, title, explanation, plan in zip(attributions, titles, explanations, plans, strict=True):
+        encoded, surfaces = _picture(attribution, plan)
         if id(surfaces) not in views:
             view, shown = _view(surfaces)
             views[id(surfaces)] = _index_in(shared["views"], view), shown
         index, shown = views[id(surfaces)]
-        picture = _index_in(shared["pictures"], encode_picture(attribution.image))
+        picture = _index_in(shared["pictures"], encoded)
         results.append(
             {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
         )
@@ -88,6 +89,21 @@ def describe_objects(
         for index in shown
     ]
     return {**view, "parameters": parameters, "effects": signed, "maps": color_maps()}
+
+
+def _picture(attribution: Attribution, plan: Figure | None) -> tuple[str, SurfaceMap]:
+    """Return the encoded picture and what its pixels show, which is nothing if it is a plan."""
+    if plan is not None:
+        encoded, shape = encode_figure(plan)
+        return encoded, _nothing(shape)
+    assert attribution.surfaces is not None, "write_report checks it"
+    assert attribution.image is not None, "write_report checks it"
+    return encode_picture(attribution.image), attribution.surfaces
+
+
+def _nothing(shape: tuple[int, int]) -> SurfaceMap:
+    none: NDArray[np.int32] = np.zeros(0, np.int32)
+    return SurfaceMap(shape, none, none, np.zeros(0, np.float32), (), ())
 
 
 def _index_in(items: list[Any], item: Any) -> int:
@@ -283,7 +299,9 @@ def default_titles(attributions: Sequence[Attribution]) -> list[str]:
     return [f"{name} ({index})" for index, name in enumerate(names, start=1)]
 
 
-def check(attributions: Sequence[Attribution], titles: Sequence[str] | None) -> None:
+def check(
+    attributions: Sequence[Attribution], titles: Sequence[str] | None, plans: Sequence[Figure | None]
+) -> None:
     """Raise for results that a report cannot show."""
     if not attributions:
         raise SceneCaptumError("A report needs at least one attribution; the list is empty.")
@@ -291,12 +309,18 @@ def check(attributions: Sequence[Attribution], titles: Sequence[str] | None) -> 
         raise SceneCaptumError(
             f"titles must have one title for each of the {len(attributions)} attributions, not {len(titles)}."
         )
-    for attribution in attributions:
+    if len(plans) != len(attributions):
+        raise SceneCaptumError(
+            f"plans must have a figure or None for each of the {len(attributions)} attributions, not {len(plans)}."
+        )
+    for attribution, plan in zip(attributions, plans, strict=True):
+        if plan is not None:
+            continue
         which = f"The attribution of {metric_name(attribution)}"
         if attribution.surfaces is None:
             raise SceneCaptumError(
                 f"{which} does not know which object each pixel shows, which a report needs: compute it with a "
-                "SceneRenderer. Its tables and bar charts work without."
+                "SceneRenderer, or for a sensor grid give plans=. Its tables and bar charts work without."
             )
         if attribution.image is None:
             raise SceneCaptumError(f"{which} has no picture, which a report needs.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import zlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 from ..projection import SurfaceMap
 from ..visualization import display_image, diverging
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 LAYERS = 3  # objects per pixel; the largest three are scaled to the total coverage
 _FULL_COVERAGE = 255
 _JPEG_QUALITY = 95
+_FIGURE_DPI = 150
 
 
 def encode_picture(image: torch.Tensor) -> str:
@@ -27,6 +31,16 @@ def encode_picture(image: torch.Tensor) -> str:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
     return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def encode_figure(figure: Figure) -> tuple[str, tuple[int, int]]:
+    """Return a figure as a PNG data URL, and its height and width in pixels."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_FIGURE_DPI)
+    width, height = Image.open(buffer).size
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}", (height, width)
 
 
 def encode_surfaces(surfaces: SurfaceMap) -> tuple[dict[str, str], NDArray[np.int64]]:

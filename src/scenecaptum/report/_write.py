@@ -11,12 +11,15 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..attr import Explanation
 from ..files import atomic_write
 from ..protocols import Attribution
 from ._data import check, default_titles, report_data
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _SCRIPTS = ("data.js", "picture.js", "table.js", "detail.js", "page.js")
 
@@ -49,6 +52,7 @@ def write_report(
     path: str | os.PathLike[str],
     titles: Sequence[str] | None = None,
     *,
+    plans: Sequence[Figure | None] | None = None,
     sections: Sequence[Section] = (),
 ) -> None:
     """Write results as one self-contained HTML file to explore in a browser; it needs no network.
@@ -68,20 +72,24 @@ def write_report(
         The file to write, atomically.
     titles
         A title for each result; its metric by default.
+    plans
+        A figure for each result of a sensor grid, such as that of ``visualization.plot_plan``, or None for a
+        result with a picture. It stands in place of the picture and has no overlay.
     sections
         Further parts of the page, such as ``explore.section``.
 
     Raises
     ------
     SceneCaptumError
-        If a result has no image or no map of the surfaces in it, or the file cannot be written.
+        If a result has no image or no map of the surfaces in it, and no plan, or the file cannot be written.
     """
     given = list(attributions) if isinstance(attributions, Sequence) else [attributions]
     explanations = [one if isinstance(one, Explanation) else None for one in given]
     results = [one.attribution if isinstance(one, Explanation) else one for one in given]
-    check(results, titles)
+    drawn = [None] * len(results) if plans is None else list(plans)
+    check(results, titles, drawn)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    page = _page(report_data(results, names, explanations), sections)
+    page = _page(report_data(results, names, explanations, drawn), sections)
     with atomic_write(path) as partial:
         partial.write_bytes(page.encode("utf-8", "replace"))
 

@@ -34,13 +34,13 @@ function drawDetail(results, current, view, selection) {
   byId("detail").classList.toggle("chosen", !isEmpty);
   byId("detail").scrollTop = 0;
   if (isEmpty) {
-    byId("detail").replaceChildren(...hintOf(result));
+    byId("detail").replaceChildren(...hintOf(result, view.names.length === 0));
     return;
   }
   const clear = make("button", { type: "button", class: "quiet", id: "clear" }, "Clear");
   byId("detail").replaceChildren(
     make("div", { class: "detail-head" }, make("h2", {}, selection.title), clear),
-    make("p", { class: "muted" }, standingOf(result, view, selection)),
+    ...(view.names.length ? [make("p", { class: "muted" }, standingOf(result, view, selection))] : []),
     make("div", { class: "cards" }, ...rows.map((index) => cardOf(results, current, index))));
 }
 
@@ -88,7 +88,8 @@ function othersOf(results, current, name) {
 }
 
 /** Before anything is selected: how to read the picture, and what matters out of sight. */
-function hintOf(result) {
+function hintOf(result, isPlan) {
+  if (isPlan) return [make("p", { class: "muted" }, "Click a row of the table to see all about its parameter.")];
   const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && objectsOf(result, index).length === 0);
   const hint = "Point at the picture to read an object; click it, or a row of the table, to keep it lit.";
   const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);

@@ -78,6 +78,15 @@ function drawTable() {
   markSelected(state.selection.rows);
 }
 
+/** A plan in place of a picture shows no objects, so there is nothing to paint on it and to point at. */
+function drawPlan() {
+  const isPlan = view().names.length === 0;
+  byId("main").classList.toggle("plan", isPlan);
+  byId("picture").hidden = isPlan;
+  byId("plan").hidden = !isPlan;
+  if (isPlan) byId("plan").src = data.pictures[result().picture];
+}
+
 function drawResult() {
   byId("render").src = data.pictures[result().picture];
   byId("picture").style.aspectRatio = `${view().width} / ${view().height}`;
@@ -85,6 +94,7 @@ function drawResult() {
   byId("texels-choice").hidden = !texelsOf(result());
   byId("shared-choice").hidden = results.filter(isAlike).length < 2;
   document.querySelector('[value="signed"]').disabled = !result().signs;
+  drawPlan();
   drawExplanation(result());
   drawSplit();
   drawOverlay();

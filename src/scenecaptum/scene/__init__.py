@@ -32,10 +32,11 @@ from ._parameter_table import Parameter as Parameter
 from ._parameter_table import SceneParameters as SceneParameters
 from ._parameters import discover as discover
 from ._parameters import discover_in as discover_in
+from ._poses import Moved as Moved
 from ._poses import camera_parameters as camera_parameters
 from ._poses import overlaps as overlaps
+from ._poses import placement as placement
 from ._poses import pose_component as pose_component
-from ._poses import pose_matrix as pose_matrix
 from ._poses import pose_name as pose_name
 from ._poses import pose_parameters as pose_parameters
 from ._ranges import choose_ranges as choose_ranges

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -49,6 +50,8 @@ class SceneObject:
         The point about which it turns and grows: the centre of its bounds, or the place of a light.
     problem
         Why it cannot be moved, or None.
+    part_of
+        The names of the objects that it is a part of, and moves with, the smallest first.
     """
 
     name: str
@@ -58,24 +61,30 @@ class SceneObject:
     box: npt.NDArray[np.float64] | None
     pivot: tuple[float, float, float]
     problem: str | None = None
+    part_of: tuple[str, ...] = ()
+
+    def is_related(self, other: SceneObject) -> bool:
+        """Whether one is a part of the other."""
+        return self.name in other.part_of or other.name in self.part_of
 
 
 def find_objects(graph: SceneGraph, objects: Objects | None = None) -> list[SceneObject]:
     """Return what can be moved in a scene, in the order of its shapes, then its lights without geometry.
 
-    ``objects`` are names or globs of shapes by the name of an object. Other shapes are grouped by their names, see
-    ``stems``.
+    ``objects`` are names or globs of shapes by the name of an object; one may be a part of another, such as
+    the head of a lamp on a desk. Other shapes are grouped by their names, see ``stems``.
 
     Raises
     ------
     SceneCaptumError
-        If a name in ``objects`` matches no shape, or two objects would share one.
+        If a name in ``objects`` matches no shape, or two objects share some of their shapes only.
     """
     shapes = {name: node for name, node, _ in graph.shapes()}
     keys = _position_keys(graph)
+    groups = _group(list(shapes), objects or {})
     found = [
-        _shape_object(graph, name, {part: shapes[part] for part in parts}, keys)
-        for name, parts in _group(list(shapes), objects or {}).items()
+        _shape_object(graph, name, {part: shapes[part] for part in parts}, keys, _wholes(name, groups))
+        for name, parts in groups.items()
     ]
     taken = {one.name for one in found}
     mi = activate()
@@ -100,7 +109,10 @@ def camera_object(sensor: Any) -> SceneObject:
 
 
 def touching(objects: Iterable[SceneObject], mover: SceneObject, reach: float) -> list[str]:
-    """Return the objects whose bounds come within a distance of those of another, the smallest first."""
+    """Return the objects whose bounds come within a distance of those of another, the smallest first.
+
+    Its own parts are left out.
+    """
     if mover.box is None:
         return []
     low, high = mover.box[0] - reach, mover.box[1] + reach
@@ -109,6 +121,7 @@ def touching(objects: Iterable[SceneObject], mover: SceneObject, reach: float) -
         for one in objects
         if one.box is not None
         and one.name != mover.name
+        and mover.name not in one.part_of
         and (one.box[0] <= high).all()
         and (one.box[1] >= low).all()
     ]
@@ -169,33 +182,51 @@ def _spelling(name: str, count: int) -> str:
 
 def _group(names: Sequence[str], objects: Objects) -> dict[str, list[str]]:
     """Return the shapes of each object."""
-    owner: dict[str, str] = {}
-    for title, given in objects.items():
-        patterns = [given] if isinstance(given, str) else list(given)
-        for pattern in patterns:
-            matched = [name for name in names if fnmatchcase(name, pattern)]
-            if not matched:
-                raise SceneCaptumError(
-                    f"objects[{title!r}] names {pattern!r}, which no shape matches.{near_misses(pattern, names)} "
-                    f"The shapes are {', '.join(names[:8])}{', …' if len(names) > 8 else ''}."
-                )
-            for name in matched:
-                if owner.setdefault(name, title) != title:
-                    raise SceneCaptumError(
-                        f"The shape {name!r} belongs to the objects {owner[name]!r} and {title!r}: leave it out "
-                        "of one of them."
-                    )
-    rest = stems(name for name in names if name not in owner)
+    given = {title: _matched(title, patterns, names) for title, patterns in objects.items()}
+    _check_nesting(given)
+    taken = {name for parts in given.values() for name in parts}
+    rest = stems(name for name in names if name not in taken)
     grouped: dict[str, list[str]] = {}
-    for name in names:
-        title = owner.get(name, rest.get(name, name))
+    for name, stem in rest.items():
         # A shape that was left out of an object of its own name stands for itself.
-        own = title if name in owner or title not in objects else name
-        grouped.setdefault(own, []).append(name)
+        grouped.setdefault(stem if stem not in objects else name, []).append(name)
     # A shape alone keeps its own name, unless that was given.
-    return {
-        title if title in objects or len(parts) > 1 else parts[0]: parts for title, parts in grouped.items()
-    }
+    alone = {stem if len(parts) > 1 else parts[0]: parts for stem, parts in grouped.items()}
+    order = {name: place for place, name in enumerate(names)}
+    return dict(sorted({**given, **alone}.items(), key=lambda item: (order[item[1][0]], len(item[1]))))
+
+
+def _matched(title: str, patterns: str | Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the shapes of an object of the user's, in the order of the scene."""
+    found: set[str] = set()
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        matched = [name for name in names if fnmatchcase(name, pattern)]
+        if not matched:
+            raise SceneCaptumError(
+                f"objects[{title!r}] names {pattern!r}, which no shape matches.{near_misses(pattern, names)} "
+                f"The shapes are {', '.join(names[:8])}{', …' if len(names) > 8 else ''}."
+            )
+        found.update(matched)
+    return [name for name in names if name in found]
+
+
+def _check_nesting(given: Mapping[str, Sequence[str]]) -> None:
+    """Raise if two objects share shapes, and neither is a part of the other."""
+    for (one, left), (other, right) in combinations(given.items(), 2):
+        shared = set(left) & set(right)
+        if shared and len(shared) in (len(left), len(right)) and len(left) != len(right):
+            continue
+        if shared:
+            raise SceneCaptumError(
+                f"The shape {min(shared, key=left.index)!r} belongs to the objects {one!r} and {other!r}: leave "
+                "it out of one of them, or give one of them all shapes of the other and more."
+            )
+
+
+def _wholes(name: str, groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the objects that an object is a part of, the smallest first."""
+    parts = set(groups[name])
+    return tuple(sorted((o for o in groups if parts < set(groups[o])), key=lambda other: len(groups[other])))
 
 
 def _position_keys(graph: SceneGraph) -> dict[Any, tuple[str, ...]]:
@@ -216,7 +247,11 @@ POSITIONS = ("to_world", "position", "vertex_positions", "vertex_normals")
 
 
 def _shape_object(
-    graph: SceneGraph, name: str, shapes: Mapping[str, Any], keys: Mapping[Any, tuple[str, ...]]
+    graph: SceneGraph,
+    name: str,
+    shapes: Mapping[str, Any],
+    keys: Mapping[Any, tuple[str, ...]],
+    part_of: tuple[str, ...],
 ) -> SceneObject:
     problems = [text for node in shapes.values() if (text := _problem(graph, node, keys))]
     boxes = [box for node in shapes.values() if (box := _box(node)) is not None]
@@ -230,6 +265,7 @@ def _shape_object(
         box=box,
         pivot=(float(centre[0]), float(centre[1]), float(centre[2])),
         problem=problems[0] if problems else None,
+        part_of=part_of,
     )
 
 

@@ -129,6 +129,20 @@ class SceneParameters(Mapping[str, Parameter]):
             for p in self.values()
         )
 
+    def without_derivatives(self, kind: str, problem: str) -> SceneParameters:
+        """Return the parameters with a reason why those of a kind cannot be differentiated.
+
+        Parameters
+        ----------
+        kind
+            That of the parameters which cannot.
+        problem
+            The reason, in place of any other.
+        """
+        return SceneParameters(
+            dataclasses.replace(p, problem=problem) if p.kind == kind else p for p in self.values()
+        )
+
     def __getitem__(self, name: str) -> Parameter:
         try:
             return self._by_name[name]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
+from typing import TypeAlias
 
 import torch
 
@@ -12,12 +13,16 @@ from ._bounds import Bounds
 from ._objects import SceneObject
 from ._parameter_table import CAMERA, POSES, Parameter
 
+# The poses that differ from those of the scene as loaded, by the names of their inputs.
+Moved: TypeAlias = "tuple[tuple[str, float | tuple[float, ...]], ...]"
+
 # The change over which effects are compared: 0.1 scene units, 5°, a twentieth of the size.
 RANGES = MappingProxyType(
     {"translation": 0.1, "rotation": math.radians(5), "scale": 0.05, "fov": 5.0},
 )
 _BOUNDS = {"scale": Bounds(-1.0, open_low=True), "fov": Bounds(0.0, 180.0, open_low=True)}
 _SHAPES: dict[str, tuple[int, ...]] = {"translation": (3,), "rotation": (3,), "scale": (), "fov": ()}
+_AT_REST = {"translation": torch.zeros(3), "rotation": torch.zeros(3), "scale": torch.zeros(())}
 
 
 def pose_name(owner: str, component: str) -> str:
@@ -76,33 +81,47 @@ def pose_matrix(
     return matrix
 
 
+def placement(one: SceneObject, values: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
+    """Return the ``pose_matrix`` of an object alone, given the values of poses by name; None if it is at rest."""
+    pose = {name: values.get(pose_name(one.name, name), zero) for name, zero in _AT_REST.items()}
+    if not any(bool(value.any()) for value in pose.values()):
+        return None
+    return pose_matrix(one.pivot, **pose)
+
+
 def overlaps(
     objects: Iterable[SceneObject], values: Mapping[str, torch.Tensor], movers: Collection[str]
 ) -> list[tuple[str, str]]:
-    """Return the pairs of movers and other objects whose bounds overlap, given the values of poses by name."""
-    boxes = {one.name: box for one in objects if (box := _moved_box(one, values)) is not None}
+    """Return the pairs of movers and other objects whose bounds overlap, given the values of poses by name.
+
+    An object and its parts do not count.
+    """
+    known = {one.name: one for one in objects}
+    boxes = {name: box for name, one in known.items() if (box := _moved_box(one, known, values)) is not None}
     return [
         (mover, other)
         for mover in movers
         if mover in boxes
         for other, box in boxes.items()
-        if other != mover and _overlap(boxes[mover], box)
+        if other != mover and not known[mover].is_related(known[other]) and _overlap(boxes[mover], box)
     ]
 
 
-def _moved_box(one: SceneObject, values: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
+def _moved_box(
+    one: SceneObject, known: Mapping[str, SceneObject], values: Mapping[str, torch.Tensor]
+) -> torch.Tensor | None:
     """Return the bounds of an object in its pose, ``(2, 3)``."""
     if one.box is None:
         return None
     box = torch.from_numpy(one.box)
-    at_rest = {"translation": torch.zeros(3), "rotation": torch.zeros(3), "scale": torch.zeros(())}
-    pose = {name: values.get(pose_name(one.name, name), zero) for name, zero in at_rest.items()}
-    if not any(bool(value.any()) for value in pose.values()):
+    moves = [placement(known[name], values) for name in (one.name, *one.part_of)]
+    if all(matrix is None for matrix in moves):
         return box
     corners = torch.cartesian_prod(*box.T)
-    matrix = pose_matrix(one.pivot, **pose)
-    moved = corners @ matrix[:3, :3].T + matrix[:3, 3]
-    return torch.stack([moved.amin(0), moved.amax(0)])
+    for matrix in moves:
+        if matrix is not None:
+            corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    return torch.stack([corners.amin(0), corners.amax(0)])
 
 
 def _overlap(left: torch.Tensor, right: torch.Tensor) -> bool:

@@ -168,7 +168,9 @@ def sample_derivatives(problem: Problem, points: int) -> list[Derivatives]:
     sampled: list[list[tuple[torch.Tensor, Adjoints]]] = []
     with Progress("DGSM", show=problem.show_progress) as bar:
         bar.expect(sum(budget.replicates))
-        selector = TransformSelector("auto", renderer, smoothed=problem.metrics[0].is_smoothed)
+        selector = TransformSelector(
+            "auto", renderer, problem.values, smoothed=problem.metrics[0].is_smoothed
+        )
         gradients = GradientEstimator(renderer, problem.metrics, budget, selector, bar)
         for index, row in enumerate(positions):
             point = point_at(scalars, problem.values, row)

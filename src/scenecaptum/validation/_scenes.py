@@ -16,6 +16,7 @@ from ..estimation import (
     Target,
     TargetedMetric,
     TransformSelector,
+    at_values,
     channel_totals,
     derived_seeds,
     input_values,
@@ -56,9 +57,11 @@ class Scenes:
         self.spp = spp and math.ceil(spp / count)
         require_memory(renderer, [self.spp], count)
         targeted, self.images = TargetedMetric(metric, target), self._render({})
-        selector = TransformSelector(denoise, renderer, smoothed=targeted.is_smoothed)
+        selector = TransformSelector(denoise, renderer, self.values, smoothed=targeted.is_smoothed)
         (self.metric,) = with_image_transform([targeted], list(self.images), selector)
-        self.unmodified = self._pseudo_values(self.images)  # what ``measure`` returns for no changes
+        self.unmodified = self._pseudo_values(
+            self.images, self.metric
+        )  # what ``measure`` returns for no changes
 
     def _render(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         values = {**self.values, **changes}
@@ -67,11 +70,13 @@ class Scenes:
 
     def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
-        return self._pseudo_values(self._render(changes))
+        metric = at_values(self.metric, self.renderer, {**self.values, **changes})
+        return self._pseudo_values(self._render(changes), metric)
 
-    def _pseudo_values(self, images: torch.Tensor) -> torch.Tensor:
+    @staticmethod
+    def _pseudo_values(images: torch.Tensor, metric: TargetedMetric) -> torch.Tensor:
         def value(kept: torch.Tensor) -> torch.Tensor:
-            return torch.tensor(self.metric.value(images[kept].mean(0)), dtype=torch.float64)
+            return torch.tensor(metric.value(images[kept].mean(0)), dtype=torch.float64)
 
         return pseudo_values(value, len(images))
 

@@ -160,7 +160,9 @@ def _local(black_box: _BlackBox, top: int) -> list[SensitivityIndex]:
     budget = Budget.split(black_box.spp, DEFAULT_REPLICATES, black_box.seed)
     with Progress("gradient", show=black_box.show_progress) as bar:
         bar.expect(budget.replicates[0])
-        selector = TransformSelector("auto", black_box.renderer, smoothed=black_box.metrics[0].is_smoothed)
+        selector = TransformSelector(
+            "auto", black_box.renderer, black_box.values, smoothed=black_box.metrics[0].is_smoothed
+        )
         gradients = GradientEstimator(black_box.renderer, black_box.metrics, budget, selector, bar)
         point = Point(black_box.values, factors=position_factors(black_box.scalars))
         estimates = interval_gradients(gradients, 0, point, black_box.scalars)

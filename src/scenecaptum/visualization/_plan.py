@@ -30,6 +30,7 @@ def plot_plan(
     levels: Sequence[float] = LEVELS,
     title: str = "",
     label: str = "illuminance in lx",
+    axes: tuple[str, str] = ("x", "y"),
 ) -> Figure:
     """Plot a value at each point of a sensor grid on the plan of the room, in false colours with contours.
 
@@ -55,6 +56,8 @@ def plot_plan(
         Written above the map.
     label
         Quantity and unit, at the colour bar.
+    axes
+        Names of the coordinates across and up, ``renderer.grid.axes``.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def plot_plan(
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
     _draw_contours(ax, x, y, shown, levels)
     ax.set_aspect("equal")
-    style_axes(ax, title, x="x in m", y="y in m")
+    style_axes(ax, title, x=f"{axes[0]} in m", y=f"{axes[1]} in m")
     bar = figure_of(ax).colorbar(mapped, ax=ax, aspect=25, pad=0.02)
     bar.ax.tick_params(labelsize=SMALL)
     bar.set_label(label, fontsize=TEXT)

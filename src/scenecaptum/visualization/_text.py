@@ -53,11 +53,11 @@ def method_name(attribution: Attribution) -> str:
     return str(attribution.info.get("method", "unknown method"))
 
 
-def axis_label(attribution: Attribution, scale: Scale | None = None) -> str:
-    """Return the axis label for effects in a scale."""
+def axis_label(attribution: Attribution, scale: Scale | None = None, width: int | None = METRIC_WIDTH) -> str:
+    """Return the axis label for effects in a scale, with the metric's name shortened to ``width``."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     unit = metric_unit(attribution)
-    metric = f"{metric_name(attribution, METRIC_WIDTH)}{f' ({unit})' if unit else ''}"
+    metric = f"{metric_name(attribution, width)}{f' ({unit})' if unit else ''}"
     label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 

@@ -23,11 +23,12 @@ class GridSensor(mi.Sensor):
         self.arrays: tuple[Any, ...] = ()
 
     def place(self, points: GridPoints, *, by_row: bool = False) -> None:
-        """Set the points, one for each pixel, or one for each row of the picture."""
+        """Set the points, one for each pixel, or one of those inside for each row of the picture."""
         self.points = points
         self._by_row = by_row
-        weight = math.pi * points.inside.double()
-        columns = (*points.positions.unbind(-1), *points.normals.unbind(-1), weight)
+        placed = points.as_list() if by_row else points
+        weight = math.pi * placed.inside.double()
+        columns = (*placed.positions.unbind(-1), *placed.normals.unbind(-1), weight)
         self.arrays = tuple(mi.Float(column.flatten().float().contiguous()) for column in columns)
         dr.make_opaque(self.arrays)
 

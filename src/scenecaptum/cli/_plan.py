@@ -1,0 +1,61 @@
+"""What is said and drawn of a sensor grid: the value by the definition, and a map on the plan of the room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ..attr import SceneAttribution
+from ..daylight import DaylightMetric, PlanValues
+from ..estimation import Metric
+from ..explanation import definition_of
+from ..metrics import MeanIlluminance
+from ..protocols import Attribution
+from ..rendering import SceneRenderer
+from ..visualization import LEVELS, metric_name, metric_unit, plot_plan, rounded
+from ._files import OutputFormat, Result, figure_writer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
+    """Return the value of a relaxed metric by its definition, as ``"60.3 % by the definition"``; else nothing."""
+    exact = definition_of(metric, attribution)
+    return "" if exact is None else f"{rounded(exact.value)} {metric_unit(attribution)} by the definition"
+
+
+def draw_plan(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure:
+    """Draw what a metric is about at each point of a sensor grid on the plan of the room."""
+    image, grid = attribution.image, renderer.grid
+    assert image is not None, "every attribution of a SceneRenderer has its image"
+    shown = (
+        metric.on_plan(image)
+        if isinstance(metric, DaylightMetric)
+        else PlanValues(MeanIlluminance(grid).illuminance(image), "illuminance in lx", LEVELS)
+    )
+    return plot_plan(
+        grid.spread(shown.values),
+        grid.plan,
+        grid.inside,
+        levels=shown.levels,
+        title=metric_name(attribution),
+        label=shown.label,
+        axes=grid.axes,
+    )
+
+
+def plan_of(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure | None:
+    """Return the map for a report; None if the renderer shows a view, and so has a picture."""
+    return None if renderer.shows_a_view else draw_plan(attribution, renderer, metric)
+
+
+def plan_format(
+    renderer: SceneRenderer, metric: Metric, attribution_of: Callable[[Result], Attribution]
+) -> OutputFormat[Result]:
+    """Return the map as a file that a command writes of a result, from which a function takes the attribution."""
+    return OutputFormat(
+        "plan.png",
+        "map on the plan of the room",
+        figure_writer(lambda result: draw_plan(attribution_of(result), renderer, metric)),
+    )

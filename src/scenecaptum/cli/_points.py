@@ -1,0 +1,163 @@
+"""Options of sensor grids and of daylight: where the points are, and what light reaches them."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..daylight import (
+    BY_NAME,
+    DaylightMetric,
+    SkyPatches,
+    Weather,
+    synthetic_weather,
+)
+from ..errors import SceneCaptumError
+from ..estimation import Metric
+from ..grid import SensorGrid
+
+GRID, WEATHER, SKY = ("height", "spacing", "margin", "floor"), ("weather", "north"), ("subdivision",)
+SYNTHETIC = "made-up weather of no real place; give that of your place with --weather FILE.epw"
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """The daylight coefficients that a metric needs of a renderer: their patches, and whether of direct light."""
+
+    patches: SkyPatches
+    direct: bool
+
+
+def add_points(parser: argparse.ArgumentParser) -> None:
+    """Add the options of sensor grids and of daylight."""
+    group = parser.add_argument_group("sensor grids and metrics of daylight")
+    group.add_argument(
+        "--spacing",
+        type=float,
+        metavar="X",
+        help="largest distance between points (default: that of EN 12464-1)",
+    )
+    for name, text in (
+        ("height", "height of the points above the floor"),
+        ("margin", "distance of the points from the outline of the floor"),
+    ):
+        default = SensorGrid.__dataclass_fields__[name].default
+        group.add_argument(f"--{name}", type=float, metavar="X", help=f"{text} (default: {default})")
+    group.add_argument(
+        "--floor", metavar="SHAPE", help="the shape that is the floor (default: the lowest large level one)"
+    )
+    group.add_argument(
+        "--weather",
+        type=Path,
+        metavar="FILE",
+        help="EnergyPlus weather file (.epw) of the place (default: a made-up year of no real place)",
+    )
+    group.add_argument(
+        "--north",
+        type=float,
+        metavar="DEGREES",
+        help="where the y axis of the scene points, or −z if y is up, clockwise from north: 90 for east "
+        "(default: 0)",
+    )
+    group.add_argument(
+        "--subdivision",
+        type=int,
+        metavar="N",
+        help="of the patches of the sky: 1 for Tregenza's 145, 2 or 4 for Reinhart's finer ones (default: 1, and "
+        "2 for ase)",
+    )
+
+
+def chosen_sensor(options: argparse.Namespace, coefficients: Coefficients | None) -> int | str | SensorGrid:
+    """Return the sensor: that of ``--sensor``, or a grid, which daylight coefficients need."""
+    named: str | None = getattr(options, "sensor", None)
+    given = _given(options, GRID)
+    if coefficients is None and named != "grid":
+        if given:
+            raise SceneCaptumError(
+                f"{_list(given)} has no effect on a view: add --sensor grid, or remove it."
+            )
+        return int(named) if named is not None and named.isdigit() else named or 0
+    if named not in (None, "grid"):
+        raise SceneCaptumError(
+            f"Metrics of daylight are measured at the points of a sensor grid, not by --sensor {named}: remove it."
+        )
+    if getattr(options, "resolution", None) is not None:
+        raise SceneCaptumError("--resolution has no effect on a sensor grid: choose --spacing, or remove it.")
+    return SensorGrid(**given)
+
+
+def needed_coefficients(names: list[str], options: argparse.Namespace) -> Coefficients | None:
+    """Return the coefficients that all of some metrics need; None if none is one of daylight.
+
+    Raises
+    ------
+    SceneCaptumError
+        If metrics need different renderers, or an option has no effect on any.
+    """
+    check_options(names, options)
+    needed = {name: coefficients_of(name, options) for name in names}
+    of_daylight = [name for name in names if needed[name] is not None]
+    if 0 < len(of_daylight) < len(names):
+        others = [name for name in names if needed[name] is None]
+        raise SceneCaptumError(
+            f"{', '.join(of_daylight)} needs daylight coefficients of a sensor grid, and {', '.join(others)} a "
+            "picture of the scene: run the command once for each."
+        )
+    if len(set(needed.values())) > 1:
+        raise SceneCaptumError(
+            f"{', '.join(names)} need different daylight coefficients, of direct light or of all: run the command "
+            "once for each, or `scenecaptum daylight` with all of them."
+        )
+    return needed[names[0]]
+
+
+def coefficients_of(name: str, options: argparse.Namespace) -> Coefficients | None:
+    """Return the coefficients that a metric needs; None if it is not one of daylight."""
+    if name not in BY_NAME:
+        return None
+    metric, given = BY_NAME[name], options.subdivision
+    return Coefficients(SkyPatches(metric.subdivision if given is None else given), metric.direct)
+
+
+def check_options(names: list[str], options: argparse.Namespace) -> None:
+    """Raise if an option of daylight has no effect on any of some metrics."""
+    of_daylight = [name for name in names if name in BY_NAME]
+    if not of_daylight and (unused := _given(options, WEATHER + SKY)):
+        raise SceneCaptumError(
+            f"{_list(unused)} has no effect on {', '.join(names)}: remove it, or add a metric of daylight "
+            f"(--metric {', '.join(BY_NAME)})."
+        )
+    needs_weather = any(BY_NAME[name].needs_weather for name in of_daylight)
+    if of_daylight and not needs_weather and (unused := _given(options, WEATHER)):
+        raise SceneCaptumError(
+            f"{_list(unused)} has no effect on {', '.join(of_daylight)}, under an overcast sky: remove it."
+        )
+
+
+def read_weather(options: argparse.Namespace) -> Weather:
+    """Return the weather of ``--weather``, or a made-up year."""
+    return synthetic_weather() if options.weather is None else Weather.from_epw(options.weather)
+
+
+def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:
+    """Return lines that say under which light a metric of daylight was computed; none for others."""
+    if not isinstance(metric, DaylightMetric):
+        return ()
+    weather = metric.sky.weather
+    if weather is None:
+        return ("sky: the CIE overcast sky",)
+    if options.weather is None:
+        return (f"weather: {SYNTHETIC}",)
+    return (f"weather: {weather.place}, latitude {weather.latitude:g}°, longitude {weather.longitude:g}°",)
+
+
+def _given(options: argparse.Namespace, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the options that were given, of those of a command that has them."""
+    return {name: value for name in names if (value := getattr(options, name, None)) is not None}
+
+
+def _list(names: dict[str, Any]) -> str:
+    return ", ".join(f"--{name}" for name in names)

@@ -1,0 +1,31 @@
+"""What a map on the plan of a room shows of a metric of daylight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+
+@dataclass(frozen=True)
+class PlanValues:
+    """A number at each point of a grid, for ``visualization.plot_plan``.
+
+    Attributes
+    ----------
+    values
+        ``(points,)``; ``renderer.grid.spread(values)`` places them on the grid.
+    label
+        Quantity and unit.
+    levels
+        Values at which a map has contours, such as the limit that the metric compares with.
+    """
+
+    values: torch.Tensor
+    label: str
+    levels: tuple[float, ...] = ()
+
+
+def hours_with(threshold: float) -> str:
+    """Return the label of the share of the hours with at least an illuminance."""
+    return f"hours with at least {threshold:g} lx in %"

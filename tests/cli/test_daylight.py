@@ -1,0 +1,114 @@
+"""Metrics of daylight and sensor grids on the command line: refusals, and what is written of a grid."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+
+import pytest
+
+from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
+from scenecaptum.cli import _daylight
+
+TINY = "classroom --spp 1 --spacing 4"
+
+REFUSED = {
+    "mixed": ("attribute classroom --metric sda --metric luminance", "sda needs daylight coefficients of a"),
+    "direct and all": ("attribute classroom --metric sda --metric ase", "`scenecaptum daylight` with all of"),
+    "a view": ("explain classroom --metric sda --sensor fisheye", "not by --sensor fisheye: remove it"),
+    "resolution": (
+        "explain classroom --metric sda --resolution 8x8",
+        "--resolution has no effect on a sensor",
+    ),
+    "no grid": ("attribute classroom --spacing 1", "--spacing has no effect on a view: add --sensor grid"),
+    "no daylight": ("compare classroom --set a=1 --weather a.epw", "--weather has no effect on luminance"),
+    "overcast": (
+        "daylight classroom --metric daylight-factor --north 9",
+        "--north has no effect on daylight-f",
+    ),
+    "goal": (
+        "optimize classroom --metric sda --below 3",
+        "sda is a metric of daylight: use daylight, explain",
+    ),
+    "misspelt": ("attribute classroom --metric sdaa", "Did you mean 'sda'"),
+    "no file": ("daylight classroom --weather nowhere.epw", "nowhere.epw cannot be read"),
+    "bad file": (
+        "daylight classroom --weather bad.epw",
+        "bad.epw is not an EPW file: line 1 must be LOCATION",
+    ),
+    "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor_shape'"),
+    "too high": (f"daylight {TINY} --height 3.5", "No point of the sensor grid is in the room"),
+    "no sky": ("daylight cornell-box --spacing 2 --height 0.1", 'in XML <emitter type="constant"/>'),
+    "heatmap": (
+        f"attribute {TINY} --metric sda --format heatmap",
+        "--format heatmap needs a picture of objec",
+    ),
+    "exr": (
+        f"attribute {TINY} --sensor grid --metric uniformity --format exr",
+        "leave --format out, which als",
+    ),
+    "patches": (f"daylight {TINY} --subdivision 0", "subdivision must be a whole number from 1 to 16"),
+    "north": (f"daylight {TINY} --north nan", "north must be an angle in degrees"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_is_one_clear_line_before_the_run(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.epw").write_text("no weather\n")
+    monkeypatch.setattr(
+        "scenecaptum.rendering.SceneRenderer.forward", lambda *_, **__: pytest.fail("it rendered")
+    )
+    text, message = REFUSED[case]
+    assert cli.main(shlex.split(f"{text} --out out")) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not Path("out").exists()
+
+
+def test_the_files_of_a_grid_are_numbers_bars_and_a_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (
+        "attribute cornell-box --sensor grid --spacing 0.7 --height 1.5 --metric mean-illuminance --spp 4 "
+        f"--replicates 2 --inputs emitters --report --out {tmp_path}"
+    )
+    assert cli.main(shlex.split(text)) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "attribution.json",
+        "attribution.csv",
+        "attribution.npz",
+        "bars.png",
+        "plan.png",
+        "report.html",
+    }
+    assert '"names":[]' in (tmp_path / "report.html").read_text()
+    assert cli.main(["compare", f"{tmp_path}/attribution.npz", f"{tmp_path}/attribution.npz"]) == 2
+    assert "compare the scenes, not the files" in capsys.readouterr().err
+
+
+def test_every_name_of_daylight_is_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("daylight", "explain", "attribute", "compare", "validate"):
+        with pytest.raises(SystemExit):
+            cli.main([command, "--help"])
+        printed = "".join(capsys.readouterr().out.split())  # lines may break after a hyphen
+        for name, metric in daylight.BY_NAME.items():
+            assert f"{name}({metric.description})".replace(" ", "") in printed
+
+
+def test_the_kinds_that_a_designer_chooses_are_the_inputs_of_the_command() -> None:
+    patches = daylight.SkyPatches.tregenza()
+    renderer = SceneRenderer("classroom", "all", sensor=SensorGrid(spacing=4.0), sky_patches=patches)
+    given = {"design": None, "settings": [("pane.eta", [1.6])], "inputs": None}
+    chosen = _daylight._values(renderer, argparse.Namespace(**given))
+    assert {"pane.specular_transmittance.value", "cloth.opacity.value", "desk.base_color.value"} <= set(
+        chosen
+    )
+    assert chosen["pane.eta"].item() == pytest.approx(1.6), "a design may set more"
+    assert not {name for name in chosen if "roughness" in name or "legs.eta" in name or "sky" in name}
+    everything = _daylight._values(renderer, argparse.Namespace(**{**given, "inputs": ["all"]}))
+    assert set(everything) == set(renderer.inputs)
