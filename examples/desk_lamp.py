@@ -34,14 +34,14 @@ OBJECTS = {
     "shade": ["lamp_shade_*", "bulb"],
 }
 # To the left, to the right and towards the window, in metres; about each axis, in radians.
-LIMITS = {DESK: ((-0.6, 0.0, 0.0), (0.1, 0.3, 0.0)), SHADE: (-0.25, 0.25)}
+LIMITS = {DESK: ((-0.6, 0.0, 0.0), (0.1, 0.3, 0.0)), SHADE: (-0.2, 0.2)}
 PICTURE = (480, 270)
 
 
 def evening_office() -> dict[str, Any]:
     """Return the bundled office in the evening, seen from its chair."""
-    room = bundled.office()
     look_at = activate().ScalarTransform4f().look_at
+    room = bundled.office()
     (camera,) = (part for part in room.values() if isinstance(part, dict) and part["type"] == "perspective")
     camera["to_world"] = look_at(origin=[-0.22, 2.35, 1.2], target=[-0.22, 3.45, 1.05], up=[0, 0, 1])
     camera["fov"] = 70.0

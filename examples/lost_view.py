@@ -1,7 +1,7 @@
 """Turn the camera until a classifier no longer sees the sphere that fills the picture.
 
 Gradient descent of the margin of the right class, with respect to the rotation of the camera alone: the room, the
-light and the sphere stay as they are, and the sphere stays in the picture. A network is rough: it changes its
+light and the sphere stay as they are, and the sphere stays in view. A network is rough: it changes its
 mind with the position of a single edge within a pixel. The margin that is lowered is therefore the mean over
 pictures that are shifted by up to one pixel, with a little noise.
 
@@ -28,7 +28,7 @@ from scenecaptum.visualization import automatic_exposure, display_image, new_fig
 
 ROTATION = "camera.pose.rotation"
 STEP = 0.02  # radians; the picture is 0.7 radians wide
-FARTHEST = 0.2  # radians: the sphere stays in the picture
+FARTHEST = 0.2  # radians: the sphere stays in view
 SHIFTS = 5  # in each direction, half a pixel of the network apart
 BRIGHTNESS = 0.3  # mean of the pictures that the network was trained on
 
@@ -126,7 +126,13 @@ def degrees(turn: torch.Tensor) -> float:
 
 def plot(path: list[View], random: list[float], classes: tuple[str, ...]) -> Figure:
     """Draw the first and the last view, and the margin on the way between them."""
-    figure = new_figure(10, 3.4)
+    figure = new_figure(10, 3.8)
+    lost = sum(value < 0 for value in random)
+    figure.suptitle(
+        f"Turned by {degrees(path[-1].turn):.1f}°, the classifier takes the {classes[0]} for a {classes[1]}; "
+        f"of {len(random)} random turns as large, {lost} do that",
+        fontsize=12,
+    )
     before, after, way = figure.subplots(1, 3, width_ratios=[1, 1, 1.2])
     exposure = automatic_exposure(path[0].image)
     for ax, view, name in ((before, path[0], classes[0]), (after, path[-1], classes[1])):

@@ -19,6 +19,8 @@ from seeds import shifted
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 
+pytestmark = pytest.mark.usefixtures("worker_threads")
+
 PROMISED = 1e-5
 SEED = shifted(11)
 

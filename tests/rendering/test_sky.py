@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import math
+import weakref
 from typing import Any
 
 import pytest
@@ -176,6 +178,16 @@ def test_samples_may_change_between_calls(mi: Any) -> None:
     more = renderer(seed=shifted(1), spp=64).sum()
     assert renderer(seed=shifted(1)).sum() == pytest.approx(first.item(), rel=1e-5)
     assert more.item() == pytest.approx(first.item(), rel=0.3)
+
+
+def test_a_scene_is_freed_with_its_renderer(mi: Any) -> None:
+    renderer = SceneRenderer(side_lit_room(), "floor.*", sensor=GRID, sky_patches=PATCHES, spp=1)
+    leaves = renderer.leaves()
+    renderer(leaves, seed=shifted()).sum().backward()
+    graph = weakref.ref(renderer._graph)
+    del renderer, leaves
+    gc.collect()
+    assert graph() is None
 
 
 # --- Direct light ---------------------------------------------------------------------------------

@@ -48,8 +48,11 @@ class SkyEngine(Engine):
         ) -> None:
             integrator.differentiate_coefficients(scene, sensor, adjoint, seed, samples, index, direct=direct)
 
+        # Not a reference to the engine itself, which would keep the engine and its scene alive for ever.
+        forget_gradients = self._live.state.forget_gradients
+
         def reset(*arguments: Any) -> None:
-            self._live.state.forget_gradients()
+            forget_gradients()
 
         self._render_kernel = FrozenFunction(render, reset, sensor)
         self._differentiate_kernel = FrozenFunction(differentiate, reset, sensor)
