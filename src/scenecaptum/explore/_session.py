@@ -267,8 +267,7 @@ class Exploration:
         self._say("Ranking the parameters")
         about.rank()
         movable = {name: slider.moves for name, slider in self.designs.sliders.items()}
-        shown = describe_objects(self.designs.surfaces, movable, about.attributions)
-        self.channel.publish("objects", **shown)
+        self.channel.publish("objects", **describe_objects(about.surfaces, movable, about.attributions))
         sliders = [self._slider(name) for name in dict.fromkeys([*about.leading(self._top), *self._shown()])]
         for slider in sliders:
             self._publish_slider(slider)

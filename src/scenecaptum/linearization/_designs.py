@@ -107,12 +107,11 @@ class Designs:
     ) -> None:
         for metric in metrics:
             check_renderer_and_metric(renderer, metric)
-        surfaces = renderer.surfaces if isinstance(renderer, SceneRenderer) else None
-        if surfaces is None:
+        if not isinstance(renderer, SceneRenderer) or renderer.surfaces is None:
             raise SceneCaptumError(
                 "This needs a SceneRenderer with one camera, not a list of sensors or a grid."
             )
-        self.renderer, self.surfaces, self.pause, self.seed = renderer, surfaces, pause, seed
+        self.renderer, self.pause, self.seed = renderer, pause, seed
         self.inputs = input_values(renderer, inputs)
         self.metrics = [TargetedMetric(metric, target) for metric in metrics]
         self.sliders = {

@@ -13,6 +13,7 @@ import torch
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..denoising import Guides, denoise
 from ..estimation import TargetedMetric
+from ..projection import SurfaceMap
 from ..protocols import accepted_keywords
 from ..rendering import SceneRenderer
 from ._designs import Designs, Measured
@@ -109,6 +110,14 @@ class Linearization:
         return dataclasses.replace(
             attribution, metric_value=value, metric_standard_error=error, image=image, info=info
         )
+
+    @property
+    def surfaces(self) -> SurfaceMap:
+        """The objects that each pixel shows at the start."""
+        values = self.designs.values(self.start.design)
+        found = self.designs.renderer.surfaces_with_texels((), values)
+        assert found is not None, "Designs checks it"
+        return found
 
     def leading(self, count: int) -> list[str]:
         """Return the parameters with the largest effects on any metric, relative to the largest on this metric."""
