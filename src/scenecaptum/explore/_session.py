@@ -266,8 +266,8 @@ class Exploration:
         )
         self._say("Ranking the parameters")
         about.rank()
-        movable = {name: slider.moves for name, slider in self.designs.sliders.items()}
-        self.channel.publish("objects", **describe_objects(about.surfaces, movable, about.attributions))
+        objects = describe_objects(about.surfaces, self.designs.sliders, about.attributions)
+        self.channel.publish("objects", **objects)
         sliders = [self._slider(name) for name in dict.fromkeys([*about.leading(self._top), *self._shown()])]
         for slider in sliders:
             self._publish_slider(slider)

@@ -42,8 +42,6 @@ class Slider:
         The scene's own value.
     bounds
         The physical bounds of values.
-    moves
-        The objects that it moves, for a pose.
     """
 
     name: str
@@ -55,7 +53,6 @@ class Slider:
     start: Place
     value: torch.Tensor
     bounds: tuple[float, float]
-    moves: tuple[str, ...] = ()
 
     @property
     def by_channel(self) -> bool:
@@ -128,8 +125,7 @@ def make_slider(parameter: Parameter, value: torch.Tensor) -> Slider:
     elif form == "offset":
         mean = value.mean().item()
         low, high, start = low - mean, high - mean, (0.0,)
-    names = parameter.name, parameter.label, parameter.kind
-    return Slider(*names, form, low, high, start, value, bounds, parameter.shapes)
+    return Slider(parameter.name, parameter.label, parameter.kind, form, low, high, start, value, bounds)
 
 
 def _lowest(parameter: Parameter) -> float:

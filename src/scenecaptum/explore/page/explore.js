@@ -390,7 +390,7 @@ class Page {
     caption.textContent = "";
     if (canvas.hidden) return;
     const { width, height, objects, weights, effects, maps } = this.objects;
-    const signed = this.overlay === "signed";
+    const [signed, { unit }] = [this.overlay === "signed", this.scene.metrics[this.metric]];
     const table = bytesOf(maps[this.overlay]);
     const largest = Math.max(...effects[this.metric].map(Math.abs), 1e-30);
     const places = effects[this.metric].map((effect) => Math.sqrt(Math.abs(effect) / largest) * (signed ? Math.sign(effect) : 1));
@@ -410,7 +410,7 @@ class Page {
       image.data.set([table[color], table[color + 1], table[color + 2], covered], 4 * pixel);
     }
     context.putImageData(image, 0, 0);
-    caption.textContent = `Effects over the ranges of the parameters, up to ${short(Number(largest.toPrecision(2)))} ${this.scene.metrics[this.metric].unit}${signed ? "; blue raises the metric, orange lowers it" : ""}.`;
+    caption.textContent = `Effects over the ranges of the parameters, up to ${short(Number(largest.toPrecision(2)))}${unit && ` ${unit}`}${signed ? "; blue raises the metric, orange lowers it" : ""}.`;
   }
 
   layout() {
