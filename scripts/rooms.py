@@ -27,9 +27,10 @@ PACKAGE = SOURCE.name
 # Top to bottom; the rooms of one floor do not know each other.
 FLOORS = (
     ("cli",),
+    ("explore",),
     ("report",),
     ("explanation",),
-    ("validation", "tradeoff", "optimize"),
+    ("validation", "tradeoff", "optimize", "linearization"),
     ("attr",),
     ("estimation",),
     ("rendering",),

@@ -26,7 +26,16 @@ from .rendering import SceneRenderer as SceneRenderer
 
 __version__ = "0.2.0"
 
-_LAZY_ROOMS = {"explanation", "optimize", "report", "tradeoff", "validation", "visualization"}
+_LAZY_ROOMS = {
+    "explanation",
+    "explore",
+    "linearization",
+    "optimize",
+    "report",
+    "tradeoff",
+    "validation",
+    "visualization",
+}
 
 
 def __getattr__(name: str) -> ModuleType:

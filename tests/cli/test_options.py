@@ -19,7 +19,7 @@ import pytest
 import torch
 from PIL import Image
 
-from scenecaptum import cli
+from scenecaptum import SceneAttribution, SceneRenderer, cli
 from scenecaptum.cli import _demo
 
 VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
@@ -62,6 +62,20 @@ CASES: dict[str, Case] = {
         0,
         ["channels[1] = "],
         ["explanation.json", "explanation.md"],
+    ),
+    "explore": (
+        f"explore cornell-box {VIEW} --inputs reflectance --sensor 0 --metric luminance --metric ugr "
+        f"--threshold-factor 2 --set {WALL}=0.5 --set {WALL}*=0.5 --design design.json --top 2 --port 0 "
+        "--no-browser --checkpoint kept --to explore.html",
+        0,
+        ["explore.html"],
+        [],
+    ),
+    "explore an element": (
+        f"explore {FILE} --metric own_metric.py:channels --target 1 --to explore.html",
+        0,
+        ["explore.html"],
+        [],
     ),
     "explain daylight": (
         f"explain {DAYLIGHT} --metric annual-illumination --changes 0 --report --out out",
@@ -322,6 +336,7 @@ def test_the_example_in_the_help_runs(name: str, folder: Path, capsys: pytest.Ca
         "demo": [],
         "daylight": ["--spacing", "4", "--inputs", "pane.*", "--changes", "0", "--spp", "2"],
     }.get(name, ["--resolution", "16x9", "--spp", "16"])
+    small += ["--to", "explore.html"] if name == "explore" else []  # which would wait for Ctrl-C
     status = cli.main([*example, *small])
     # A tiny picture need not reach the goal or confirm the prediction.
     assert status == 0 or (status == 1 and name in ("optimize", "validate"))
@@ -342,13 +357,22 @@ def test_a_design_that_was_found_is_rendered_and_compared(
     assert Image.open(folder / "found.png").size == (16, 16)
 
 
+def test_a_design_changes_values_within_their_bounds(folder: Path) -> None:
+    for name, change in (("doubled", f"{WALL}*=2"), ("lighter", f"{WALL}+=0.1,0.2,0.3")):
+        text = f"attribute cornell-box {VIEW} --inputs reflectance --set {change} --format npz --out {name}"
+        assert cli.main(shlex.split(text)) == 0
+    own = SceneRenderer("cornell-box", inputs="reflectance").inputs[WALL]
+    expected = {"doubled": (2 * own).clamp(max=1), "lighter": own + torch.tensor([0.1, 0.2, 0.3])}
+    for name, value in expected.items():
+        found = SceneAttribution.load(folder / name / "attribution.npz").parameter_values[WALL]
+        torch.testing.assert_close(found, value)
+
+
 def test_set_takes_precedence_over_the_design(folder: Path) -> None:
     for name, more in (("design", ""), ("set", f"--set {WALL}=0.9"), ("alone", "")):
         design = "" if name == "alone" else "--design design.json"
         text = f"attribute cornell-box {VIEW} --inputs reflectance {design} {more} --format npz --out {name}"
         assert cli.main(shlex.split(text)) == 0
-    from scenecaptum import SceneAttribution
-
     values = {
         name: SceneAttribution.load(folder / name / "attribution.npz").parameter_values[WALL]
         for name in ("design", "set", "alone")
@@ -436,7 +460,7 @@ def test_a_misspelt_option_shows_the_usage_of_its_command(
     assert caught.value.code == 2
     error = capsys.readouterr().err
     assert error.startswith(f"usage: scenecaptum {name} ")
-    if name != "render":
+    if name not in ("render", "explore"):
         assert "Did you mean '--json'" in error
 
 

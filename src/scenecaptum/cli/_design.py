@@ -23,7 +23,8 @@ def add_design(parser: argparse.ArgumentParser) -> None:
         dest="settings",
         metavar="NAME=VALUE",
         help="give a parameter another value, a number or one for each channel, such as "
-        "--set desk.base_color.value=0.2,0.2,0.2; a texture gets it in every texel; may be repeated",
+        "--set desk.base_color.value=0.2,0.2,0.2; a texture gets it in every texel; NAME+=VALUE adds to the "
+        "value, NAME*=VALUE multiplies it, within the physical bounds; may be repeated",
     )
     parser.add_argument(
         "--design",
@@ -31,6 +32,13 @@ def add_design(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="JSON or TOML file with the values of parameters by name; --set takes precedence",
     )
+
+
+# Operators: the last character of a name, as in NAME*=0.5 and in the JSON {"NAME*": 0.5}.
+CHANGES: dict[str, Callable[[torch.Tensor, torch.Tensor], torch.Tensor]] = {
+    "+": torch.Tensor.add,
+    "*": torch.Tensor.mul,
+}
 
 
 def assignment(text: str) -> tuple[str, list[float]]:
@@ -55,15 +63,20 @@ def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dic
 
 
 def design_of(renderer: SceneRenderer, settings: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """Return the renderer's inputs with other values by name."""
+    """Return the renderer's inputs with other values by name, or with changes by name and operator."""
     values = renderer.inputs
-    for name, value in settings.items():
+    for key, value in settings.items():
+        change = None if key in values else CHANGES.get(key[-1:])
+        name = key if change is None else key[:-1]
         if name not in values:
             raise SceneCaptumError(
                 f"The design sets {name!r}, which is not an input.{near_misses(name, values)} "
                 "`scenecaptum parameters SCENE` lists them."
             )
-        values[name] = _like(name, value, values[name])
+        given = _like(name, value, values[name])
+        values[name] = given if change is None else change(values[name], given)
+        if change is not None:
+            renderer.clamp_({name: values[name]})
     return values
 
 

@@ -19,6 +19,7 @@ from . import (
     _demo,
     _doctor,
     _explain,
+    _explore,
     _optimize,
     _parameters,
     _render,
@@ -29,6 +30,7 @@ from ._interrupt import INTERRUPTED, leave, prompt_exit
 
 COMMANDS = (
     _explain,
+    _explore,
     _daylight,
     _attribute,
     _compare,

@@ -402,6 +402,18 @@ class SceneRenderer(torch.nn.Module):
         self._views[0].live.refresh_originals()
         return self._state.original
 
+    def own_value(self, name: str) -> torch.Tensor:
+        """Return the scene's own value of any parameter that can be set, an input or not, as a detached copy.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the scene has no such parameter, or it cannot be set.
+        """
+        own = self._own_values()
+        self._check_tensor(name, own.get(name, torch.zeros(())))
+        return own[name].clone().to(self._device)
+
     def held_values(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Return equal tensors that the renderer holds, for many renders: it need not compare them each time.
 

@@ -1,9 +1,11 @@
 """Results as files: one self-contained HTML page to explore in a browser, JSON and CSV."""
 
-# What users see; the other names are for the command line.
-__all__ = ["write_csv", "write_json", "write_report"]
+# What users see; the other names are for the rooms above.
+__all__ = ["Section", "write_csv", "write_json", "write_report"]
 
+from ._data import describe_objects as describe_objects
 from ._numbers import json_text as json_text
 from ._numbers import write_csv as write_csv
 from ._numbers import write_json as write_json
+from ._write import Section as Section
 from ._write import write_report as write_report

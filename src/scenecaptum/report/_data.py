@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,6 +68,20 @@ def report_data(
             {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
         )
     return {"results": results, **shared, "maps": color_maps()}
+
+
+def describe_objects(
+    surfaces: SurfaceMap, movable: Collection[str], attributions: Sequence[Attribution]
+) -> dict[str, Any]:
+    """Return what each pixel shows, which of some parameters change it, and the signed effects of each object."""
+    view, shown = _view(surfaces)
+    signed = []
+    for attribution in attributions:
+        effects = attribution.effects()
+        used = used_by_objects(attribution, surfaces, effects)
+        signed.append([sum(effects[name] for name in used[index]) for index in shown])
+    parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
+    return {**view, "parameters": parameters, "effects": signed, "maps": color_maps()}
 
 
 def _picture(attribution: Attribution, plan: Figure | None) -> tuple[str, SurfaceMap]:

@@ -9,6 +9,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +24,36 @@ if TYPE_CHECKING:
 _SCRIPTS = ("data.js", "picture.js", "table.js", "detail.js", "page.js")
 
 
+@dataclass(frozen=True)
+class Section:
+    """Another part of the page, which draws itself with an ES module.
+
+    Attributes
+    ----------
+    name
+        Of its element ``<div id="NAME" data-NAME="recorded">``; its data is in the element ``NAME-data``.
+    title
+        Its heading.
+    style, module
+        Its style sheet and its ES module.
+    data
+        JSON.
+    """
+
+    name: str
+    title: str
+    style: str
+    module: str
+    data: str
+
+
 def write_report(
     attributions: Attribution | Explanation | Sequence[Attribution | Explanation],
     path: str | os.PathLike[str],
     titles: Sequence[str] | None = None,
     *,
     plans: Sequence[Figure | None] | None = None,
+    sections: Sequence[Section] = (),
 ) -> None:
     """Write results as one self-contained HTML file to explore in a browser; it needs no network.
 
@@ -50,6 +75,8 @@ def write_report(
     plans
         A figure for each result of a sensor grid, such as that of ``visualization.plot_plan``, or None for a
         result with a picture. It stands in place of the picture and has no overlay.
+    sections
+        Further parts of the page, such as ``explore.section``.
 
     Raises
     ------
@@ -62,13 +89,14 @@ def write_report(
     drawn = [None] * len(results) if plans is None else list(plans)
     check(results, titles, drawn)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    page = _page(report_data(results, names, explanations, drawn))
+    page = _page(report_data(results, names, explanations, drawn), sections)
     with atomic_write(path) as partial:
         partial.write_bytes(page.encode("utf-8", "replace"))
 
 
-def _page(data: dict[str, Any]) -> str:
-    style, script = _resource("report.css"), "\n".join(map(_resource, _SCRIPTS))
+def _page(data: dict[str, Any], sections: Sequence[Section]) -> str:
+    style = "\n".join([_resource("report.css"), *(section.style for section in sections)])
+    script = "\n".join(map(_resource, _SCRIPTS))
     scenes = list(dict.fromkeys(str(result["info"].get("scene", "")) for result in data["results"]))
     parts = {
         "title": html.escape(" · ".join(filter(None, [*scenes[:2], "scene attribution"]))),
@@ -77,8 +105,20 @@ def _page(data: dict[str, Any]) -> str:
         "data": _to_json(data),
     }
     # The content security policy allows only this script and this style, so names in a scene stay text.
-    parts |= {f"{name}_hash": _hash(parts[name]) for name in ("style", "script")}
+    parts["style_hash"] = _hash(parts["style"])
+    scripts = [parts["script"], *(section.module for section in sections)]
+    parts["script_hashes"] = " ".join(f"'{_hash(one)}'" for one in scripts)
+    parts["sections"] = "\n".join(map(_section, sections))
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _resource("report.html"))
+
+
+def _section(section: Section) -> str:
+    name, title = html.escape(section.name), html.escape(section.title)
+    return (
+        f'<section aria-label="{title}"><h2>{title}</h2><div id="{name}" data-{name}="recorded"></div>\n'
+        f'<script type="application/json" id="{name}-data">{_escaped(section.data)}</script>\n'
+        f'<script type="module">{section.module}</script></section>'
+    )
 
 
 def _resource(name: str) -> str:
@@ -87,7 +127,10 @@ def _resource(name: str) -> str:
 
 def _to_json(data: Any) -> str:
     """Return JSON without characters that an HTML parser could read as markup."""
-    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return _escaped(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
+
+
+def _escaped(text: str) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

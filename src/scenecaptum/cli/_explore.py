@@ -1,0 +1,171 @@
+"""``scenecaptum explore``: a page on which parameters are dragged."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import shlex
+from pathlib import Path
+from typing import Any
+
+from ..explore import Exploration, section, serve
+from ..linearization import Designs
+from ..metrics import BY_NAME
+from ..rendering import SceneRenderer
+from ..report import write_report
+from . import _arguments
+from ._design import CHANGES, add_design, designed_values, read_design
+from ._interrupt import leave
+from ._metrics import DEFAULT, OPTIONS, add_metric, find_metrics
+from ._points import chosen_sensor
+
+WIDTH = 320  # pixels of the picture where no resolution is given
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "explore",
+        help="drag a parameter and see the picture and the metric move, in a browser",
+        description="Open a page that predicts what a change of the scene does to the picture and to the metric, "
+        "and then renders it. The page is on this machine only; Ctrl-C ends it.",
+        epilog="example: scenecaptum explore office --metric ugr",
+    )
+    _arguments.add_scene(parser)
+    add_metric(parser, several=True)
+    add_design(parser)
+    parser.add_argument(
+        "--top",
+        type=int,
+        default=_arguments.default_of(Exploration, "top"),
+        metavar="N",
+        help="number of parameters that have a slider from the beginning (default: %(default)s)",
+    )
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="port of the page (default: any)")
+    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    parser.add_argument(
+        "--to",
+        type=Path,
+        metavar="FILE",
+        help="write the predictions to an HTML file, which needs no server, instead of opening a page",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    metrics = find_metrics(options.metrics or [DEFAULT], options)
+    renderer = _arguments.make_renderer(options)
+    if options.resolution is None and renderer.shows_a_view:
+        renderer = renderer.replace(resolution=_small(renderer.resolution))
+    created = {name: create(renderer) for name, create in metrics.items()}
+    exploration = Exploration(
+        renderer,
+        created if len(created) > 1 else next(iter(created.values())),
+        inputs=designed_values(options, renderer),
+        target=options.target,
+        seed=options.seed,
+        top=options.top,
+        recipe=_recipe(options, renderer),
+        spp=_spp(options),
+    )
+    if options.to is not None:
+        write_report(exploration.linearize().attributions, options.to, sections=[section(exploration)])
+        print(f"{options.to}  interactive page with predictions")
+        return 0
+    ended = serve(exploration, port=options.port, open_browser=not options.no_browser)
+    print("\nexplore: ended")
+    if not ended:
+        leave(0)  # a kernel still runs
+    return 0
+
+
+def _small(resolution: tuple[int, int]) -> tuple[int, int]:
+    """Return a resolution of the same shape that renders quickly."""
+    width, height = resolution
+    factor = min(1.0, WIDTH / width)
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
+def _spp(options: argparse.Namespace) -> int:
+    spp: int = _arguments.default_of(Designs, "spp") if options.spp is None else options.spp
+    return spp
+
+
+def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, Any]:
+    """Return the renderer, the first metric and the given design as code and as a command."""
+    metric, *_ = options.metrics or [DEFAULT]
+    width, height = renderer.resolution
+    settings = {**(read_design(options.design) if options.design else {}), **dict(options.settings or ())}
+    renderer_options = {
+        "resolution": (width, height),
+        "spp": _spp(options),
+        "max_depth": renderer.plan.max_depth,
+        "sensor": chosen_sensor(options, None),
+        "parameters": dict(options.parameters or ()),
+    }
+    arguments = "".join(f", {name}={value!r}" for name, value in renderer_options.items() if value)
+    python = [
+        "import torch",
+        "",
+        "from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics",
+        "",
+        f"renderer = SceneRenderer({options.scene!r}, {{inputs}}{arguments})",
+        _metric_code(metric, options),
+        "values = renderer.inputs",
+        *(_setting_code(key, value) for key, value in settings.items()),
+    ]
+    flags = {
+        "--metric": metric,
+        "--resolution": f"{width}x{height}",
+        "--spp": _spp(options),
+        "--max-depth": renderer.plan.max_depth,
+        "--sensor": options.sensor,
+        "--target": options.target,
+        "--design": options.design,
+        **{_flag(name): getattr(options, name) for name in OPTIONS},
+    }
+    words = ["scenecaptum", "attribute", options.scene]
+    words += [word for name, value in flags.items() if value is not None for word in (name, str(value))]
+    words += [word for pair in options.parameters or () for word in ("-D", "=".join(pair))]
+    words += [word for key, value in options.settings or () for word in ("--set", f"{key}={_joined(value)}")]
+    return {
+        "python": "\n".join(python),
+        "attribute": f"values, target={options.target}" if options.target is not None else "values",
+        "command": shlex.join(words),
+        "changed": [key.rstrip("".join(CHANGES)) for key in settings],
+        "inputs": options.inputs or ["all"],
+    }
+
+
+def _metric_code(name: str, options: argparse.Namespace) -> str:
+    """Return lines that create the metric of this name for ``renderer``."""
+    module, _, attribute = name.rpartition(":")
+    if name not in BY_NAME and module.endswith(".py"):
+        return f"import runpy\n\nmetric = runpy.run_path({module!r})[{attribute!r}]"
+    if name not in BY_NAME:
+        return f"import importlib\n\nmetric = importlib.import_module({module!r}).{attribute}"
+    metric = BY_NAME[name]
+    known = {option: getattr(options, option) for option in OPTIONS if option in metric.parameters}
+    arguments = [f"{option}={value!r}" for option, value in known.items() if value is not None]
+    arguments += ["camera=renderer.camera"] if "camera" in metric.parameters else []
+    is_class = inspect.isclass(metric.create)
+    create = metric.create.__name__ if is_class else f"BY_NAME[{name!r}].create"
+    return f"metric = metrics.{create}({', '.join(arguments)})"
+
+
+def _setting_code(key: str, value: Any) -> str:
+    """Return code for a value of a design."""
+    name, given = f"values[{key.rstrip(''.join(CHANGES))!r}]", f"torch.tensor({value!r})"
+    operator = key[-1] if key[-1:] in CHANGES else ""
+    return (
+        f"{name} = {name} {operator} {given}" if operator else f"{name} = torch.zeros_like({name}) + {given}"
+    )
+
+
+def _flag(option: str) -> str:
+    return f"--{option.replace('_', '-')}"
+
+
+def _joined(numbers: Any) -> str:
+    return ",".join(f"{number:g}" for number in numbers)

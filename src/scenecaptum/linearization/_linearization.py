@@ -1,0 +1,241 @@
+"""A scene to first order about a design: derivatives of the picture, and gradients of metrics with errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from ..attr import SceneAttribution, VanillaSceneGradient
+from ..denoising import Guides, denoise
+from ..estimation import TargetedMetric
+from ..projection import SurfaceMap
+from ..protocols import accepted_keywords
+from ..rendering import SceneRenderer
+from ._designs import Designs, Measured
+from ._sliders import Design, Place, Slider
+
+GRADIENT_REPLICATES = 8
+GRADIENT_SPP = 8
+_COMMON = 0.999  # of the pixels decide how far a derivative is below zero
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Gradient of a metric per unit of a slider.
+
+    Attributes
+    ----------
+    rows
+        Independent estimates, ``(replicates, numbers of the slider)``.
+    turned
+        Standard error that all of them share, because their adjoint has the noise of a picture, with the sign that
+        it has for all sliders: ``(numbers,)``.
+    """
+
+    rows: torch.Tensor
+    turned: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """The derivatives along a slider: ``images``, ``(images, H, W, 3)``, and the ``gradients`` of the metrics."""
+
+    images: torch.Tensor
+    gradients: list[Gradient]
+
+
+class Linearization:
+    """The picture and the metrics of a scene to first order about a design.
+
+    Example
+    -------
+    >>> from scenecaptum import SceneRenderer, metrics
+    >>> renderer = SceneRenderer("cornell-box", resolution=(16, 16), spp=16)
+    >>> designs = Designs(renderer, [metrics.MeanLuminance()])
+    >>> about = Linearization(designs, designs.measure({}))
+    >>> about.rank()
+    >>> floor = about.leading(1)[0]
+    >>> derivative = about.derive(designs.sliders[floor])
+    >>> derivative.images.shape
+    torch.Size([1, 16, 16, 3])
+
+    Parameters
+    ----------
+    designs
+        What renders the scene.
+    start
+        The design about which it is linear, as measured by ``designs``.
+
+    Attributes
+    ----------
+    attributions : list of SceneAttribution
+        The gradients of each metric at the start, once ``rank`` has been called.
+    """
+
+    def __init__(self, designs: Designs, start: Measured) -> None:
+        self.designs, self.start = designs, start
+        self.attributions: list[SceneAttribution] = []
+        self._adjoints: list[torch.Tensor] = []  # of each metric: of all images, and of two halves of them
+        self._derived: dict[str, Derivative] = {}
+
+    def rank(self) -> None:
+        """Attribute the metrics, to first order about the picture of the start."""
+        designs, images = self.designs, self.start.images
+        means = [images.mean(0), images[::2].mean(0), images[1::2].mean(0)]
+        for metric in designs.metrics_of(self.start.design):
+            designs.pause()
+            self._adjoints.append(torch.stack([metric.value_and_adjoint(mean)[1] for mean in means]))
+        functional = _FirstOrder(designs.metrics, [adjoint[0] for adjoint in self._adjoints], self.start)
+        values = designs.values(self.start.design)
+        method = VanillaSceneGradient(_Pausing(designs.renderer, designs.pause), functional)
+        found = method.attribute(
+            {name: values[name] for name in designs.inputs},
+            target=list(range(len(designs.metrics))),
+            seed=designs.seed,
+            spp=GRADIENT_SPP,
+            replicates=GRADIENT_REPLICATES,
+        )
+        self.attributions = [self._as_measured(number, one) for number, one in enumerate(found)]
+
+    def _as_measured(self, number: int, attribution: SceneAttribution) -> SceneAttribution:
+        """Return an attribution of a metric to first order with the metric itself at the start."""
+        value, error = self.start.value(number)
+        info = {**attribution.info, **self.designs.metrics[number].describe(value, self.start.image)}
+        image = self.start.image
+        return dataclasses.replace(
+            attribution, metric_value=value, metric_standard_error=error, image=image, info=info
+        )
+
+    @property
+    def surfaces(self) -> SurfaceMap:
+        """The objects that each pixel shows at the start."""
+        values = self.designs.values(self.start.design)
+        found = self.designs.renderer.surfaces_with_texels((), values)
+        assert found is not None, "Designs checks it"
+        return found
+
+    def leading(self, count: int) -> list[str]:
+        """Return the parameters with the largest effects on any metric, relative to the largest on this metric."""
+        best: dict[str, float] = {}
+        for attribution in self.attributions:
+            rows = [row for row in attribution.ranking() if row.name in self.designs.sliders and row.saliency]
+            for row in rows:
+                best[row.name] = max(best.get(row.name, 0.0), row.saliency / rows[0].saliency)
+        return sorted(best, key=lambda name: -best[name])[:count]
+
+    def derive(self, slider: Slider) -> Derivative:
+        """Compute the derivatives of the picture, by differences with the random numbers of the start.
+
+        A dimmer takes all replicates of the start, so that the picture is exact however far it goes. For others
+        one is enough, if an attribution has the gradients.
+        """
+        known = [self._known_rows(slider, attribution) for attribution in self.attributions]
+        is_known = bool(known) and all(rows is not None for rows in known)
+        seeds = self.designs.seeds[:1] if is_known else self.designs.seeds
+        place = self.start.design.get(slider.name, slider.start)
+        images = torch.stack([self._differences(slider, place, step, seeds) for step in slider.steps(place)])
+        gradients = []
+        for number, adjoints in enumerate(self._adjoints):
+            products = torch.einsum("ahwc,jshwc->asjc", adjoints.double(), images.double())
+            products = products[:, :, 0] if slider.by_channel else products.sum(-1)
+            rows = known[number]
+            turned = (products[1] - products[2]).mean(0) / 2
+            gradients.append(Gradient(products[0] if rows is None else rows, turned))
+        guides = self.designs.renderer.guides_of(self.designs.values(self.start.design))
+        denoised = torch.stack([_denoise_signed(one, guides) for one in images.mean(1)])
+        self._derived[slider.name] = Derivative(denoised, gradients)
+        return self._derived[slider.name]
+
+    def predict(self, design: Design) -> tuple[torch.Tensor, list[tuple[float, float]]]:
+        """Return the picture of a design, and the change of each metric with its standard error, to first order.
+
+        Raises
+        ------
+        KeyError
+            If a slider that the design moves has not been derived.
+        """
+        picture = self.designs.denoised(self.start.image, self.start.design)
+        totals: list[dict[int, torch.Tensor]] = [{} for _ in self._adjoints]
+        turned = [0.0 for _ in self._adjoints]
+        for name in {**self.start.design, **design}:
+            slider = self.designs.sliders[name]
+            ends = (one.get(name, slider.start) for one in (design, self.start.design))
+            way = torch.tensor([to - start for to, start in zip(*ends, strict=True)], dtype=torch.float64)
+            if not way.any():
+                continue
+            derivative = self._derived[name]
+            picture = picture + torch.einsum(
+                "jhwc,jc->hwc", derivative.images, slider.weights(way).to(picture)
+            )
+            for number, gradient in enumerate(derivative.gradients):
+                # Replicates of the same renders are added before their spread is taken.
+                sums, count = totals[number], len(gradient.rows)
+                sums[count] = gradient.rows @ way + sums.get(count, 0.0)
+                turned[number] += (gradient.turned @ way).item()
+        return picture, [_sum_up(sums, shared) for sums, shared in zip(totals, turned, strict=True)]
+
+    def _differences(self, slider: Slider, place: Place, step: Place, seeds: Sequence[int]) -> torch.Tensor:
+        """Return the derivative of the picture along a step for each seed, ``(seeds, H, W, 3)``."""
+        moved = {**self.start.design, slider.name: tuple(n + d for n, d in zip(place, step, strict=True))}
+        length = torch.tensor(step) if slider.by_channel else torch.tensor(max(step, key=abs))
+        pairs = zip(seeds, self.start.images, strict=False)
+        return torch.stack([(self.designs.render(moved, seed) - image) / length for seed, image in pairs])
+
+    @staticmethod
+    def _known_rows(slider: Slider, attribution: SceneAttribution) -> torch.Tensor | None:
+        """Return the gradient in every replicate of an attribution, per unit of the slider, if that has it."""
+        if slider.name not in attribution or slider.name in attribution.info.get("jumps", {}):
+            return None
+        return slider.rows(attribution.replicates[slider.name].double())
+
+
+def _sum_up(totals: Mapping[int, torch.Tensor], turned: float) -> tuple[float, float]:
+    variances = [(total.var() / count).item() for count, total in totals.items()]
+    change = sum(total.mean().item() for total in totals.values())
+    return change, math.sqrt(sum(variances) + turned**2)
+
+
+def _denoise_signed(image: torch.Tensor, guides: Guides) -> torch.Tensor:
+    """Denoise an image that may be negative, which the denoiser does not take: lift it, and lower it again."""
+    below = -image.amin(-1).flatten()
+    lift = max(0.0, below.kthvalue(max(1, round(_COMMON * len(below)))).values.item())
+    return denoise(image + lift, guides) - lift
+
+
+class _FirstOrder:
+    """Metrics to first order about a picture: linear, so that their gradients need no metric image."""
+
+    def __init__(
+        self, metrics: Sequence[TargetedMetric], adjoints: Sequence[torch.Tensor], start: Measured
+    ) -> None:
+        self._metrics, self._adjoints = metrics, torch.stack(list(adjoints))
+        products = torch.einsum("mhwc,hwc->m", self._adjoints.double(), start.image.double())
+        self._constants = start.values.mean(0) - products
+
+    def __call__(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.einsum("mhwc,hwc->m", self._adjoints, image) + self._constants.to(image)
+
+    def measure_of(self, target: int) -> Any:
+        """Return what a metric measures."""
+        return self._metrics[target].measure
+
+
+class _Pausing:
+    """A renderer that pauses before every render."""
+
+    def __init__(self, renderer: SceneRenderer, pause: Callable[[], None]) -> None:
+        self.renderer, self.pause = renderer, pause
+        self.accepted_keywords = accepted_keywords(renderer)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.renderer, name)
+
+    def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
+        self.pause()
+        image: torch.Tensor = self.renderer(inputs, **options)
+        return image

@@ -1,0 +1,330 @@
+"""The page in a real browser, on a server that renders."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from chance import allowed, together
+from seeds import shifted
+
+from scenecaptum import cli, metrics
+from scenecaptum.explore import Exploration, Server
+from scenecaptum.visualization import automatic_exposure, display_image
+
+from .windows import Window, last_render, served, wait_for
+
+LAMP = "light.emitter.radiance.value"
+WALL = "left_wall.reflectance.value"
+BOX = "tall_box_shape.pose.translation"
+REPLICATES = 4
+NUMBER = r"([−+]?[\d.]+) ± ([\d.]+)"
+
+
+@pytest.fixture(scope="module")
+def shared(browser: Any, server: Server) -> Iterator[Window]:
+    opened = Window(browser, server).ready()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def window(shared: Window) -> Window:
+    return shared.ready()
+
+
+def number(text: str) -> tuple[float, float]:
+    """Read a value with its error."""
+    value, error = re.search(NUMBER, text).groups()
+    return float(value.replace("−", "-")), float(error)
+
+
+def confirmed(window: Window) -> dict[str, Any]:
+    """Wait until the render of what the page shows is there, and return it."""
+    wait_for(lambda: window.all("picture").get_attribute("aria-busy") == "false")
+    return last_render(window.exploration)
+
+
+def test_a_lamp_is_predicted_at_once_and_confirmed(window):
+    before = number(window.text("value"))[0]
+    window.drag(LAMP, 0.25, steps=5)
+    predicted = number(window.text("change"))
+    assert "predicted" in window.text("change")
+    described = confirmed(window)["metrics"][0]
+    rendered, error = described["change"]
+    assert abs(rendered - predicted[0]) < allowed(REPLICATES) * together(error, predicted[1])
+    assert "rendered" in window.text("change")
+    assert number(window.text("value"))[0] == pytest.approx(before + rendered, rel=0.01)
+
+
+def test_the_predicted_picture_is_that_of_the_library(window):
+    """The page adds up derivatives and tone-maps as Python does: pixels differ by rounding alone."""
+    shown = np.array(window.predicted(WALL, 0.4)).reshape(24, 24, 4)[..., :3]
+    about = window.exploration.about
+    base = about.designs.denoised(about.start.image, {})
+    picture, _ = about.predict({WALL: confirmed(window)["design"][WALL]})
+    expected = display_image(picture, automatic_exposure(base)) * 255
+    assert np.abs(shown - expected.numpy()).max() < 1.5
+
+
+@pytest.mark.parametrize("name", [LAMP, WALL, "floor.reflectance.value"])
+def test_every_kind_of_slider_can_be_dragged(window, name):
+    window.drag(name, 0.1, steps=4)
+    assert window.text("badge") != "Rendered" or window.all("slider[data-moved]").count()
+    assert window.slider(name).get_attribute("data-moved") is not None
+    assert set(confirmed(window)["design"]) == {name}
+
+
+def test_a_colour_is_chosen_as_a_colour(window):
+    window.slider(WALL).locator("input[type=color]").fill("#80ff40")
+    design = confirmed(window)["design"][WALL]
+    assert design == pytest.approx((0.2159, 1.0, 0.0513), abs=1e-3)  # in linear light
+    assert float(window.range(WALL).input_value()) == pytest.approx(1.0)
+
+
+def test_a_pose_is_searched_and_added(window):
+    window.page.get_by_label("Add a parameter by its name").fill(BOX)
+    window.page.keyboard.press("Enter")
+    wait_for(lambda: window.slider(BOX).count() and window.slider(BOX).get_attribute("data-waiting") is None)
+    window.drag(BOX, 0.6, steps=3, index=0)
+    predicted = number(window.slider(BOX).locator(".explore-effect").inner_text())
+    assert predicted[1] > 0
+    assert confirmed(window)["design"][BOX][1:] == (0.0, 0.0)
+
+
+def test_many_fast_drags_take_few_renders_and_end_at_the_last_value(window):
+    rendered = []
+    exploration = window.exploration
+    measure = exploration.designs.measure
+    exploration.designs.measure = lambda design: rendered.append(design) or measure(design)
+    try:
+        window.page.evaluate(
+            """async ([selector, count]) => {
+                const slider = document.querySelector(selector);
+                for (let step = 0; step < count; step += 1) {
+                    slider.value = 0.5 + (step % 50) / 100;
+                    slider.dispatchEvent(new Event("input", { bubbles: true }));
+                    await new Promise((done) => setTimeout(done, 10));
+                }
+                slider.value = 0.77;
+                slider.dispatchEvent(new Event("input", { bubbles: true }));
+                slider.dispatchEvent(new Event("change", { bubbles: true }));
+            }""",
+            [f'.explore-slider[data-name="{LAMP}"] input', 199],
+        )
+        described = confirmed(window)
+    finally:
+        exploration.designs.measure = measure
+    assert described["design"] == {LAMP: (0.77,)}
+    assert 1 <= len(rendered) <= 5
+
+
+def test_a_render_far_from_its_prediction_says_by_how_much(window):
+    for name in (
+        WALL,
+        "right_wall.reflectance.value",
+        "floor.reflectance.value",
+        "back_wall.reflectance.value",
+    ):
+        window.set(name, 1.0)
+    described = confirmed(window)["metrics"][0]
+    note = window.all("warning").first
+    wait_for(note.is_visible)
+    off, errors = re.search(r"off by ([−+][\d.]+), ([\d.]+) errors", note.inner_text()).groups()
+    assert float(errors) > 2
+    _, [(change, _), _] = window.exploration.about.predict(last_render(window.exploration)["design"])
+    assert float(off.replace("−", "-")) == pytest.approx(described["change"][0] - change, rel=0.1)
+
+
+def test_undo_redo_and_reset(window):
+    window.set(LAMP, 0.5)
+    window.set(WALL, 0.2)
+    window.page.get_by_role("button", name="Undo").click()
+    assert float(window.range(WALL).input_value()) == pytest.approx(0.57, abs=0.01)
+    window.page.keyboard.press("Control+z")
+    assert float(window.range(LAMP).input_value()) == 1.0
+    window.page.keyboard.press("Control+Shift+z")
+    window.page.get_by_role("button", name="Redo").click()
+    assert (float(window.range(LAMP).input_value()), float(window.range(WALL).input_value())) == (0.5, 0.2)
+    window.slider(WALL).get_by_role("button", name="Reset").click()
+    assert set(confirmed(window)["design"]) == {LAMP}
+    window.page.get_by_role("button", name="Reset", exact=True).click()
+    wait_for(lambda: not window.all("slider[data-moved]").count())
+
+
+def test_the_picture_before_is_shown_while_a_key_is_held(window):
+    before = window.pixels()
+    window.set(LAMP, 0.3)
+    wait_for(lambda: window.pixels() != before)
+    window.range(LAMP).focus()
+    window.page.keyboard.down("b")
+    wait_for(lambda: window.text("badge") == "Before")
+    assert window.pixels() == before
+    window.page.keyboard.up("b")
+    wait_for(lambda: window.text("badge") != "Before")
+    assert window.pixels() != before
+
+
+def test_designs_are_saved_shown_and_compared_in_all_tabs(window, browser, server):
+    window.set(LAMP, 0.4)
+    dim = confirmed(window) and window.pixels()
+    window.page.get_by_label("Name of this design").fill("dim <b>")
+    window.page.get_by_role("button", name="Save").click()
+    other = Window(browser, server)
+    wait_for(lambda: "dim <b>" in other.all("saved").inner_text())
+    value, error = last_render(window.exploration)["metrics"][0]["value"], 0
+    assert number(other.all("saved").inner_text())[0] == pytest.approx(value + error, rel=0.01)
+    wait_for(lambda: other.slider(LAMP).count() and float(other.range(LAMP).input_value()) == 0.4)
+    window.page.get_by_role("button", name="Reset", exact=True).click()
+    wait_for(lambda: float(other.range(LAMP).input_value()) == 1.0)
+    other.page.get_by_role("button", name="Compare").click()
+    other.page.get_by_role("button", name="Undo").focus()
+    other.page.keyboard.down("b")
+    wait_for(lambda: other.text("badge") == "dim <b>")
+    assert np.abs(np.subtract(other.pixels(), dim)).max() <= 6
+    other.page.keyboard.up("b")
+    other.page.get_by_role("button", name="Show").click()
+    wait_for(lambda: float(window.range(LAMP).input_value()) == 0.4)
+    other.page.get_by_role("button", name="Forget dim <b>").click()
+    wait_for(lambda: not window.all("saved").inner_text())
+    other.close()
+
+
+def test_an_object_in_the_picture_has_its_parameters(window):
+    box = window.all("picture").bounding_box()
+    window.page.mouse.click(box["x"] + 0.06 * box["width"], box["y"] + 0.4 * box["height"])
+    wait_for(lambda: "left_wall" in window.text("chosen"))
+    window.all("chosen").get_by_role("button", name="left_wall: reflectance").click()
+    focused = window.page.evaluate("document.activeElement.closest('.explore-slider').dataset.name")
+    assert focused == WALL
+    window.page.get_by_label("Object, to get its parameters").select_option(label="tall_box_shape")
+    assert "tall_box: reflectance" in window.text("chosen")
+    assert "tall_box_shape: translation" in window.text("chosen")
+
+
+@pytest.mark.parametrize("kind", ["signed", "magnitude"])
+def test_a_map_of_effects_lies_over_the_picture(window, kind):
+    window.page.get_by_label("Map over the picture").select_option(kind)
+    painted = window.pixels("overlay")
+    assert len({tuple(painted[at : at + 3]) for at in range(0, len(painted), 4)}) > 3
+    assert ("orange" in window.text("left")) == (kind == "signed")
+    window.page.get_by_label("Map over the picture").select_option("off")
+    assert not window.all("overlay").is_visible()
+
+
+def test_several_metrics_are_shown_and_one_ranks(window):
+    first = window.slider(LAMP).locator(".explore-effect").inner_text()
+    window.page.get_by_label("95th percentile").check(force=True)
+    wait_for(lambda: window.slider(LAMP).locator(".explore-effect").inner_text() != first)
+    window.page.get_by_label("mean luminance").check(force=True)
+    wait_for(lambda: window.slider(LAMP).locator(".explore-effect").inner_text() == first)
+
+
+def test_the_design_as_python_gives_the_same_metric(window):
+    window.set(LAMP, 0.6)
+    window.slider(WALL).locator("input[type=color]").fill("#4060c0")
+    described = confirmed(window)["metrics"][0]
+    window.page.get_by_role("button", name="Copy as Python").click()
+    script = window.page.evaluate("navigator.clipboard.readText()")
+    assert script == window.page.get_by_label("Code").input_value()
+    value, error = number(run(script))
+    assert abs(value - described["value"]) < allowed(REPLICATES) * together(error, described["error"])
+
+
+def run(script: str) -> str:
+    """Run a script in this process, whose kernels are compiled, and return what it prints first."""
+    printed: list[str] = []
+    exec(script, {"print": lambda result: printed.append(str(result))})
+    return printed[0]
+
+
+def test_the_design_as_a_command_gives_the_same_metric(window, capsys, tmp_path):
+    window.set(LAMP, 0.6)
+    described = confirmed(window)["metrics"][0]
+    window.page.get_by_role("button", name="Copy as command line").click()
+    program, *words = shlex.split(window.page.get_by_label("Code").input_value().replace("\\\n", ""))
+    assert program == "scenecaptum"
+    assert cli.main([*words, "--spp", "64", "--json", "--format", "json", "--out", str(tmp_path)]) == 0
+    metric = json.loads(capsys.readouterr().out)["metric"]
+    off = metric["value"] - described["value"]
+    assert abs(off) < allowed(REPLICATES) * together(metric["standard_error"], described["error"])
+
+
+def test_a_new_start_is_taken(window):
+    window.set(LAMP, 0.5)
+    value = confirmed(window)["metrics"][0]["value"]
+    window.page.get_by_role("button", name="Take this as the new start").click()
+    wait_for(lambda: window.exploration.channel.message("base")["design"] == {LAMP: (0.5,)})
+    wait_for(lambda: window.text("status") == "")
+    assert window.exploration.about.start.value(0)[0] == value
+    wait_for(lambda: not window.all("slider[data-moved]").count())
+    window.page.get_by_role("button", name="Reset", exact=True).click()
+    wait_for(lambda: window.exploration.channel.message("rendered")["design"] == {})
+    window.page.get_by_role("button", name="Take this as the new start").click()
+    wait_for(lambda: window.exploration.channel.message("base")["design"] == {})
+
+
+def test_a_scene_that_cannot_be_rendered_keeps_the_last_picture(window):
+    def fail(_: Any) -> Any:
+        raise RuntimeError("the kernel\nis gone")
+
+    exploration, picture = window.exploration, window.pixels()
+    measure, roughly = exploration.designs.measure, exploration.designs.render_roughly
+    exploration.designs.measure = exploration.designs.render_roughly = fail
+    try:
+        window.set(LAMP, 0.9)
+        wait_for(lambda: window.all("problem").is_visible())
+        assert window.text("problem") == "RuntimeError: the kernel is gone"
+    finally:
+        exploration.designs.measure, exploration.designs.render_roughly = measure, roughly
+    window.set(LAMP, 1.0)
+    wait_for(lambda: window.pixels() == picture)
+    window.set(LAMP, 0.8)
+    confirmed(window)
+    wait_for(lambda: not window.all("problem").is_visible())
+
+
+def test_a_closed_tab_ends_the_work_and_another_takes_it_up(tiny, browser):
+    exploration = Exploration(tiny, metrics.MeanLuminance(), seed=shifted(), spp=16)
+    with served(exploration) as server:
+        first = Window(browser, server).ready()
+        first.close()
+        wait_for(lambda: not exploration.channel.listeners)
+        exploration.receive({"type": "design", "design": {LAMP: [0.35]}})
+        assert exploration.channel.message("rendered") == {}
+        second = Window(browser, server)
+        wait_for(lambda: last_render(exploration).get("design") == {LAMP: (0.35,)})
+        second.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"viewport": {"width": 360, "height": 740}, "is_mobile": True, "has_touch": True},
+        {"color_scheme": "dark"},
+    ],
+    ids=["phone", "dark"],
+)
+def test_a_phone_and_the_dark(browser, server, options):
+    window = Window(browser, server, **options).ready()
+    assert window.page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    background, ink = window.page.locator(".explore").evaluate(
+        "one => [getComputedStyle(one).backgroundColor, getComputedStyle(one).color]"
+    )
+    lightness = [sum(map(int, re.findall(r"\d+", color)[:3])) for color in (background, ink)]
+    assert (lightness[0] < lightness[1]) == ("color_scheme" in options)
+    window.close()
+
+
+def test_everything_has_a_name_for_screen_readers(window):
+    nameless = window.page.evaluate(
+        """() => [...document.querySelectorAll('.explore :is(input, button, select, textarea)')]
+            .filter((one) => !one.labels?.length && !one.getAttribute('aria-label') && !one.innerText)
+            .map((one) => one.outerHTML)"""
+    )
+    assert nameless == []

@@ -1,0 +1,133 @@
+"""The page as a widget in a real Jupyter kernel, and as a section of a report."""
+
+from __future__ import annotations
+
+import base64
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from nbclient import NotebookClient
+from nbformat.v4 import new_code_cell, new_notebook
+
+from scenecaptum import cli, metrics
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.explore import Exploration, widget
+
+from .windows import wait_for
+
+LAMP = "light.emitter.radiance.value"
+CODE = """
+from scenecaptum import SceneRenderer, metrics
+from scenecaptum.explore import Exploration, widget
+renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), max_depth=3)
+exploration = Exploration(renderer, metrics.MeanLuminance(), spp=16)
+shown = widget(exploration)
+shown
+"""
+# What a notebook does with the module: a model whose messages go to the kernel and come from it.
+FRONTEND = """async (source) => {
+    const module = await import(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
+    const listeners = [];
+    window.deliver = (content, buffers) => {
+        const bytes = buffers.map((text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+        listeners.forEach((listener) => listener(content, bytes.map((one) => new DataView(one.buffer))));
+    };
+    const on = (_, listener) => listeners.push(listener);
+    const model = { on, off: () => {}, send: (content) => window.toKernel(content) };
+    window.end = module.default.render({ model, el: document.body.appendChild(document.createElement("div")) });
+}"""
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[NotebookClient]:
+    made = NotebookClient(new_notebook(cells=[new_code_cell(CODE)]), timeout=120)
+    monkeypatch.setenv("PYTHONPATH", str(Path(cli.__file__).parents[2]))
+    with made.setup_kernel():
+        yield made
+
+
+def test_the_widget_explores_in_a_kernel(client, browser):
+    pytest.importorskip("anywidget", reason="anywidget is not installed")
+    cell = client.execute_cell(client.nb.cells[0], 0)
+    view = cell.outputs[-1]["data"]["application/vnd.jupyter.widget-view+json"]
+    state = client.widget_state[view["model_id"]]
+    page = browser.new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text))
+
+    def to_kernel(content: Any) -> None:
+        data = {"method": "custom", "content": content}
+        message = client.kc.session.msg("comm_msg", {"comm_id": view["model_id"], "data": data})
+        client.kc.shell_channel.send(message)
+
+    def deliver() -> None:
+        """Pass on what the kernel has sent."""
+        from jupyter_core.utils import run_sync
+
+        while True:
+            try:
+                message = run_sync(client.kc.get_iopub_msg)(timeout=0.05)
+            except Exception:  # queue.Empty: nothing has come
+                return
+            if message["msg_type"] == "comm_msg" and message["content"]["data"].get("method") == "custom":
+                buffers = [base64.b64encode(buffer).decode() for buffer in message["buffers"]]
+                page.evaluate(
+                    "([c, b]) => window.deliver(c, b)", [message["content"]["data"]["content"], buffers]
+                )
+
+    def heard(condition: Any) -> Any:
+        return wait_for(lambda: deliver() or condition())
+
+    page.expose_function("toKernel", to_kernel)
+    page.evaluate(FRONTEND, state["_esm"])
+    page.add_style_tag(content=state["_css"])
+    slider = page.locator(f'.explore-slider[data-name="{LAMP}"]:not([data-waiting]) input')
+    heard(slider.count)
+    slider.fill("0.5")
+    change = page.locator(".explore-change")
+    heard(lambda: "predicted" in change.inner_text())
+    heard(lambda: "rendered" in change.inner_text())
+    page.evaluate("window.end()")
+    assert complaints == []
+    page.close()
+
+
+def test_anywidget_is_asked_for_where_it_is_missing(tiny, monkeypatch):
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(SceneCaptumError, match=re.escape("scenecaptum[explore]")):
+        widget(Exploration(tiny, metrics.MeanLuminance()))
+
+
+def test_a_report_predicts_without_a_server(browser, tmp_path, capsys):
+    path = tmp_path / "explore.html"
+    words = (
+        "explore cornell-box --metric luminance --resolution 16x16 --spp 16 --max-depth 3 --inputs emitters"
+    )
+    assert cli.main([*words.split(), "--to", str(path)]) == 0
+    assert str(path) in capsys.readouterr().out
+    page = browser.new_page()
+    complaints: list[str] = []
+    requests: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(path.as_uri())
+    slider = page.locator(f'.explore-slider[data-name="{LAMP}"]:not([data-waiting]) input')
+    wait_for(slider.count)
+    value = float(page.locator(".explore-value").inner_text().split()[0])
+    slider.fill("0.5")
+    wait_for(lambda: page.locator(".explore-badge").inner_text() == "Predicted")
+    halved = float(page.locator(".explore-value").inner_text().split()[0])
+    assert halved == pytest.approx(value / 2, rel=0.02)  # as far as its digits go
+    page.get_by_label("Name of this design").fill("half")
+    page.get_by_role("button", name="Save").click()
+    wait_for(lambda: "half" in page.locator(".explore-saved").inner_text())
+    assert not page.get_by_role("button", name="Take this as the new start").is_visible()
+    assert complaints == []
+    assert [url for url in requests if not url.startswith(("data:", "blob:"))] == [path.as_uri()]
+    page.close()

@@ -1,0 +1,138 @@
+"""Sliders, and a scene to first order against renders of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from chance import allowed, together
+from seeds import shifted
+
+from scenecaptum import SceneRenderer, metrics
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.linearization import Designs, Linearization, Slider
+from scenecaptum.linearization._designs import REPLICATES
+from scenecaptum.linearization._linearization import _denoise_signed
+
+LAMP = "light.emitter.radiance.value"
+WALL = "left_wall.reflectance.value"
+POSE = "tall_box_shape.pose.translation"
+
+
+@pytest.fixture(scope="module")
+def about(cornell: Any) -> Linearization:
+    designs = Designs(cornell, [metrics.MeanLuminance()], seed=shifted(), spp=256)
+    found = Linearization(designs, designs.measure({}))
+    found.rank()
+    for name in (LAMP, WALL, POSE):
+        found.derive(designs.sliders[name])
+    return found
+
+
+@pytest.mark.parametrize("place", [0.0, 0.6, 2.0])
+def test_a_lamp_is_predicted_exactly_within_the_noise(about, place):
+    measured = about.designs.measure({LAMP: (place,)})
+    picture, [(change, error)] = about.predict({LAMP: (place,)})
+    rendered, rendered_error = measured.change(0, about.start)
+    off = (rendered - change) / together(error, rendered_error)
+    assert abs(off) < allowed(REPLICATES), f"{rendered} ± {rendered_error} against {change} ± {error}"
+    # The only lamp: the same picture, and the same noise in it, times a factor.
+    assert torch.allclose(picture, about.designs.denoised(measured.image, {}), rtol=1e-2, atol=1e-4)
+
+
+@pytest.mark.parametrize(("name", "step"), [(WALL, (0.03, 0.03, 0.03)), (POSE, (0.02, 0.0, 0.0))])
+def test_other_changes_are_predicted_to_first_order(about, name, step):
+    slider = about.designs.sliders[name]
+    # The mean of both directions has no curvature.
+    ends = [tuple(n + sign * s for n, s in zip(slider.start, step, strict=True)) for sign in (1, -1)]
+    up, down = (about.designs.measure({name: place}).values[:, 0] for place in ends)
+    slope = (up - down) / 2
+    rendered, rendered_error = slope.mean().item(), slope.std().item() / math.sqrt(REPLICATES)
+    _, [(change, error)] = about.predict({name: ends[0]})
+    off = (rendered - change) / together(error, rendered_error)
+    assert abs(off) < allowed(REPLICATES), f"{rendered} ± {rendered_error} against {change} ± {error}"
+
+
+def test_the_leading_parameters_are_those_with_the_largest_effects(about):
+    [attribution] = about.attributions
+    assert about.leading(3) == [row.name for row in attribution.ranking(3)]
+    assert about.leading(1) == [LAMP]
+    assert attribution.metric_value == pytest.approx(about.start.value(0)[0])
+
+
+def test_a_prediction_at_another_start_changes_nothing_there(about):
+    designs = about.designs
+    start = {WALL: (0.3, 0.1, 0.1)}
+    other = Linearization(designs, designs.measure(start))
+    other.rank()
+    other.derive(designs.sliders[WALL])
+    picture, [change] = other.predict(start)
+    assert torch.equal(picture, designs.denoised(other.start.image, start))
+    assert change == (0.0, 0.0)
+
+
+# ------------------------------------------------------------------------------------------------------ sliders
+
+
+@pytest.fixture(scope="module")
+def sliders() -> dict[str, Slider]:
+    renderer = SceneRenderer("office", inputs="all", resolution=(8, 8), spp=1)
+    return Designs(renderer, [metrics.MeanLuminance()]).sliders
+
+
+@pytest.mark.parametrize(
+    ("name", "form"),
+    [
+        ("sky.emitter.radiance.value", "dimmer"),
+        ("wall_left.reflectance.value", "color"),
+        ("floor.reflectance.data", "offset"),
+        ("desk.roughness.value", "scalar"),
+        ("metal_legs.k.value", "channels"),
+        ("desk.pose.translation", "vector"),
+        ("camera.fov", "scalar"),
+    ],
+)
+def test_a_slider_starts_at_the_scene_and_stays_physical(sliders, name, form):
+    slider = sliders[name]
+    assert slider.form == form
+    assert torch.allclose(slider.tensor(slider.start), slider.value)
+    low, high = slider.bounds
+    for end in (slider.low, slider.high):
+        value = slider.tensor(tuple(end for _ in slider.start))
+        assert value.shape == slider.value.shape
+        assert low <= value.min()
+        assert value.max() <= high
+    for step in slider.steps(slider.start):
+        slider.checked(
+            [n + d for n, d in zip(slider.start, step, strict=True)]
+        )  # which raises beyond the ends
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        *(None, 3, "abc", [], [0.1], [0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 1.5], [-0.1, 0.2, 0.3], [[0.1]] * 3),
+        *([True] * 3, ["0.1"] * 3, [0.1, 0.2, math.nan], [0.1, 0.2, math.inf], [10**400, 0, 0]),
+        {"a": 1, "b": 2, "c": 3},
+    ],
+    ids=lambda value: repr(value)[:20],
+)
+def test_what_is_no_place_is_refused(sliders, numbers):
+    with pytest.raises(SceneCaptumError, match="wall_left"):
+        sliders["wall_left.reflectance.value"].checked(numbers)
+
+
+def test_a_derivative_keeps_its_sign_and_its_mean_when_it_is_denoised(cornell):
+    generator = torch.Generator().manual_seed(shifted())
+    noise = torch.randn(32, 32, 3, generator=generator)
+    found = _denoise_signed(noise - 0.5, cornell.guides)
+    assert found.std() < 0.5 * noise.std()
+    assert abs(found.mean() + 0.5) < 4 / math.sqrt(noise.numel())
+
+
+def test_a_renderer_without_one_picture_is_refused():
+    renderer = SceneRenderer("cornell-box", resolution=(8, 8), spp=1, sensor=[0, "fisheye"])
+    with pytest.raises(SceneCaptumError, match="one camera"):
+        Designs(renderer, [metrics.MeanLuminance()])
