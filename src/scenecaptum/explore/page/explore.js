@@ -12,7 +12,8 @@ function make(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
-    else if (name === "class") made.className = `explore-${value}`; // the page may be part of another
+    else if (name === "class")
+      made.className = `explore-${value}`; // the page may be part of another
     else if (value === true) made.setAttribute(name, "");
     else if (value !== false && value != null) made.setAttribute(name, value);
   }
@@ -97,16 +98,36 @@ function advance(linear, slider, from, to) {
   });
 }
 
-const toHex = (linear) => `#${linear.map((x) => SRGB[Math.round(STEPS * Math.min(Math.max(x, 0), 1))].toString(16).padStart(2, "0")).join("")}`;
-const toLinear = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255).map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4));
+const toHex = (linear) =>
+  `#${linear.map((x) => SRGB[Math.round(STEPS * Math.min(Math.max(x, 0), 1))].toString(16).padStart(2, "0")).join("")}`;
+const toLinear = (hex) =>
+  [1, 3, 5]
+    .map((at) => parseInt(hex.slice(at, at + 2), 16) / 255)
+    .map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4));
 
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 const sorted = (design) => Object.fromEntries(Object.entries(design).sort(([a], [b]) => (a < b ? -1 : 1)));
 
 class Page {
   constructor(model, el) {
-    Object.assign(this, { model, el, id: Math.random().toString(36).slice(2), sliders: new Map(), rows: new Map(), saved: [] });
-    Object.assign(this, { design: {}, now: {}, past: [], future: [], metric: 0, overlay: "off", compared: null, held: false });
+    Object.assign(this, {
+      model,
+      el,
+      id: Math.random().toString(36).slice(2),
+      sliders: new Map(),
+      rows: new Map(),
+      saved: [],
+    });
+    Object.assign(this, {
+      design: {},
+      now: {},
+      past: [],
+      future: [],
+      metric: 0,
+      overlay: "off",
+      compared: null,
+      held: false,
+    });
     this.heard = (message, buffers) => this.receive(message, buffers ?? []);
     el.classList.add("explore");
     el.addEventListener("keydown", (event) => this.press(event));
@@ -157,7 +178,12 @@ class Page {
     this.sliders.set(message.name, { ...message, byChannel, ...kept });
     if (!this.rows.has(message.name)) this.makeRow(this.sliders.get(message.name));
     this.rows.get(message.name).toggleAttribute("data-waiting", !kept.images.length);
-    this.rows.get(message.name).querySelectorAll("input, button").forEach((one) => { one.disabled = !kept.images.length; });
+    this.rows
+      .get(message.name)
+      .querySelectorAll("input, button")
+      .forEach((one) => {
+        one.disabled = !kept.images.length;
+      });
     if (images.length) this.takeBase();
   }
 
@@ -217,7 +243,8 @@ class Page {
     this.future = [];
     this.now = this.design;
     const now = this.base && this.measured(this.metric);
-    if (now) this.parts.announcement.textContent = `${this.scene.metrics[this.metric].title} ${withError(now.value, now.error)}`;
+    if (now)
+      this.parts.announcement.textContent = `${this.scene.metrics[this.metric].title} ${withError(now.value, now.error)}`;
     this.draw();
   }
 
@@ -239,7 +266,6 @@ class Page {
     this.now = from.pop();
     this.show(this.now);
   }
-
 
   /** Compute the predicted picture anew, from the start that is known now. */
   takeBase() {
@@ -270,7 +296,10 @@ class Page {
       const { rows, turned: adjoint } = slider.gradients[metric];
       const along = (row) => row.reduce((sum, one, index) => sum + one * (to[index] - from[index]), 0);
       const sums = totals.get(rows.length) ?? rows.map(() => 0);
-      totals.set(rows.length, sums.map((sum, index) => sum + along(rows[index])));
+      totals.set(
+        rows.length,
+        sums.map((sum, index) => sum + along(rows[index])),
+      );
       turned += along(adjoint);
     }
     let [change, variance] = [0, turned ** 2];
@@ -323,7 +352,11 @@ class Page {
     if (isStart) this.takeBase(); // rounding does not add up
     const picture = this.follow(this.linear, this.applied, this.design);
     if (this.isRendered() && !isStart) {
-      return { ...this.rendered, exposure: this.base.exposure, label: this.rendered.rough ? "Rendered roughly" : "Rendered" };
+      return {
+        ...this.rendered,
+        exposure: this.base.exposure,
+        label: this.rendered.rough ? "Rendered roughly" : "Rendered",
+      };
     }
     return { ...this.base, picture, label: isStart ? "Rendered" : "Predicted" };
   }
@@ -351,13 +384,15 @@ class Page {
       const unit = metric.unit ? ` ${metric.unit}` : "";
       value.textContent = now ? withError(now.value, now.error) + unit : "…";
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
-      verdict.textContent = !now ? "" : now.verdict ?? (metric.bands.length ? band?.[1] ?? metric.above : "");
+      verdict.textContent = !now ? "" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
-      note.textContent = isOff ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} errors.` : "";
+      note.textContent = isOff
+        ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} errors.`
+        : "";
     });
     this.parts.undo.disabled = !this.past.length;
     this.parts.redo.disabled = !this.future.length;
@@ -368,18 +403,27 @@ class Page {
   drawRows() {
     if (!this.base) return;
     const { unit } = this.scene.metrics[this.metric];
-    this.parts.heading.textContent = this.sliders.size ? `Effect over the range of each${unit ? `, in ${unit}` : ""}; of what you move, that of the move` : "";
+    this.parts.heading.textContent = this.sliders.size
+      ? `Effect over the range of each${unit ? `, in ${unit}` : ""}; of what you move, that of the move`
+      : "";
     for (const slider of this.sliders.values()) {
       const row = this.rows.get(slider.name);
       const moved = !same(this.place(slider), this.place(slider, this.base.design));
       const own = moved && this.predict(this.metric, this.design, slider);
       const over = slider.effects[this.metric];
       row.toggleAttribute("data-moved", moved);
-      row.effect.textContent = own ? withError(own.change, own.error, true) : over ? withError(over[0], over[1], true) : "";
+      row.effect.textContent = own
+        ? withError(own.change, own.error, true)
+        : over
+          ? withError(over[0], over[1], true)
+          : "";
       row.effect.title = own ? "effect of this change, to first order" : "effect over its range, to first order";
-      row.effect.dataset.sign = Math.sign(own ? own.change : over?.[0] ?? 0);
+      row.effect.dataset.sign = Math.sign(own ? own.change : (over?.[0] ?? 0));
       const place = this.place(slider);
-      row.number.textContent = slider.form === "dimmer" ? `${Math.round(100 * place[0])} %` : minus(place.map((one) => String(Number(one.toPrecision(3)))).join("  "));
+      row.number.textContent =
+        slider.form === "dimmer"
+          ? `${Math.round(100 * place[0])} %`
+          : minus(place.map((one) => String(Number(one.toPrecision(3)))).join("  "));
     }
   }
 
@@ -393,7 +437,9 @@ class Page {
     const [signed, { unit }] = [this.overlay === "signed", this.scene.metrics[this.metric]];
     const table = bytesOf(maps[this.overlay]);
     const largest = Math.max(...effects[this.metric].map(Math.abs), 1e-30);
-    const places = effects[this.metric].map((effect) => Math.sqrt(Math.abs(effect) / largest) * (signed ? Math.sign(effect) : 1));
+    const places = effects[this.metric].map(
+      (effect) => Math.sqrt(Math.abs(effect) / largest) * (signed ? Math.sign(effect) : 1),
+    );
     Object.assign(canvas, { width, height });
     const context = canvas.getContext("2d");
     const image = context.createImageData(width, height);
@@ -414,56 +460,209 @@ class Page {
   }
 
   layout() {
-    const p = { title: make("h1"), status: make("p", { class: "status", role: "status" }), problem: make("p", { class: "problem", role: "alert", hidden: true }) };
+    const p = {
+      title: make("h1"),
+      status: make("p", { class: "status", role: "status" }),
+      problem: make("p", { class: "problem", role: "alert", hidden: true }),
+    };
     this.parts = p;
     p.cards = make("div", { class: "cards", role: "radiogroup", "aria-label": "Metric" });
     p.render = make("canvas", { class: "render" });
     p.overlay = make("canvas", { class: "overlay", hidden: true, "aria-hidden": "true" });
     p.badge = make("span", { class: "badge", role: "status" });
-    p.picture = make("div", { class: "picture", "data-empty": true, role: "img", "aria-label": "The scene. Choose an object below to get its parameters.", onclick: (event) => this.click(event) }, p.render, p.overlay, p.badge);
+    p.picture = make(
+      "div",
+      {
+        class: "picture",
+        "data-empty": true,
+        role: "img",
+        "aria-label": "The scene. Choose an object below to get its parameters.",
+        onclick: (event) => this.click(event),
+      },
+      p.render,
+      p.overlay,
+      p.badge,
+    );
     p.caption = make("p", { class: "muted" });
-    p.object = make("select", { "aria-label": "Object, to get its parameters", onchange: (event) => this.choose(event.target.value) });
+    p.object = make("select", {
+      "aria-label": "Object, to get its parameters",
+      onchange: (event) => this.choose(event.target.value),
+    });
     p.chosen = make("div", { class: "chosen", "aria-live": "polite" });
-    const overlay = make("select", { "aria-label": "Map over the picture", onchange: (event) => { this.overlay = event.target.value; this.drawOverlay(); } });
-    overlay.append(...[["off", "No map"], ["signed", "Signed map"], ["magnitude", "Map of magnitudes"]].map(([value, text]) => make("option", { value }, text)));
-    p.before = button("Before (hold B)", () => {}, { onpointerdown: () => this.hold(true), onpointerup: () => this.hold(false), onpointerleave: () => this.hold(false) });
+    const overlay = make("select", {
+      "aria-label": "Map over the picture",
+      onchange: (event) => {
+        this.overlay = event.target.value;
+        this.drawOverlay();
+      },
+    });
+    overlay.append(
+      ...[
+        ["off", "No map"],
+        ["signed", "Signed map"],
+        ["magnitude", "Map of magnitudes"],
+      ].map(([value, text]) => make("option", { value }, text)),
+    );
+    p.before = button("Before (hold B)", () => {}, {
+      onpointerdown: () => this.hold(true),
+      onpointerup: () => this.hold(false),
+      onpointerleave: () => this.hold(false),
+    });
     const stage = make("section", { class: "stage", "aria-label": "Picture" }, p.picture);
     const view = make("div", { class: "tools" }, p.before, overlay, p.object);
     p.undo = button("Undo", () => this.undo(), { title: "Ctrl+Z" });
     p.redo = button("Redo", () => this.undo(this.future, this.past), { title: "Ctrl+Shift+Z" });
-    p.reset = button("Reset", () => { this.show({}); this.commit(); });
+    p.reset = button("Reset", () => {
+      this.show({});
+      this.commit();
+    });
     p.start = button("Take this as the new start", () => this.model.send({ type: "start" }), { class: "live" });
     p.heading = make("p", { class: "muted" });
     p.list = make("div", { class: "sliders" });
     p.names = make("datalist", { id: `names-${this.id}` });
-    p.search = make("input", { class: "live", type: "search", list: p.names.id, placeholder: "Add a parameter", "aria-label": "Add a parameter by its name", autocomplete: "off", onchange: (event) => this.add(event.target.value) });
+    p.search = make("input", {
+      class: "live",
+      type: "search",
+      list: p.names.id,
+      placeholder: "Add a parameter",
+      "aria-label": "Add a parameter by its name",
+      autocomplete: "off",
+      onchange: (event) => this.add(event.target.value),
+    });
     p.saved = make("ul", { class: "saved" });
-    p.name = make("input", { placeholder: "Name of this design", "aria-label": "Name of this design", maxlength: 60, autocomplete: "off", onkeydown: (event) => event.key === "Enter" && this.save() });
-    p.code = make("textarea", { class: "code", readonly: true, hidden: true, rows: 8, "aria-label": "Code", spellcheck: "false" });
-    const designs = make("section", { class: "designs", "aria-label": "Designs" }, make("h2", {}, "Designs"), make("div", { class: "tools" }, p.name, button("Save", () => this.save())), p.saved,
-      make("div", { class: "tools" }, button("Copy as Python", () => this.copy(this.python())), button("Copy as command line", () => this.copy(this.command()))), p.code);
-    const controls = make("section", { class: "controls", "aria-label": "Parameters" }, make("div", { class: "tools" }, p.undo, p.redo, p.reset, p.start), p.heading, p.list, p.search, p.names);
+    p.name = make("input", {
+      placeholder: "Name of this design",
+      "aria-label": "Name of this design",
+      maxlength: 60,
+      autocomplete: "off",
+      onkeydown: (event) => event.key === "Enter" && this.save(),
+    });
+    p.code = make("textarea", {
+      class: "code",
+      readonly: true,
+      hidden: true,
+      rows: 8,
+      "aria-label": "Code",
+      spellcheck: "false",
+    });
+    const designs = make(
+      "section",
+      { class: "designs", "aria-label": "Designs" },
+      make("h2", {}, "Designs"),
+      make(
+        "div",
+        { class: "tools" },
+        p.name,
+        button("Save", () => this.save()),
+      ),
+      p.saved,
+      make(
+        "div",
+        { class: "tools" },
+        button("Copy as Python", () => this.copy(this.python())),
+        button("Copy as command line", () => this.copy(this.command())),
+      ),
+      p.code,
+    );
+    const controls = make(
+      "section",
+      { class: "controls", "aria-label": "Parameters" },
+      make("div", { class: "tools" }, p.undo, p.redo, p.reset, p.start),
+      p.heading,
+      p.list,
+      p.search,
+      p.names,
+    );
     const left = make("div", { class: "left" }, stage, view, p.caption, p.chosen, designs);
     p.announcement = make("p", { class: "unseen", "aria-live": "polite" });
-    this.el.replaceChildren(make("header", { class: "top" }, make("div", {}, make("p", { class: "muted" }, "scenecaptum · explore"), p.title), p.status), p.problem, p.cards, make("div", { class: "work" }, left, controls), p.announcement);
+    this.el.replaceChildren(
+      make(
+        "header",
+        { class: "top" },
+        make("div", {}, make("p", { class: "muted" }, "scenecaptum · explore"), p.title),
+        p.status,
+      ),
+      p.problem,
+      p.cards,
+      make("div", { class: "work" }, left, controls),
+      p.announcement,
+    );
   }
 
   makeCard(metric, index) {
-    const input = make("input", { type: "radio", name: `metric-${this.id}`, checked: index === this.metric, onchange: () => { this.metric = index; this.drawOverlay(); this.draw(); } });
+    const input = make("input", {
+      type: "radio",
+      name: `metric-${this.id}`,
+      checked: index === this.metric,
+      onchange: () => {
+        this.metric = index;
+        this.drawOverlay();
+        this.draw();
+      },
+    });
     const part = (tag, name) => make(tag, { class: name, "data-part": name });
-    return make("label", { class: "card" }, input, make("span", { class: "face" }, make("span", { class: "title" }, metric.title), part("span", "value"), part("span", "verdict"), part("span", "change"), part("span", "warning")));
+    return make(
+      "label",
+      { class: "card" },
+      input,
+      make(
+        "span",
+        { class: "face" },
+        make("span", { class: "title" }, metric.title),
+        part("span", "value"),
+        part("span", "verdict"),
+        part("span", "change"),
+        part("span", "warning"),
+      ),
+    );
   }
 
   /** Add the controls of a slider; ``place`` moves them. */
   makeRow(slider) {
-    const row = make("div", { class: "slider", role: "group", "aria-label": slider.label, "data-name": slider.name, "data-form": slider.form });
+    const row = make("div", {
+      class: "slider",
+      role: "group",
+      "aria-label": slider.label,
+      "data-name": slider.name,
+      "data-form": slider.form,
+    });
     const moved = (place) => this.move(slider, place);
-    const range = (label, low, high, read) => make("input", { type: "range", min: low, max: high, step: "any", "aria-label": label, oninput: read, onchange: () => this.commit() });
-    const [controls, place] = slider.form === "color" ? colorControls(slider, range, moved, () => this.commit()) : numberControls(slider, range, moved);
+    const range = (label, low, high, read) =>
+      make("input", {
+        type: "range",
+        min: low,
+        max: high,
+        step: "any",
+        "aria-label": label,
+        oninput: read,
+        onchange: () => this.commit(),
+      });
+    const [controls, place] =
+      slider.form === "color"
+        ? colorControls(slider, range, moved, () => this.commit())
+        : numberControls(slider, range, moved);
     row.effect = make("output", { class: "effect" });
     row.number = make("span", { class: "number" });
-    const back = button("×", () => { this.move(slider, slider.start); row.place(slider.start); this.commit(); }, { class: "back", title: "back to the scene's value", "aria-label": `Reset ${slider.label}` });
-    row.append(make("div", { class: "head" }, make("span", { class: "label", title: slider.name }, slider.label), row.effect, back), ...controls, row.number);
+    const back = button(
+      "×",
+      () => {
+        this.move(slider, slider.start);
+        row.place(slider.start);
+        this.commit();
+      },
+      { class: "back", title: "back to the scene's value", "aria-label": `Reset ${slider.label}` },
+    );
+    row.append(
+      make(
+        "div",
+        { class: "head" },
+        make("span", { class: "label", title: slider.name }, slider.label),
+        row.effect,
+        back,
+      ),
+      ...controls,
+      row.number,
+    );
     row.place = place;
     place(this.place(slider));
     this.rows.set(slider.name, row);
@@ -471,16 +670,42 @@ class Page {
   }
 
   makeSaved(one) {
-    const values = this.scene?.metrics.map((metric, index) => one.metrics && `${metric.symbol ?? metric.title} ${withError(one.metrics[index].value, one.metrics[index].error)}`).filter(Boolean).join(", ");
-    const compare = button("Compare", () => { this.compared = this.compared === one.name ? null : one.name; this.takeSaved({ designs: this.saved }); }, { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" });
-    return make("li", {}, make("span", { class: "label" }, one.name), make("span", { class: "muted" }, values || "not rendered"), button("Show", () => { this.show(one.design); this.commit(); }), compare, button("×", () => this.model.send({ type: "forget", name: one.name }), { "aria-label": `Forget ${one.name}` }));
+    const values = this.scene?.metrics
+      .map(
+        (metric, index) =>
+          one.metrics &&
+          `${metric.symbol ?? metric.title} ${withError(one.metrics[index].value, one.metrics[index].error)}`,
+      )
+      .filter(Boolean)
+      .join(", ");
+    const compare = button(
+      "Compare",
+      () => {
+        this.compared = this.compared === one.name ? null : one.name;
+        this.takeSaved({ designs: this.saved });
+      },
+      { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" },
+    );
+    return make(
+      "li",
+      {},
+      make("span", { class: "label" }, one.name),
+      make("span", { class: "muted" }, values || "not rendered"),
+      button("Show", () => {
+        this.show(one.design);
+        this.commit();
+      }),
+      compare,
+      button("×", () => this.model.send({ type: "forget", name: one.name }), { "aria-label": `Forget ${one.name}` }),
+    );
   }
 
   press(event) {
     if (event.target.matches("input:not([type=range]):not([type=radio]), textarea, select")) return;
     const key = event.key.toLowerCase();
     if (key === "b" && !event.ctrlKey && !event.metaKey) this.hold(true);
-    else if (key === "z" && (event.ctrlKey || event.metaKey)) event.shiftKey ? this.undo(this.future, this.past) : this.undo();
+    else if (key === "z" && (event.ctrlKey || event.metaKey))
+      event.shiftKey ? this.undo(this.future, this.past) : this.undo();
     else return;
     event.preventDefault();
   }
@@ -505,12 +730,18 @@ class Page {
     this.parts.object.value = String(index);
     if (index === "") return this.parts.chosen.replaceChildren();
     const names = this.objects.parameters[index];
-    const entry = (name) => button(`${this.rows.has(name) ? "" : "+ "}${this.scene.parameters[name]}`, () => this.add(name));
-    this.parts.chosen.replaceChildren(make("h2", {}, this.objects.names[index]), make("div", { class: "tools" }, ...(names.length ? names.map(entry) : ["Nothing of it can be changed."])));
+    const entry = (name) =>
+      button(`${this.rows.has(name) ? "" : "+ "}${this.scene.parameters[name]}`, () => this.add(name));
+    this.parts.chosen.replaceChildren(
+      make("h2", {}, this.objects.names[index]),
+      make("div", { class: "tools" }, ...(names.length ? names.map(entry) : ["Nothing of it can be changed."])),
+    );
   }
 
   add(text) {
-    const name = this.scene.parameters[text] ? text : Object.keys(this.scene.parameters).find((one) => this.scene.parameters[one] === text);
+    const name = this.scene.parameters[text]
+      ? text
+      : Object.keys(this.scene.parameters).find((one) => this.scene.parameters[one] === text);
     if (!name) return;
     this.parts.search.value = "";
     const row = this.rows.get(name);
@@ -542,30 +773,53 @@ class Page {
       return `${key} = torch.tensor(${form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
     });
     const inputs = JSON.stringify(this.changed());
-    return [python.replace("{inputs}", () => inputs), ...changes, "renderer.clamp_(values)", `print(VanillaSceneGradient(renderer, metric).attribute(${attribute}))`, ""].join("\n");
+    return [
+      python.replace("{inputs}", () => inputs),
+      ...changes,
+      "renderer.clamp_(values)",
+      `print(VanillaSceneGradient(renderer, metric).attribute(${attribute}))`,
+      "",
+    ].join("\n");
   }
 
   command() {
     const quote = (text) => `'${text.replaceAll("'", "'\\''")}'`;
     const inputs = this.changed().map((name) => `--inputs ${quote(name)}`);
     const operator = (name) => OPERATORS[this.sliders.get(name).form] ?? "";
-    const changes = Object.entries(this.design).map(([name, place]) => `--set ${quote(`${name}${operator(name)}=${place.map(short).join(",")}`)}`);
+    const changes = Object.entries(this.design).map(
+      ([name, place]) => `--set ${quote(`${name}${operator(name)}=${place.map(short).join(",")}`)}`,
+    );
     return [this.scene.recipe.command, ...inputs, ...changes].join(" \\\n  ") + "\n";
   }
 
   copy(text) {
     Object.assign(this.parts.code, { value: text, hidden: false });
     this.parts.code.select();
-    navigator.clipboard?.writeText(text).then(() => { this.parts.announcement.textContent = "Copied"; }, () => {});
+    navigator.clipboard?.writeText(text).then(
+      () => {
+        this.parts.announcement.textContent = "Copied";
+      },
+      () => {},
+    );
   }
 }
 
 /** A colour, and how bright it is. */
 function colorControls(slider, range, moved, commit) {
   let hue = [1, 1, 1];
-  const color = make("input", { type: "color", "aria-label": `${slider.label}, colour`, oninput: () => moved(place(toLinear(color.value))), onchange: commit });
-  const bright = range(`${slider.label}, brightness`, 0, 1, () => moved(set(hue.map((part) => part * Number(bright.value)))));
-  const set = (numbers) => { color.value = toHex(numbers); return numbers; };
+  const color = make("input", {
+    type: "color",
+    "aria-label": `${slider.label}, colour`,
+    oninput: () => moved(place(toLinear(color.value))),
+    onchange: commit,
+  });
+  const bright = range(`${slider.label}, brightness`, 0, 1, () =>
+    moved(set(hue.map((part) => part * Number(bright.value)))),
+  );
+  const set = (numbers) => {
+    color.value = toHex(numbers);
+    return numbers;
+  };
   const place = (numbers) => {
     const peak = Math.max(...numbers);
     if (peak > 0) hue = numbers.map((number) => number / peak);
@@ -578,14 +832,34 @@ function colorControls(slider, range, moved, commit) {
 /** A range for each number. */
 function numberControls(slider, range, moved) {
   const names = { channels: ["red", "green", "blue"], vector: ["x", "y", "z"] }[slider.form] ?? [""];
-  const ranges = slider.start.map((_, index) => range([slider.label, names[index]].filter(Boolean).join(", "), slider.low, slider.high, () => moved(ranges.map((one) => Number(one.value)))));
-  const lines = ranges.map((one, index) => make("div", { class: "pair" }, names[index] ? make("span", { class: "muted", "aria-hidden": "true" }, names[index]) : null, one));
-  return [lines, (numbers) => numbers.forEach((number, index) => { ranges[index].value = number; })];
+  const ranges = slider.start.map((_, index) =>
+    range([slider.label, names[index]].filter(Boolean).join(", "), slider.low, slider.high, () =>
+      moved(ranges.map((one) => Number(one.value))),
+    ),
+  );
+  const lines = ranges.map((one, index) =>
+    make(
+      "div",
+      { class: "pair" },
+      names[index] ? make("span", { class: "muted", "aria-hidden": "true" }, names[index]) : null,
+      one,
+    ),
+  );
+  return [
+    lines,
+    (numbers) =>
+      numbers.forEach((number, index) => {
+        ranges[index].value = number;
+      }),
+  ];
 }
 
 function hub() {
   const listeners = [];
-  return { on: (_, listener) => listeners.push(listener), tell: (...message) => listeners.forEach((one) => one(...message)) };
+  return {
+    on: (_, listener) => listeners.push(listener),
+    tell: (...message) => listeners.forEach((one) => one(...message)),
+  };
 }
 
 /** The model of a page of the local server: messages come as events, pictures by their addresses. */
@@ -601,7 +875,10 @@ function connect() {
   events.onmessage = (event) => {
     const message = JSON.parse(event.data);
     const buffers = Promise.all(message.buffers.map(fetched)).catch(() => null); // null: there is a newer message
-    done = done.then(async () => { const all = await buffers; if (all) tell(message, all); });
+    done = done.then(async () => {
+      const all = await buffers;
+      if (all) tell(message, all);
+    });
   };
   events.onerror = () => tell({ type: "status", text: "Disconnected: is the server still running?" });
   const send = async (content) => {
@@ -643,4 +920,9 @@ export function render({ model, el }) {
 export default { render };
 
 const shell = document.querySelector("[data-explore]");
-if (shell) render({ model: shell.dataset.explore === "server" ? connect() : recorded(document.getElementById("explore-data").textContent), el: shell });
+if (shell)
+  render({
+    model:
+      shell.dataset.explore === "server" ? connect() : recorded(document.getElementById("explore-data").textContent),
+    el: shell,
+  });
