@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ from seeds import OFFSET, shift_defaults, shifted
 # At the end: tests/extremes comes before benchmarks/extremes.py.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-# Tests run in three processes: more threads in each would only wait for a core.
+# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's would only wait for a core.
 torch.set_num_threads(1)
 
 # The package is imported inside the fixtures, so that an error in one subpackage fails only the tests of that one.
@@ -45,36 +43,6 @@ def global_generators() -> None:
     """Seed the global generators, so that no test depends on those that ran before it."""
     torch.manual_seed(shifted())
     np.random.seed(shifted())
-
-
-@cache
-def _default_threads() -> int:
-    """Return the number of threads with which Dr.Jit started in this process."""
-    return int(sys.modules["drjit"].thread_count())
-
-
-def _set_threads(count: int) -> None:
-    if sys.modules["drjit"].thread_count() != count:
-        sys.modules["drjit"].set_thread_count(count)
-
-
-@pytest.fixture(autouse=True)
-def calling_thread() -> None:
-    """Let Dr.Jit work on the calling thread: renders this small take a third less processor time without others.
-
-    The tests that import Dr.Jit themselves, those of ``worker_threads`` and other processes have all threads.
-    """
-    if "drjit" in sys.modules:
-        _default_threads()
-        _set_threads(1)
-
-
-@pytest.fixture
-def worker_threads(mi: Any, calling_thread: None) -> Iterator[None]:
-    """Let Dr.Jit use all threads, as it does for users: for tests of what these do at the same time."""
-    _set_threads(_default_threads())
-    yield
-    _set_threads(1)
 
 
 @pytest.fixture(scope="session")

@@ -95,7 +95,6 @@ def test_a_graph_outlives_its_renderer(mi: Any) -> None:
     assert leaves["floor.reflectance.value"].grad is not None
 
 
-@pytest.mark.usefixtures("worker_threads")
 def test_renderers_may_be_freed_in_any_thread_while_others_render(mi: Any) -> None:
     """Freeing a scene while a kernel is being recorded would end the process: it has to wait."""
 

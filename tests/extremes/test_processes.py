@@ -20,8 +20,6 @@ from scenecaptum.scene import SceneGraph
 
 from .scenes import small_box
 
-pytestmark = pytest.mark.usefixtures("worker_threads")
-
 FLOOR = "floor.reflectance.value"
 PATIENCE = 100.0  # seconds, after which a process counts as hanging
 

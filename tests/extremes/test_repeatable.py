@@ -19,8 +19,6 @@ from seeds import shifted
 
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 
-pytestmark = pytest.mark.usefixtures("worker_threads")
-
 PROMISED = 1e-5
 SEED = shifted(11)
 

@@ -9,9 +9,6 @@ import torch
 
 from scenecaptum import SceneRenderer
 
-# What threads add up at the same time has to be right.
-pytestmark = pytest.mark.usefixtures("worker_threads")
-
 SPP, REPLICATES = 64, 12
 
 

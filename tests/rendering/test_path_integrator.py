@@ -13,9 +13,6 @@ from seeds import seeds
 
 from scenecaptum import SceneRenderer, metrics
 
-# What threads add up at the same time has to be right.
-pytestmark = pytest.mark.usefixtures("worker_threads")
-
 SEEDS = 16
 luminance = metrics.MeanLuminance()
 

@@ -11,9 +11,6 @@ import torch
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.scene.bundled import cornell_box
 
-# What threads add up at the same time has to be right.
-pytestmark = pytest.mark.usefixtures("worker_threads")
-
 SIDE, SPP, REPLICATES = 16, 4, 8
 BULB = "bulb.emitter.radiance.value"
 

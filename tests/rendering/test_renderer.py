@@ -726,7 +726,6 @@ def test_a_renderer_may_be_garbage_collected_while_another_renders(mi: Any) -> N
     assert ran.returncode == 0, ran.stderr[-400:]
 
 
-@pytest.mark.usefixtures("worker_threads")
 def test_threads_give_the_results_of_sequential_calls(cornell: SceneRenderer) -> None:
     batch = [{FLOOR: torch.full((3,), 0.2 + 0.2 * i), LIGHT: torch.full((3,), 5.0 + i)} for i in range(4)]
     expected = [gradient(cornell, values, seed=shifted(i)) for i, values in enumerate(batch)]
