@@ -110,7 +110,7 @@ class Exploration:
             self.channel.leave(listener)
 
     def close(self, timeout: float = 2.0) -> bool:
-        """End the work, and return whether it has ended within so many seconds."""
+        """End the work, and return whether it has ended within ``timeout`` seconds."""
         self.channel.close()
         if self._thread.is_alive():
             self._thread.join(timeout)
