@@ -14,8 +14,8 @@ as the one found lose the sphere too. Draws both views.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -50,8 +50,7 @@ class ShiftedViews(torch.nn.Module):
         return logits.reshape(len(crops), -1, len(self.classes)).mean(0)
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """A turn of the camera in radians, the margin of the sphere there, its standard error, and the picture."""
 
     turn: torch.Tensor
@@ -60,8 +59,7 @@ class View:
     image: torch.Tensor
 
 
-@dataclass(frozen=True)
-class Search:
+class Search(NamedTuple):
     """The steps of a search, the margins of random turns of the same size, and the network's own at both ends."""
 
     steps: list[View]

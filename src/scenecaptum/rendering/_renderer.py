@@ -615,8 +615,13 @@ class SceneRenderer(torch.nn.Module):
     ) -> SurfaceMap | None:
         """Return ``surfaces`` with the texels that each pixel shows, of the named parameters, or of all inputs.
 
-        They are texels of bitmaps or of the environment map, or vertex or face attributes of a mesh; others are
-        ignored. Objects and the camera are where ``values`` move them.
+        Parameters
+        ----------
+        names
+            Parameters with texels of bitmaps or of the environment map, or with attributes of a mesh;
+            others are ignored. All inputs by default.
+        values
+            Values by parameter name: objects and the camera are where their poses move them.
         """
         return self._surface_map(names, values)
 
