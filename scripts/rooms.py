@@ -28,6 +28,7 @@ PACKAGE = SOURCE.name
 FLOORS = (
     ("cli",),
     ("explore",),
+    ("studies",),
     ("report",),
     ("explanation",),
     ("validation", "tradeoff", "optimize", "linearization"),
@@ -39,7 +40,7 @@ FLOORS = (
     ("metrics",),
     ("visualization",),
     ("projection", "denoising"),
-    ("camera", "checkpoint", "grid"),
+    ("camera", "checkpoint", "designs", "executors", "grid"),
     ("backend", "files", "finite", "images", "ranks"),
     ("protocols",),
     ("errors",),

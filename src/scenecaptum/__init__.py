@@ -19,6 +19,7 @@ from .attr import SmoothGradScene as SmoothGradScene
 from .attr import VanillaSceneGradient as VanillaSceneGradient
 from .backend import activate as activate
 from .camera import Camera as Camera
+from .camera import View as View
 from .errors import BackendError as BackendError
 from .errors import SceneCaptumError as SceneCaptumError
 from .grid import SensorGrid as SensorGrid
@@ -32,6 +33,7 @@ _LAZY_ROOMS = {
     "linearization",
     "optimize",
     "report",
+    "studies",
     "tradeoff",
     "validation",
     "visualization",

@@ -113,6 +113,58 @@ class Camera:
         return cls(width, height, "fisheye", angle, directions, solid_angles, sees_hemisphere=angle >= 180.0)
 
 
+@dataclass(frozen=True)
+class View:
+    """A camera that a scene does not have: one of its pinhole cameras, turned, moved or zoomed.
+
+    Example
+    -------
+    >>> from scenecaptum import SceneRenderer
+    >>> left = SceneRenderer("office", resolution=(32, 18), sensor=View(turn=-30))
+    >>> left.camera.projection
+    'perspective'
+
+    Attributes
+    ----------
+    turn
+        Degrees to the right about the camera's own vertical axis.
+    tilt
+        Degrees upward, after the turn.
+    move
+        Distances to the right, up and forward along the axes of the scene's camera, in scene units.
+    fov
+        Horizontal field of view in degrees; that of the scene's camera by default.
+    sensor
+        Index of the scene's camera.
+    """
+
+    turn: float = 0.0
+    tilt: float = 0.0
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fov: float | None = None
+    sensor: int = 0
+
+    def matrix(self) -> torch.Tensor:
+        """Return the pose in the frame of the scene's camera, ``(4, 4)`` in float64: x left, y up, z forward.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a number is not finite.
+        """
+        numbers = torch.tensor([self.turn, self.tilt, *self.move], dtype=torch.float64)
+        if len(numbers) != 5 or not numbers.isfinite().all():
+            raise SceneCaptumError(f"turn, tilt and the three numbers of move must be finite, not {self!r}.")
+        turn, tilt = numbers[:2].deg2rad()
+        one, zero = torch.ones_like(turn), torch.zeros_like(turn)
+        around_y = torch.stack([turn.cos(), zero, -turn.sin(), zero, one, zero, turn.sin(), zero, turn.cos()])
+        around_x = torch.stack([one, zero, zero, zero, tilt.cos(), tilt.sin(), zero, -tilt.sin(), tilt.cos()])
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3] = around_y.reshape(3, 3) @ around_x.reshape(3, 3)
+        pose[:3, 3] = numbers[2:] * torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
+        return pose
+
+
 def _angle(name: str, value: float, *, below: float, of: str) -> float:
     if not isinstance(value, Real) or not 0 < value < below:
         limit = "below 180" if below == 180 else "at most 360"

@@ -45,6 +45,17 @@ class Renderer(Protocol):
         """Render ``inputs`` with a seed and a number of samples per pixel; with None the renderer chooses it."""
 
 
+class Adjustable(Protocol):
+    """A renderer whose inputs have physical bounds."""
+
+    @property
+    def inputs(self) -> Mapping[str, torch.Tensor]:
+        """The scene's own values, in copies."""
+
+    def clamp_(self, leaves: Mapping[str, torch.Tensor], /) -> None:
+        """Move values beyond the bounds back to these, in place."""
+
+
 @runtime_checkable
 class Checkpointable(Protocol):
     """A renderer that stores its renders itself; others are wrapped (``checkpoint.with_checkpoint``)."""

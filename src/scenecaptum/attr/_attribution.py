@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterable
 from dataclasses import dataclass
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import torch
 
@@ -175,7 +175,7 @@ class SceneAttribution(AttributionData):
             ) from error
         return pandas.DataFrame([row._asdict() for row in self.ranking(scale=scale)]).set_index("rank")
 
-    def save(self, path: str | os.PathLike[str], *, exact_texels: bool = False) -> None:
+    def save(self, path: str | os.PathLike[str] | BinaryIO, *, exact_texels: bool = False) -> None:
         """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.
 
         All values are stored exactly, except for large textures: those beyond the first 16 384 texels, counted
@@ -188,7 +188,7 @@ class SceneAttribution(AttributionData):
         Parameters
         ----------
         path
-            The file to write, atomically.
+            The file to write, atomically; or a binary file that is open for writing.
         exact_texels
             Whether to store every texel exactly, for further computations with the gradients of single texels or a
             ``heatmap`` with another surface map. This may take 10 to 30 times the space.
@@ -201,8 +201,8 @@ class SceneAttribution(AttributionData):
         write_file(self, path, exact_texels=exact_texels)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> SceneAttribution:
-        """Read a file written by ``save``.
+    def load(cls, path: str | os.PathLike[str] | BinaryIO) -> SceneAttribution:
+        """Read a file written by ``save``, from its path or open for reading.
 
         Raises
         ------

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import torch
@@ -37,8 +37,20 @@ _SURFACE_FIELDS = ("pixel", "object_index", "fraction")
 _MAP_FIELDS = ("entry", "texel", "weight")
 
 
-def write_file(attribution: AttributionData, path: str | os.PathLike[str], *, exact_texels: bool) -> None:
-    """Write an attribution to a file atomically."""
+def write_file(
+    attribution: AttributionData, path: str | os.PathLike[str] | BinaryIO, *, exact_texels: bool
+) -> None:
+    """Write an attribution to an open binary file, or to a path atomically."""
+    members = _members(attribution, exact_texels=exact_texels)
+    if not isinstance(path, (str, os.PathLike)):
+        np.savez_compressed(path, checksum=_checksum(members), **members)
+        return
+    with atomic_write(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, checksum=_checksum(members), **members)
+
+
+def _members(attribution: AttributionData, *, exact_texels: bool) -> dict[str, Any]:
+    """Return the JSON header and the arrays of a file."""
     names = list(attribution)
     blocks = {} if exact_texels else choose_blocks(attribution)
     header: dict[str, Any] = {
@@ -73,9 +85,7 @@ def write_file(attribution: AttributionData, path: str | os.PathLike[str], *, ex
         for index, shown in enumerate(surfaces.texels.values()):
             for field in _MAP_FIELDS:
                 arrays[f"texels/{index}/{field}"] = getattr(shown, field)
-    with atomic_write(path) as partial, partial.open("wb") as file:
-        members = {"header": json.dumps(header), **arrays}
-        np.savez_compressed(file, checksum=_checksum(members), **members)
+    return {"header": json.dumps(header), **arrays}
 
 
 def _parts(
@@ -91,7 +101,7 @@ def _parts(
     return dict(zip(_BLOCK_PARTS, split, strict=True))
 
 
-def read_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_file(path: str | os.PathLike[str] | BinaryIO) -> dict[str, Any]:
     """Return the fields of an attribution that ``write_file`` wrote."""
     try:
         with np.load(path, allow_pickle=False) as file:

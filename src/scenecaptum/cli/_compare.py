@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..attr import Ranked, SceneAttribution, VanillaSceneGradient
+from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
 from ..rendering import SceneRenderer
@@ -29,7 +30,7 @@ from ..visualization import (
     signed_with_error,
 )
 from . import _arguments
-from ._design import add_design, design_of, designed_values, read_design
+from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._metrics import add_metric, find_metrics
 from ._plan import by_definition, plan_of

@@ -8,13 +8,14 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from ..designs import CHANGES, read_design
 from ..explore import Exploration, section, serve
 from ..linearization import Designs
 from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
 from ..report import write_report
 from . import _arguments
-from ._design import CHANGES, add_design, designed_values, read_design
+from ._design import add_design, designed_values
 from ._interrupt import leave
 from ._metrics import DEFAULT, OPTIONS, add_metric, find_metrics
 from ._points import chosen_sensor

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import importlib
-import importlib.util
 from collections.abc import Callable, Mapping
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 from .. import daylight
 from ..daylight import Weather
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import Metric
-from ..metrics import BY_NAME
+from ..metrics import BY_NAME, import_metric
 from ..rendering import SceneRenderer
 from ._arguments import describe
 from ._points import add_points, read_weather
@@ -80,7 +77,7 @@ def _creator(
 ) -> Callable[[SceneRenderer], Metric]:
     """Return a function that creates a metric for a renderer."""
     if name in BY_NAME:
-        return partial(_create, name, given)
+        return partial(BY_NAME[name].create_for, options=given)
     if name in daylight.BY_NAME:
         if not hasattr(options, "weather"):
             raise SceneCaptumError(
@@ -97,50 +94,15 @@ def create_of_daylight(name: str, weather: Weather, north: float | None, rendere
     return metric.create(metric.sky(weather, renderer.sky_patches, north or 0.0))
 
 
-def _create(name: str, options: Mapping[str, Any], renderer: SceneRenderer) -> Metric:
-    metric = BY_NAME[name]
-    known = {option: value for option, value in options.items() if option in metric.parameters}
-    # Not every sensor has a camera or a grid, and not every metric needs one.
-    if "camera" in metric.parameters:
-        known["camera"] = renderer.camera
-    if "grid" in metric.parameters:
-        if renderer.shows_a_view:
-            raise SceneCaptumError(f"{name} is a metric of points in a room: add --sensor grid.")
-        known["grid"] = renderer.grid
-    return metric.create(**known)
-
-
 def _return(metric: Metric, _: SceneRenderer) -> Metric:
     return metric
 
 
 def _import_metric(name: str) -> Metric:
     """Import the user's metric."""
-    module, separator, attribute = name.rpartition(":")
-    if not separator:
+    if ":" not in name:
         raise SceneCaptumError(
             f"There is no metric {name!r}.{near_misses(name, [*BY_NAME, *daylight.BY_NAME])} Use "
             f"{', '.join(BY_NAME)}, of daylight {', '.join(daylight.BY_NAME)}, or {OWN}."
         )
-    try:
-        imported = getattr(_import_module(module), attribute)
-    except Exception as error:  # the user's code may raise anything
-        raise SceneCaptumError(
-            f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}"
-        ) from error
-    metric: Metric = imported() if isinstance(imported, type) else imported
-    if not callable(metric):
-        raise SceneCaptumError(f"The metric {name!r} is {type(metric).__name__}, not a function of an image.")
-    return metric
-
-
-def _import_module(name: str) -> Any:
-    """Import a module by its name, or by its path if it ends in ``.py``."""
-    if not name.endswith(".py"):
-        return importlib.import_module(name)
-    spec = importlib.util.spec_from_file_location(Path(name).stem, name)
-    if spec is None or spec.loader is None:
-        raise ImportError(name)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_metric(name)

@@ -54,6 +54,7 @@ from ._measure import Measure as Measure
 from ._melanopic import MelanopicEDI as MelanopicEDI
 from ._melanopic_spectra import melanopic_ratio as melanopic_ratio
 from ._named import NamedMetric as NamedMetric
+from ._named import import_metric as import_metric
 from ._per_camera import PerCamera as PerCamera
 from ._percentile import LuminancePercentile as LuminancePercentile
 from ._perceptual import PerceptualDistance as PerceptualDistance

@@ -1,12 +1,19 @@
-"""Metrics that have a name on the command line."""
+"""Metrics by their names: those of the registry, and the user's own."""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import inspect
-from collections.abc import Callable, Collection
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
+
+from ..errors import SceneCaptumError
+
+Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 
 
 class NamedMetric(NamedTuple):
@@ -17,10 +24,64 @@ class NamedMetric(NamedTuple):
     these parameters.
     """
 
-    create: Callable[..., Callable[[torch.Tensor], torch.Tensor]]
+    create: Callable[..., Metric]
     description: str
 
     @property
     def parameters(self) -> Collection[str]:
         """The names of the parameters of ``create``."""
         return inspect.signature(self.create).parameters.keys()
+
+    def create_for(self, renderer: Any, options: Mapping[str, Any]) -> Metric:
+        """Return the metric for the sensor of a ``SceneRenderer``, with the options that it has.
+
+        Raises
+        ------
+        SceneCaptumError
+            If it is a metric of a sensor grid, and the renderer shows a view.
+        """
+        known = {option: value for option, value in options.items() if option in self.parameters}
+        # Not every sensor has a camera or a grid, and not every metric needs one.
+        if "camera" in self.parameters:
+            known["camera"] = renderer.camera
+        if "grid" in self.parameters:
+            if renderer.shows_a_view:
+                raise SceneCaptumError(
+                    f"A metric of points in a room ({self.description}): add --sensor grid, in Python "
+                    'sensor="grid".'
+                )
+            known["grid"] = renderer.grid
+        return self.create(**known)
+
+
+def import_metric(name: str) -> Metric:
+    """Import a metric of the user by ``FILE.py:NAME`` or ``MODULE:NAME``; a class is called without arguments.
+
+    Raises
+    ------
+    SceneCaptumError
+        If it cannot be imported, or is not callable.
+    """
+    module, _, attribute = name.rpartition(":")
+    try:
+        imported = getattr(_import_module(module), attribute)
+    except Exception as error:  # the user's code may raise anything
+        raise SceneCaptumError(
+            f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}"
+        ) from error
+    metric: Metric = imported() if isinstance(imported, type) else imported
+    if not callable(metric):
+        raise SceneCaptumError(f"The metric {name!r} is {type(metric).__name__}, not a function of an image.")
+    return metric
+
+
+def _import_module(name: str) -> Any:
+    """Import a module by its name, or by its path if it ends in ``.py``."""
+    if not name.endswith(".py"):
+        return importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location(Path(name).stem, name)
+    if spec is None or spec.loader is None:
+        raise ImportError(name)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

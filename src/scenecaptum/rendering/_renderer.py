@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ..backend import device, exclusively
-from ..camera import Camera
+from ..camera import Camera, View
 from ..checkpoint import Checkpoint, Folder, digest
 from ..daylight import SkyPatches
 from ..denoising import Guides
@@ -48,6 +48,7 @@ from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
 from ._sensors import (
     GRID_SIZE,
+    SensorLike,
     camera_of,
     choose_sensor,
     common_resolution,
@@ -91,10 +92,11 @@ class SceneRenderer(torch.nn.Module):
     max_depth
         Longest path in segments (-1: no limit); the scene's own by default.
     sensor
-        Index of the sensor, or a type of sensor, which gets the pose of the first one and is square unless
-        ``resolution`` is given: ``"fisheye"``, a 180° equidistant fisheye. A list of these renders a stack
-        ``(cameras, H, W, 3)``, which the metric reduces; its results have no heatmap. ``"grid"`` or a
-        ``SensorGrid``: irradiance at points of the room, a pixel for each.
+        Index of the sensor; a `View`, such as ``View(turn=30)``, a camera of the scene that is turned, moved or
+        zoomed; or a type of sensor, which gets the pose of the first one and is square unless ``resolution`` is
+        given: ``"fisheye"``, a 180° equidistant fisheye. A list of these renders a stack ``(cameras, H, W, 3)``,
+        which the metric reduces; its results have no heatmap. ``"grid"`` or a ``SensorGrid``: irradiance at
+        points of the room, a pixel for each.
     parameters
         Values for the ``$name`` placeholders of an XML file, by name: ``{"spp": 64}`` for ``$spp``.
     ranges
@@ -144,7 +146,7 @@ class SceneRenderer(torch.nn.Module):
         resolution: tuple[int, int] | None = None,
         spp: int | None = None,
         max_depth: int | None = None,
-        sensor: int | str | SensorGrid | list[int | str] = 0,
+        sensor: SensorLike | list[int | str | View] = 0,
         parameters: XmlParameters | None = None,
         ranges: Mapping[str, tuple[float, float]] | None = None,
         objects: Objects | None = None,
@@ -176,7 +178,7 @@ class SceneRenderer(torch.nn.Module):
         self,
         scene: SceneLike,
         parameters: XmlParameters | None,
-        sensor: int | str | SensorGrid | list[int | str],
+        sensor: SensorLike | list[int | str | View],
         resolution: tuple[int, int] | None,
         spp: int | None,
     ) -> tuple[int, int]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
-from ..camera import Camera
+from ..camera import Camera, View
 from ..daylight import SkyPatches
 from ..errors import SceneCaptumError, whole_number
 from ..grid import GridPoints, SensorGrid
@@ -35,6 +35,8 @@ SENSORS = {
     "grid": SensorType("irradiance on a sensor grid", ("GridSensor",), "scenecaptum_grid", has_camera=False),
 }
 
+
+SensorLike: TypeAlias = "int | str | SensorGrid | View"
 
 GRID_SIZE = (
     "A sensor grid has a pixel for each point: leave resolution= out, and choose spacing= of the SensorGrid."
@@ -99,11 +101,11 @@ def shows_a_view(sensor: Any) -> bool:
 
 def choose_sensor(
     scene: Any,
-    which: int | str | SensorGrid,
+    which: SensorLike,
     resolution: tuple[int, int] | None,
     patches: SkyPatches | None = None,
 ) -> Any:
-    """Return a sensor of the scene by its index, or one of a named type with the pose of the first.
+    """Return a sensor of the scene by its index, a `View`, or one of a named type with the pose of the first.
 
     With ``patches``, the picture of a sensor grid has a row for each point and a column for each patch of the sky.
     """
@@ -122,6 +124,8 @@ def choose_sensor(
             )
         side = min(sensors[0].film().crop_size())
         return _create(which, sensors[0], _checked(resolution) if resolution else (side, side))
+    if isinstance(which, View):
+        return _create_view(which, choose_sensor(scene, which.sensor, resolution), resolution)
     index = whole_number("sensor", which, 0, len(sensors) - 1)
     if "pixel_format = rgb," not in str(sensors[index].film()):
         raise SceneCaptumError(
@@ -157,16 +161,51 @@ def _create(name: str, pose: Any, resolution: tuple[int, int]) -> Any:
     import mitsuba as mi
 
     _module(name)  # registers the plugin
-    matrix = pose.world_transform().matrix
-    rows = [[float(matrix[row, column][0]) for column in range(4)] for row in range(4)]
     return mi.load_dict(
         {
             "type": SENSORS[name].plugin,
-            "to_world": mi.ScalarTransform4f(rows),
+            "to_world": mi.ScalarTransform4f(_pose_of(pose)),
             "film": rgb_film(*resolution),
             "sampler": {"type": "independent", "sample_count": pose.sampler().sample_count()},
         }
     )
+
+
+def _create_view(view: View, camera: Any, resolution: tuple[int, int] | None) -> Any:
+    """Create a pinhole camera at a pose and with a field of view relative to another."""
+    import mitsuba as mi
+    import torch
+
+    if camera.class_name() != "PerspectiveCamera":
+        raise SceneCaptumError(
+            f"A View needs a pinhole camera, and sensor {view.sensor} is a {camera.class_name()}: name another "
+            "with View(sensor=)."
+        )
+    settings = mi.traverse(camera)
+    fov = float(settings["x_fov"][0]) if view.fov is None else view.fov
+    if not 0 < fov < 180:
+        raise SceneCaptumError(f"fov of a View must be above 0 and below 180 degrees, not {fov!r}.")
+    matrix = torch.tensor(_pose_of(camera), dtype=torch.float64) @ view.matrix()
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f(matrix.tolist()),
+            "fov": fov,
+            "fov_axis": "x",
+            "near_clip": camera.near_clip(),
+            "far_clip": camera.far_clip(),
+            "principal_point_offset_x": float(settings["principal_point_offset_x"][0]),
+            "principal_point_offset_y": float(settings["principal_point_offset_y"][0]),
+            "film": rgb_film(*(_checked(resolution) if resolution else film_size(camera))),
+            "sampler": {"type": "independent", "sample_count": camera.sampler().sample_count()},
+        }
+    )
+
+
+def _pose_of(sensor: Any) -> list[list[float]]:
+    """Return the matrix of a sensor's pose."""
+    matrix = sensor.world_transform().matrix
+    return [[float(matrix[row, column][0]) for column in range(4)] for row in range(4)]
 
 
 def common_resolution(sensors: Sequence[Any], resolution: tuple[int, int] | None) -> tuple[int, int]:

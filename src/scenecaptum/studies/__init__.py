@@ -1,0 +1,16 @@
+"""Studies: many scenes, cameras, metrics and designs, on one machine or a cluster.
+
+Example
+-------
+>>> from scenecaptum import studies
+>>> study = studies.Study(["cornell-box"], metrics=["luminance"], resolution=(16, 16), spp=8)
+>>> len(study)
+1
+"""
+
+# What users call; the other names are for the rooms above.
+__all__ = ["Cell", "Study", "StudyResult"]
+
+from ._recipe import Cell as Cell
+from ._result import StudyResult as StudyResult
+from ._study import Study as Study

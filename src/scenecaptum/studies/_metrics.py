@@ -1,0 +1,63 @@
+"""The metrics of a study: by name with options, or functions of the user."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .. import daylight, metrics
+from ..daylight import SkyPatches, Weather, synthetic_weather
+from ..errors import SceneCaptumError, near_misses
+from ..estimation import Metric
+from ..rendering import SceneRenderer
+
+# Options of metrics of daylight; those of others are parameters of their classes.
+SKY_OPTIONS = ("weather", "north", "subdivision")
+
+
+def check_metric(name: str, metric: Any, options: Mapping[str, Any]) -> None:
+    """Raise if a metric is unknown, or an option has no effect on it."""
+    if not isinstance(metric, str):
+        if not callable(metric):
+            raise SceneCaptumError(
+                f"The metric {name!r} must be a name or a function of an image, not {metric!r}."
+            )
+        known: Any = ()
+    elif metric in metrics.BY_NAME:
+        known = set(metrics.BY_NAME[metric].parameters) - {"camera", "grid"}
+    elif metric in daylight.BY_NAME:
+        known = SKY_OPTIONS
+    elif ":" in metric:
+        known = ()
+    else:
+        names = [*metrics.BY_NAME, *daylight.BY_NAME]
+        raise SceneCaptumError(
+            f"There is no metric {metric!r}.{near_misses(metric, names)} Use {', '.join(names)}, or your own "
+            "function as FILE.py:NAME or MODULE:NAME."
+        )
+    for option in options.keys() - set(known):
+        raise SceneCaptumError(f"{option!r} has no effect on the metric {name!r}: remove it.")
+
+
+def renderer_options_for(metric: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of the renderer that a metric needs: the coefficients of metrics of daylight."""
+    if not isinstance(metric, str) or metric not in daylight.BY_NAME:
+        return {}
+    named = daylight.BY_NAME[metric]
+    patches = SkyPatches(options.get("subdivision", named.subdivision))
+    return {"sky_patches": patches, "direct_sky": named.direct}
+
+
+def create_metric(metric: Any, options: Mapping[str, Any], renderer: SceneRenderer) -> Metric:
+    """Return a metric for a renderer with the options of ``renderer_options_for``."""
+    if not isinstance(metric, str):
+        created: Metric = metric
+        return created
+    if metric in metrics.BY_NAME:
+        return metrics.BY_NAME[metric].create_for(renderer, options)
+    if metric not in daylight.BY_NAME:
+        return metrics.import_metric(metric)
+    assert renderer.sky_patches is not None, "renderer_options_for asks for them"
+    named, file = daylight.BY_NAME[metric], options.get("weather")
+    weather = synthetic_weather() if file is None else Weather.from_epw(file)
+    return named.create(named.sky(weather, renderer.sky_patches, options.get("north", 0.0)))

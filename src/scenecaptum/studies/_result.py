@@ -1,0 +1,200 @@
+"""What a study has found: its finished cells, read from the folder when they are asked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..attr import SceneAttribution
+from ..errors import SceneCaptumError
+from ..files import atomic_write
+from ..visualization import pluralize
+from ._folder import StudyFolder
+from ._recipe import AXES, Cell
+
+if TYPE_CHECKING:
+    import pandas
+
+
+class StudyResult:
+    """The cells of a study's folder; none is in memory.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder.
+    cells : dict of Cell to str
+        The finished cells, each with the name of its file, in the order of the study.
+    failures : dict of Cell to str
+        The failed cells, each with its error.
+    missing : list of Cell
+        The cells that have not been computed.
+    """
+
+    def __init__(self, folder: StudyFolder) -> None:
+        self._files = folder
+        self.folder = folder.path
+        known = {key: Cell(*names) for key, names in folder.manifest()["cells"].items()}
+        finished, failed = folder.finished(), folder.failed()
+        self.cells = {cell: key for key, cell in known.items() if key in finished}
+        self.failures = {
+            cell: str(folder.read_failure(key)["error"]) for key, cell in known.items() if key in failed
+        }
+        self.missing = [cell for key, cell in known.items() if key not in finished and key not in failed]
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> StudyResult:
+        """Read the folder of a study, also of one that still runs.
+
+        Raises
+        ------
+        SceneCaptumError
+            If it is not the folder of a study.
+        """
+        return cls(StudyFolder(Path(folder)))
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def attribution(self, cell: Cell) -> SceneAttribution:
+        """Return the attribution of a finished cell.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the cell is not finished, or has a value only.
+        """
+        return self._files.attribution(self._key(cell))
+
+    def numbers(self, cell: Cell) -> dict[str, Any]:
+        """Return the numbers of a finished cell as plain values: its metric with its error, and its ranking.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the cell is not finished.
+        """
+        return self._files.read(self._key(cell))
+
+    def _key(self, cell: Cell) -> str:
+        if cell not in self.cells:
+            reason = self.failures.get(cell, "it has not been computed")
+            raise SceneCaptumError(f"The cell {cell} is not finished: {reason}")
+        key: str = self.cells[cell]
+        return key
+
+    def values(self) -> pandas.DataFrame:
+        """Return a row for each cell of the study, also for the failed ones: the metric and its standard error.
+
+        Raises
+        ------
+        SceneCaptumError
+            If pandas is not installed: ``pip install 'scenecaptum[studies]'``.
+        """
+        finished = [
+            {**cell._asdict(), "status": "finished", **_without_rows(self.numbers(cell)), "error": ""}
+            for cell in self.cells
+        ]
+        failed = [
+            {**cell._asdict(), "status": "failed", "error": error} for cell, error in self.failures.items()
+        ]
+        missing = [{**cell._asdict(), "status": "missing", "error": ""} for cell in self.missing]
+        columns = [
+            *Cell._fields,
+            "status",
+            "measure",
+            "unit",
+            "value",
+            "standard_error",
+            "verdict",
+            "seconds",
+        ]
+        frame = _pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])
+        return frame.sort_values([*Cell._fields], ignore_index=True)
+
+    def effects(self) -> pandas.DataFrame:
+        """Return a tidy table, a row for each parameter of each finished cell, with effects and standard errors.
+
+        Raises
+        ------
+        SceneCaptumError
+            If pandas is not installed.
+        """
+        columns = [
+            "rank",
+            "name",
+            "label",
+            "kind",
+            "effect",
+            "effect_error",
+            "saliency",
+            "saliency_error",
+            "unit",
+        ]
+        frame = _pandas().DataFrame(list(self._rows()), columns=[*Cell._fields, *columns])
+        return frame.sort_values([*Cell._fields, "rank"], ignore_index=True)
+
+    def _rows(self) -> Iterator[dict[str, Any]]:
+        for cell in self.cells:
+            numbers = self.numbers(cell)
+            for row in numbers["rows"]:
+                yield {**cell._asdict(), **row, "unit": numbers["unit"]}
+
+    def write_table(self, path: str | os.PathLike[str], *, of: str = "effects") -> None:
+        """Write a table as CSV or Parquet, by the ending of the path.
+
+        Parameters
+        ----------
+        path
+            The file to write, atomically: ``.csv`` or ``.parquet``.
+        of
+            ``"effects"`` or ``"values"``.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the file cannot be written, its ending is another one, or pandas or pyarrow is not installed.
+        """
+        if of not in ("effects", "values"):
+            raise SceneCaptumError(f'of must be "effects" or "values", not {of!r}.')
+        frame, ending = getattr(self, of)(), Path(path).suffix
+        if ending not in (".csv", ".parquet"):
+            raise SceneCaptumError(f"A table is written as .csv or .parquet, not as {path}.")
+        with atomic_write(path) as partial:
+            if ending == ".csv":
+                frame.to_csv(partial, index=False)
+                return
+            try:
+                frame.to_parquet(partial, index=False)
+            except ImportError as error:
+                raise SceneCaptumError("Parquet needs pyarrow: pip install 'scenecaptum[studies]'") from error
+
+    def __str__(self) -> str:
+        counts = [f"{pluralize(len(self.cells), 'cell')} finished"]
+        counts += [f"{len(self.failures)} failed"] if self.failures else []
+        counts += [f"{len(self.missing)} missing"] if self.missing else []
+        axes = [
+            f"{pluralize(len(names), axis)}"
+            for axis in AXES
+            if len(names := {getattr(cell, axis) for cell in self.cells}) > 1
+        ]
+        errors = [f"failed: {cell}: {error}" for cell, error in list(self.failures.items())[:5]]
+        return "\n".join(
+            [f"{', '.join(counts)} in {self.folder} ({', '.join(axes) or 'one of each'})", *errors]
+        )
+
+    __repr__ = __str__
+
+
+def _without_rows(numbers: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in numbers.items() if name not in ("rows", "cell", "key")}
+
+
+def _pandas() -> Any:
+    try:
+        import pandas
+    except ImportError as error:
+        raise SceneCaptumError("Tables of a study need pandas: pip install 'scenecaptum[studies]'") from error
+    return pandas

@@ -1,0 +1,157 @@
+"""What a worker does: compute one cell, and write its file."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+import traceback
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..attr import METHODS, SceneAttribution
+from ..backend import activate, trim_heap, use_threads
+from ..checkpoint import digest
+from ..designs import design_of
+from ..errors import SceneCaptumError
+from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
+from ..rendering import SceneRenderer
+from ..validation import Scenes
+from ..visualization import metric_name, metric_unit, verdict
+from ._folder import StudyFolder
+from ._metrics import create_metric, renderer_options_for
+from ._recipe import Recipe, hashable, restored
+
+VALUE = "value"  # the method that measures the metric, without derivatives
+MAX_RENDERERS = 4  # kept by a worker
+LARGEST_SHARE = 0.5  # of the machine's memory that a worker may take with more than one renderer
+
+_renderers: OrderedDict[str, SceneRenderer] = OrderedDict()  # the last used one at the end
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a cell: its error if it failed, and how long it took."""
+
+    key: str
+    seconds: float
+    error: str = ""
+
+
+def compute_cell(recipe: Recipe, folder: str, study: str, threads: int | None) -> Outcome:
+    """Compute a cell and write its file; an exception becomes the error of the outcome."""
+    started = time.perf_counter()
+    error = ""
+    try:
+        opened = StudyFolder.of_worker(Path(folder), study)
+        if threads is not None:
+            use_threads(threads)
+        numbers, attribution = _compute(recipe)
+        numbers["seconds"] = time.perf_counter() - started
+        opened.write(recipe, numbers, attribution)
+    except SceneCaptumError as problem:
+        error = str(problem)
+    except Exception as problem:  # whatever the user's metric raises is the error of its cell
+        *_, place = traceback.extract_tb(problem.__traceback__)
+        error = f"{type(problem).__name__}: {problem} ({Path(place.filename).name}:{place.lineno})"
+    return Outcome(recipe.key, time.perf_counter() - started, f"{error} [on {_host()}]" if error else "")
+
+
+def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
+    """Return the numbers of a cell, and its attribution if its method is one."""
+    renderer = _renderer(recipe)
+    metric = create_metric(recipe.metric, recipe.metric_options, renderer)
+    values = design_of(renderer, recipe.design) if recipe.design else None
+    options = {"seed": recipe.cell.seed, **recipe.method_options}
+    if recipe.method == VALUE:
+        return _measure(renderer, metric, values, options), None
+    attribution = METHODS[recipe.method].create(renderer, metric).attribute(values, **options)
+    table = renderer.parameters_table()
+    rows = [
+        {
+            "rank": row.rank,
+            "name": row.name,
+            "label": row.label,
+            "kind": table[row.name].kind if row.name in table else "group",
+            "effect": row.effect,
+            "effect_error": row.effect_error,
+            "saliency": row.saliency,
+            "saliency_error": row.saliency_error,
+        }
+        for row in attribution.ranking()
+    ]
+    numbers = {
+        "measure": metric_name(attribution),
+        "unit": metric_unit(attribution),
+        "value": attribution.metric_value,
+        "standard_error": attribution.metric_standard_error,
+        "verdict": verdict(attribution),
+        "host": _host(),
+        "rows": rows,
+    }
+    return numbers, attribution
+
+
+def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict[str, Any]) -> dict[str, Any]:
+    """Return a metric with its standard error."""
+    scenes = Scenes(
+        renderer,
+        metric,
+        options.get("target"),
+        seed=options["seed"],
+        spp=options.get("spp"),
+        replicates=options.get("replicates", DEFAULT_REPLICATES),
+        denoise=options.get("denoise", "auto"),
+        values=values,
+    )
+    value, error = mean_and_error(scenes.unmodified)
+    described = scenes.metric.describe(value, scenes.images.mean(0))
+    measure = described["measure"] or {}
+    return {
+        "measure": measure.get("name", described["metric"]),
+        "unit": measure.get("unit", ""),
+        "value": value,
+        "standard_error": error,
+        "verdict": described["verdict"] or "",
+        "host": _host(),
+        "rows": [],
+    }
+
+
+def _renderer(recipe: Recipe) -> SceneRenderer:
+    """Return the renderer of a recipe: kept from an earlier cell, or a new one."""
+    activate()
+    options = {
+        **recipe.renderer_options,
+        "sensor": recipe.sensor,
+        **renderer_options_for(recipe.metric, recipe.metric_options),
+    }
+    key = digest(hashable({"scene": recipe.scene, **options}, "renderer"))
+    renderer = _renderers.pop(key, None)
+    if renderer is None:
+        _make_room()
+        renderer = SceneRenderer(restored(recipe.scene), **options)
+    _renderers[key] = renderer
+    return renderer
+
+
+def _make_room() -> None:
+    """Drop the renderers that were used least recently: all but a few, more if the process has grown large."""
+    while len(_renderers) >= MAX_RENDERERS or (_renderers and _memory_share() > LARGEST_SHARE):
+        _renderers.popitem(last=False)
+        trim_heap()
+
+
+def _memory_share() -> float:
+    """Return the share of the machine's memory that this process occupies, or 0 where that is unknown."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages / os.sysconf("SC_PHYS_PAGES")
+    except (OSError, ValueError):
+        return 0.0
+
+
+def _host() -> str:
+    return platform.node() or "unknown host"
