@@ -23,6 +23,7 @@ from . import (
     _optimize,
     _parameters,
     _render,
+    _study,
     _tradeoff,
     _validate,
 )
@@ -37,6 +38,7 @@ COMMANDS = (
     _optimize,
     _validate,
     _tradeoff,
+    _study,
     _parameters,
     _render,
     _demo,

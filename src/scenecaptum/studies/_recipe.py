@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from ..checkpoint import digest
-from ..errors import SceneCaptumError
-from ..scene import hashable_source
+from ..errors import SceneCaptumError, near_misses
+from ..scene import BUNDLED, hashable_source
 
 
 class Cell(NamedTuple):
@@ -107,7 +107,14 @@ def portable(scene: Any) -> Any:
     """Return a scene that can be pickled: an absolute path, a bundled name, or a dict of plain values."""
     if isinstance(scene, (str, os.PathLike)):
         path = Path(scene)
-        return str(path.resolve()) if path.exists() else os.fspath(scene)
+        if path.is_file():
+            return str(path.resolve())
+        if os.fspath(scene) not in BUNDLED:
+            raise SceneCaptumError(
+                f"There is no scene file {os.fspath(scene)!r}, and no bundled scene of that name (bundled: "
+                f"{', '.join(BUNDLED)}).{near_misses(os.fspath(scene), BUNDLED)}"
+            )
+        return os.fspath(scene)
     if not isinstance(scene, Mapping):
         raise SceneCaptumError(
             f"A scene of a study is a path, the name of a bundled scene or a Mitsuba dict, not a "

@@ -314,6 +314,8 @@ def _name(entry: Any) -> str:
     """Return the name of an entry that has none of its own."""
     if isinstance(entry, (str, os.PathLike)):
         path = Path(entry)
+        if ".py:" in path.name:
+            return path.name
         if path.suffix == ".xml":
             return path.resolve().parent.name if path.stem == "scene" else path.stem
         return str(entry)

@@ -122,6 +122,14 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
 
 def _renderer(recipe: Recipe) -> SceneRenderer:
     """Return the renderer of a recipe: kept from an earlier cell, or a new one."""
+    if (
+        isinstance(recipe.scene, str)
+        and Path(recipe.scene).is_absolute()
+        and not Path(recipe.scene).is_file()
+    ):
+        raise SceneCaptumError(
+            f"The scene {recipe.scene} is not on this machine: put it into a folder that all machines share."
+        )
     activate()
     options = {
         **recipe.renderer_options,

@@ -1,0 +1,104 @@
+"""``scenecaptum study``: many scenes, cameras, metrics and designs."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+from ..errors import SceneCaptumError
+from ..studies import Study, StudyResult
+from . import _arguments
+from ._files import OutputFormat, print_files, write_files
+
+FORMATS = [
+    OutputFormat[StudyResult](
+        "values.csv", "the metric of each cell", lambda r, p: r.write_table(p, of="values")
+    ),
+    OutputFormat[StudyResult](
+        "effects.csv", "the effect of each parameter in each cell", StudyResult.write_table
+    ),
+]
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "study",
+        help="many scenes, cameras, metrics and designs, on all cores or on a cluster",
+        description="Compute the cells of a study, which a TOML or JSON file describes. Finished cells are kept: "
+        "run the same command again to resume a study that was killed, or to add those that failed.",
+        epilog="example: scenecaptum study rooms.toml --out rooms --workers 2",
+    )
+    parser.add_argument(
+        "file",
+        type=Path,
+        help="TOML or JSON file with scenes, cameras, metrics, designs, methods and seeds, and with inputs, "
+        "resolution, spp and max_depth of all cells",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the cells (default: the name of the file)"
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes on this machine (default: one for each core)"
+    )
+    parser.add_argument(
+        "--threads",
+        type=int,
+        default=1,
+        metavar="N",
+        help="threads of each worker; with 1, numbers are the same to the last bit on any number of workers "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="compute on the workers of this Dask scheduler, such as tcp://host:8786",
+    )
+    parser.add_argument("--retry-failed", action="store_true", help="compute failed cells again")
+    parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
+    parser.set_defaults(run=run, json=False)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 if cells failed."""
+    study = Study.from_file(options.file)
+    options.out = options.out or Path(options.file.stem)
+    if options.dask and options.workers:
+        raise SceneCaptumError(
+            "--workers has no effect with --dask, whose scheduler has the workers: remove it."
+        )
+    with _executor(options.dask) as executor:
+        result = study.run(
+            options.out,
+            executor=executor,
+            workers=options.workers,
+            threads=options.threads,
+            retry_failed=options.retry_failed,
+            show_progress=_arguments.shows_progress(options),
+        )
+    write_files(result, options.out, FORMATS)
+    print(result)
+    print_files(options.out, FORMATS)
+    return 1 if result.failures else 0
+
+
+@contextlib.contextmanager
+def _executor(address: str | None) -> Iterator[Executor | None]:
+    """Yield the executor of a Dask scheduler, or None without an address."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise SceneCaptumError("--dask needs Dask: pip install 'scenecaptum[dask]'") from error
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise SceneCaptumError(f"There is no Dask scheduler at {address}: {error}") from error
+    with client:
+        yield client.get_executor()
