@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from .errors import SceneCaptumError
 
+_STALE_SECONDS = 3600.0  # age at which a partially written file is assumed to be abandoned
 _partial_files: set[Path] = set()  # temporary paths currently being written
 
 
@@ -42,8 +45,9 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             # Write directly to a pipe or a device such as /dev/null, which root could otherwise replace.
             yield path
             return
-        # The suffix stays, because writers choose the format by it.
-        partial = path.with_name(f".{os.getpid()}-{threading.get_ident()}-{path.name}")
+        partial = path.with_name(
+            f".{_writer()}-{path.name}"
+        )  # the suffix stays: writers choose the format by it
         _partial_files.add(partial)
         try:
             yield partial
@@ -55,6 +59,19 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
     except OSError as error:
         raise write_error(path, error) from error
+
+
+def remove_abandoned(folder: Path, suffix: str) -> None:
+    """Delete partial files that a killed process left in a folder an hour ago or longer."""
+    for partial in folder.glob(f".*{suffix}"):
+        with contextlib.suppress(FileNotFoundError):  # another process may delete it first
+            if time.time() - partial.stat().st_mtime > _STALE_SECONDS:
+                partial.unlink()
+
+
+def _writer() -> str:
+    """Return a name that no other thread has, on the machines that share a folder."""
+    return f"{platform.node()}-{os.getpid()}-{threading.get_ident()}"
 
 
 def write_error(path: Path, error: Exception) -> SceneCaptumError:

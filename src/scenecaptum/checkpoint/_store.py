@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from ..errors import SceneCaptumError
-from ..files import atomic_write, write_error
+from ..files import atomic_write, remove_abandoned, write_error
 from ._digest import digest
 
 FORMAT = "scenecaptum pass 1"
@@ -26,7 +26,6 @@ Tensors: TypeAlias = tuple[torch.Tensor, ...]
 Folder: TypeAlias = "str | os.PathLike[str] | Checkpoint | None"
 
 _DIGEST = hashlib.sha256().digest_size
-_STALE_SECONDS = 3600.0  # age at which a partially written file is assumed to be abandoned
 
 
 class Checkpoint:
@@ -59,9 +58,7 @@ class Checkpoint:
         self.seconds_saved = 0.0
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            for partial in self.folder.glob(f".*{SUFFIX}"):  # left behind by a killed process
-                if time.time() - partial.stat().st_mtime > _STALE_SECONDS:
-                    partial.unlink(missing_ok=True)
+            remove_abandoned(self.folder, SUFFIX)
         except OSError as error:
             raise write_error(self.folder, error) from error
 

@@ -9,6 +9,7 @@ import contextlib
 import io
 import json
 import os
+import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import Any
 
 from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
-from ..files import atomic_write, write_error
+from ..files import atomic_write, remove_abandoned, write_error
 from ._recipe import Recipe
 
 FORMAT = "scenecaptum study 1"
@@ -37,15 +38,13 @@ class StudyFolder:
         """Create the folder, or open that of the same study; raise if it has another one."""
         folder = cls(path)
         try:
-            for one in (folder.cells, folder.failures):
+            for one, suffix in ((folder.cells, CELL), (folder.failures, FAILED)):
                 one.mkdir(parents=True, exist_ok=True)
-            text = json.dumps({"format": FORMAT, **manifest}, indent=1, ensure_ascii=False)
-            draft = path / f".{os.getpid()}-{MANIFEST}"
-            draft.write_text(text + "\n", encoding="utf-8")
-            # A link fails if the name exists, on shared folders too: the first of two studies wins.
-            with contextlib.suppress(FileExistsError):
-                os.link(draft, path / MANIFEST)
-            draft.unlink()
+                remove_abandoned(one, suffix)
+            if not folder.manifest_path.exists():
+                folder._write_manifest(
+                    json.dumps({"format": FORMAT, **manifest}, indent=1, ensure_ascii=False)
+                )
         except OSError as error:
             raise write_error(path, error) from error
         found = folder.manifest()
@@ -75,6 +74,16 @@ class StudyFolder:
                 f"The folder {path} of the study is not seen by this worker: use a folder that all machines share."
             )
         return folder
+
+    def _write_manifest(self, text: str) -> None:
+        """Write the manifest if there is none: of two studies that begin at once, the first one wins."""
+        with tempfile.NamedTemporaryFile("w", dir=self.path, prefix=".", encoding="utf-8") as draft:
+            draft.write(text + "\n")
+            draft.flush()
+            with contextlib.suppress(FileExistsError):
+                os.link(
+                    draft.name, self.manifest_path
+                )  # which fails if the name exists, on shared folders too
 
     @property
     def cells(self) -> Path:

@@ -130,7 +130,7 @@ def _portable(value: Any, name: str) -> Any:
         return {key: _portable(item, key) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_portable(item, name) for item in value]
-    if hasattr(value, "matrix"):
+    if type(value).__name__.endswith("Transform4f"):
         return _Matrix(np.array(value.matrix, dtype=float).reshape(4, 4).tolist())
     if type(value).__module__.startswith(("mitsuba", "drjit")) and hasattr(value, "__len__"):
         return [float(number) for number in value]  # a colour or a point

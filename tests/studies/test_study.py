@@ -1,0 +1,335 @@
+"""Studies: cells as files, the same numbers in any process, and nothing lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from disks import file_size_limit
+from refusals import message
+from seeds import seeds, shifted
+from study_metrics import brightness
+
+from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, View, cli
+from scenecaptum.studies import Cell, Study, StudyResult
+
+from .conftest import TINY, VALUE, value_study
+
+Run = Callable[..., StudyResult]
+
+
+class Counting(ThreadPoolExecutor):
+    """Counts the cells that it is given."""
+
+    count = 0
+
+    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.count += 1
+        return super().submit(*args, **kwargs)
+
+
+def test_a_grid_has_a_cell_for_every_combination() -> None:
+    study = Study(
+        {"box": "cornell-box", "room": "office"},
+        cameras=[0, {"turn": 30}, View(fov=20.0), "fisheye"],
+        metrics=["luminance", {"metric": "ugr", "threshold_factor": 5}, brightness],
+        designs={"as it is": {}, "dark": {"*.reflectance.value*": 0.5}},
+        methods=["gradient", {"method": "value", "replicates": 2}],
+        seeds=[3, 4],
+    )
+    assert len(study) == 2 * 4 * 3 * 2 * 2 * 2 == len(set(study.cells))
+    assert study.cells[0] == Cell("box", "0", "luminance", "as it is", "gradient", 3)
+    assert {cell.camera for cell in study.cells} == {"0", "turn=30", "fov=20.0", "fisheye"}
+    assert {cell.metric for cell in study.cells} == {"luminance", "ugr threshold_factor=5", "brightness"}
+    assert {cell.method for cell in study.cells} == {"gradient", "value replicates=2"}
+
+
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "no scene file": (
+        lambda: Study(["cornel-box"]),
+        "no scene file 'cornel-box'.*Did you mean 'cornell-box'",
+    ),
+    "a string": (lambda: Study("cornell-box"), "scenes must be a list"),
+    "nothing": (lambda: Study([]), "scenes is empty"),
+    "one name twice": (lambda: Study(["office", "office"]), "same name"),
+    "a number as a scene": (lambda: Study({"a": 3}), "a path, the name of a bundled scene or a Mitsuba dict"),
+    "a metric": (lambda: Study(["office"], metrics=["lumin"]), "no metric 'lumin'.*Did you mean 'luminance'"),
+    "no function": (lambda: Study(["office"], metrics={"a": 3}), "'a' must be a name or a function"),
+    "an option": (
+        lambda: Study(["office"], metrics=[{"metric": "luminance", "threshold_factor": 3}]),
+        "'threshold_factor' has no effect",
+    ),
+    "options alone": (
+        lambda: Study(["office"], metrics=[{"threshold_factor": 3}]),
+        "needs the entry 'metric'",
+    ),
+    "a local function": (
+        lambda: value_study(metrics={"f": lambda image: image.mean()}).run("."),
+        "top level",
+    ),
+    "a method": (lambda: Study(["office"], methods=["gradients"]), "Did you mean 'gradient'"),
+    "a camera": (lambda: Study(["office"], cameras=[{"turned": 3}]), "the arguments of View"),
+    "a seed": (lambda: Study(["office"], seeds=[-1]), "seeds must be a whole number"),
+    "an unknown name": (
+        lambda: Study(["office"], cells=[("offices", "0", "luminance", "as it is", "gradient", 0)]),
+        "the scene 'offices', which the study does not have. Did you mean 'office'",
+    ),
+    "a short cell": (lambda: Study(["office"], cells=[("office", 0)]), "A cell has a name for each"),
+    "no cells": (lambda: Study(["office"], cells=[]), "at least one cell"),
+    "two executors": (
+        lambda: Study(["office"]).run("x", executor=ThreadPoolExecutor(), workers=2),
+        "give executor= or workers=",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_input_is_one_clear_error(name: str, mi: Any) -> None:
+    call, expected = REFUSED[name]
+    with pytest.raises(SceneCaptumError, match=expected) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_cells_in_processes_are_those_of_a_plain_call(in_processes: StudyResult, mi: Any) -> None:
+    for camera, sensor in (("front", 0), ("left", View(turn=-15))):
+        renderer = SceneRenderer("cornell-box", "reflectance", sensor=sensor, **TINY)
+        expected = VanillaSceneGradient(renderer, brightness).attribute(seed=shifted())
+        found = in_processes.attribution(
+            Cell("cornell-box", camera, "own", "as it is", "gradient", shifted())
+        )
+        assert found.metric_value == pytest.approx(expected.metric_value, rel=1e-5)
+        for name, gradient in expected.items():
+            assert torch.allclose(found[name], gradient, rtol=1e-4, atol=1e-5 * gradient.abs().max().item())
+
+
+def test_cells_that_fail_are_rows_with_their_errors(in_processes: StudyResult) -> None:
+    errors = {cell.metric: error for cell, error in in_processes.failures.items()}
+    assert "ValueError: this metric has no value (study_metrics.py:" in errors["broken"]
+    assert "died 3 times" in errors["aborts"]
+    assert len(in_processes) == 3
+    assert not in_processes.missing
+    frame = in_processes.values()
+    assert dict(frame.status.value_counts()) == {"finished": 3, "failed": 2}
+    assert frame[frame.status == "finished"].error.eq("").all()
+    assert "2 failed" in str(in_processes)
+
+
+def test_tables_are_tidy(in_processes: StudyResult, tmp_path: Path) -> None:
+    import pandas
+
+    effects = in_processes.effects()
+    cell = next(iter(in_processes.cells))
+    ranking = in_processes.attribution(cell).ranking()
+    mine = effects[(effects[list(Cell._fields)] == list(cell)).all(axis=1)]
+    assert list(mine.name) == [row.name for row in ranking]
+    assert list(mine.effect) == [row.effect for row in ranking]
+    for ending, read in ((".csv", pandas.read_csv), (".parquet", pandas.read_parquet)):
+        in_processes.write_table(tmp_path / f"effects{ending}")
+        assert read(tmp_path / f"effects{ending}").effect.tolist() == effects.effect.tolist()
+    assert "not as effects.txt" in message(lambda: in_processes.write_table("effects.txt"))
+
+
+def test_a_study_goes_on_where_it_stopped(run: Run, tmp_path: Path) -> None:
+    study = value_study(seeds=seeds(4))
+    first = run(study, tmp_path)
+    before = {cell: first.numbers(cell) for cell in first.cells}
+    lost = list(first.cells)[2]
+    (tmp_path / "cells" / f"{first.cells[lost]}.zip").unlink()
+    (tmp_path / "cells" / ".half-written.zip").write_bytes(b"half")
+    assert StudyResult.load(tmp_path).missing == [lost]
+    with Counting(1) as executor:
+        again = run(value_study(seeds=seeds(4)), tmp_path, executor=executor)
+    assert executor.count == 1
+    assert {cell: again.numbers(cell)["value"] for cell in again.cells} == pytest.approx(
+        {cell: numbers["value"] for cell, numbers in before.items()}, rel=1e-5
+    )
+
+
+def test_failed_cells_are_computed_again_if_asked(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("def metric(image):\n    raise OSError('the disk of the metric is away')\n")
+    study = value_study(metrics={"mine": f"{file}:metric"})
+    assert "the disk of the metric is away" in str(run(study, tmp_path / "out").failures)
+    file.write_text("def metric(image):\n    return image.mean()\n")
+    assert len(run(study, tmp_path / "out").failures) == 1
+    result = run(study, tmp_path / "out", retry_failed=True)
+    assert not result.failures
+    assert len(result) == 1
+    assert not list((tmp_path / "out" / "failed").iterdir())
+
+
+def test_another_study_does_not_get_into_the_folder(run: Run, tmp_path: Path) -> None:
+    run(value_study(), tmp_path)
+    assert "has another study" in message(lambda: run(value_study(spp=2), tmp_path))
+    manifest = json.loads((tmp_path / "study.json").read_text())
+    manifest["versions"]["drjit"] = "0.1"
+    (tmp_path / "study.json").write_text(json.dumps(manifest))
+    assert "drjit" in message(lambda: run(value_study(), tmp_path))
+    assert "not the folder of a study" in message(lambda: StudyResult.load(tmp_path / "cells"))
+
+
+def test_a_changed_scene_file_is_another_study(run: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "room.xml"
+    text = (
+        '<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm"><integer name="width" value="8"/>'
+        '<integer name="height" value="8"/></film></sensor><emitter type="constant" id="sky"/>'
+        '<shape type="sphere" id="ball"><bsdf type="diffuse"/></shape></scene>'
+    )
+    scene.write_text(text)
+    run(value_study(scene), tmp_path / "out")
+    scene.write_text(text.replace("ball", "sphere"))
+    assert "has another study" in message(lambda: run(value_study(scene), tmp_path / "out"))
+
+
+def test_a_scene_that_is_not_on_the_worker_is_a_row(run: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "room.xml"
+    scene.write_text('<scene version="3.0.0"/>')
+    study = value_study(scene, "cornell-box")
+    scene.unlink()
+    result = run(study, tmp_path / "out")
+    assert len(result) == 1
+    (error,) = result.failures.values()
+    assert "room.xml is not on this machine: put it into a folder that all machines share" in error
+
+
+def test_a_folder_that_the_worker_does_not_see_is_a_row(run: Run, tmp_path: Path) -> None:
+    class Away(ThreadPoolExecutor):
+        """A worker of another machine, on which the folder is empty."""
+
+        def submit(self, function: Any, recipe: Any, folder: str, *args: Any) -> Future[Any]:
+            return super().submit(function, recipe, str(tmp_path / "elsewhere"), *args)
+
+    with Away(1) as executor:
+        result = run(value_study(), tmp_path / "out", executor=executor)
+    assert "is not seen by this worker: use a folder that all machines share" in str(result.failures)
+
+
+def test_an_executor_that_ends_leaves_what_is_finished(run: Run, tmp_path: Path) -> None:
+    class Ending(ThreadPoolExecutor):
+        def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+            future = super().submit(*args, **kwargs)
+            self.shutdown(wait=True)
+            return future
+
+    text = message(lambda: run(value_study(seeds=seeds(3)), tmp_path, executor=Ending(1)))
+    assert "Ending has ended" in text
+    assert "run the study again" in text
+    assert len(run(value_study(seeds=seeds(3)), tmp_path)) == 3
+
+
+def test_a_full_disk_stops_the_study_with_one_error(run: Run, tmp_path: Path) -> None:
+    study = value_study(seeds=seeds(3))
+    run(study, tmp_path)
+    for path in (tmp_path / "cells").iterdir():
+        path.unlink()
+    with file_size_limit(0):
+        text = message(lambda: run(study, tmp_path))
+    assert "The study stopped" in text
+    assert "cannot be written" in text
+    assert "\n" not in text
+    assert not list((tmp_path / "cells").iterdir())
+    assert len(run(study, tmp_path)) == 3
+
+
+def test_folders_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for folder in (tmp_path / "file" / "out", Path("/proc/study")):
+        assert "cannot be written" in message(lambda folder=folder: run(value_study(), folder))
+
+
+def test_scene_dicts_reach_the_worker_with_their_transforms(run: Run, mi: Any, tmp_path: Path) -> None:
+    transform = mi.ScalarTransform4f
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "to_world": transform().look_at(origin=[0, -4, 1], target=[0, 0, 0], up=[0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": 8, "height": 8},
+        },
+        "ball": {
+            "type": "sphere",
+            "bsdf": {
+                "type": "diffuse",
+                "reflectance": {"type": "rgb", "value": mi.ScalarColor3f(0.5, 0.2, 0.1)},
+            },
+        },
+        "sky": {"type": "constant"},
+    }
+    many = {"method": "value", "replicates": 16, "spp": 64}
+    result = run(value_study(metrics=[brightness], scenes={"ball": scene}, methods=[many]), tmp_path)
+    (cell,) = result.cells
+    image = SceneRenderer(scene, resolution=(8, 8), spp=4096, max_depth=2)(seed=shifted(1))
+    found = result.numbers(cell)
+    assert abs(found["value"] - image.mean().item()) < 4 * found["standard_error"]
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(torch.zeros(2, 2, 3).numpy())}
+    text = message(lambda: Study({"ball": {**scene, "wall": bitmap}}))
+    assert "'bitmap' of the scene dict is a Bitmap, which cannot be sent" in text
+
+
+def test_designs_change_what_their_globs_match(run: Run, tmp_path: Path) -> None:
+    designs = {"as it is": {}, "black": {"*.reflectance.value": 0.0}, "none": {"*carpet*": 0.5}}
+    result = run(value_study(designs=designs, inputs="reflectance", max_depth=3), tmp_path)
+    values = {cell.design: result.numbers(cell)["value"] for cell in result.cells}
+    assert values["black"] < values["as it is"]
+    assert "'*carpet*' (its last * is an operator), which is not an input" in str(result.failures)
+
+
+def test_metrics_of_daylight_have_their_coefficients(run: Run, tmp_path: Path) -> None:
+    study = Study(
+        ["classroom"],
+        cameras=["grid"],
+        metrics=["daylight-factor"],
+        inputs="reflectance",
+        spp=1,
+        max_depth=3,
+        methods={"value": VALUE},
+    )
+    result = run(study, tmp_path)
+    assert not result.failures
+    (numbers,) = (result.numbers(cell) for cell in result.cells)
+    assert numbers["unit"] == "%"
+    assert numbers["value"] > 0
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], mi: Any) -> None:
+    (tmp_path / "mine.py").write_text("def metric(image):\n    return image.mean()\n")
+    file = tmp_path / "rooms.toml"
+    file.write_text(
+        'scenes = ["cornell-box"]\nmetrics = ["mine.py:metric"]\nresolution = [8, 8]\nspp = 4\n'
+        'methods = ["value"]\n[cameras]\nfront = 0\nleft = { turn = -20 }\n'
+    )
+    out = tmp_path / "out"
+    assert cli.main(["study", str(file), "--out", str(out), "--workers", "1", "--no-progress"]) == 0
+    printed = capsys.readouterr().out
+    assert "2 cells finished" in printed
+    assert "values.csv  the metric of each cell" in printed
+    assert len((out / "values.csv").read_text().splitlines()) == 3
+    for text, expected in (
+        ('scene = ["office"]', "'scene', which a study does not. Did you mean 'scenes'"),
+        ("seeds = [1]", "needs scenes"),
+        ("scenes = [", "is not valid TOML"),
+    ):
+        file.write_text(text)
+        assert cli.main(["study", str(file)]) == 2
+        assert expected in capsys.readouterr().err
+    assert cli.main(["study", str(tmp_path / "none.toml")]) == 2
+
+
+@pytest.mark.long
+def test_all_executors_give_the_same_bits() -> None:
+    import studies
+
+    assert studies.main(["equal"]) == 0
+
+
+@pytest.mark.long
+def test_nothing_is_lost_when_processes_are_killed() -> None:
+    import studies
+
+    assert studies.main(["kill", "--seed", str(shifted())]) == 0
