@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
@@ -54,6 +55,15 @@ class Adjustable(Protocol):
 
     def clamp_(self, leaves: Mapping[str, torch.Tensor], /) -> None:
         """Move values beyond the bounds back to these, in place."""
+
+
+@dataclass(frozen=True)
+class RenderPass:
+    """A render, or the backward pass of one: its options, the adjoint image, and the inputs to differentiate."""
+
+    options: Mapping[str, Any]
+    adjoint: torch.Tensor | None = None
+    tracked: tuple[str, ...] = ()
 
 
 @runtime_checkable
@@ -127,6 +137,10 @@ class Capabilities:
         "The same values in tensors that many renders take faster."
     )
     replace = _Offer[Callable[..., Any]]("The same renderer with other options.")
+    recipe = _Offer[Callable[[], Any]]("Makes the same renderer in another process; it can be pickled.")
+    begin = _Offer[Callable[[Mapping[str, torch.Tensor], Sequence[RenderPass]], list[Callable[[], None]]]](
+        "Begins passes in other processes; what it returns waits for each of them."
+    )
 
     def __init__(self, renderer: object) -> None:
         self.renderer = cast(Any, renderer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from functools import partial
 from typing import NamedTuple
 
@@ -59,13 +60,14 @@ class FeatureAblationScene(Perturbation):
         replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each feature.
 
         Parameters
         ----------
-        inputs, target, denoise, checkpoint, show_progress
+        inputs, target, denoise, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         baselines
             Values of ablated features: None (emitters and reflectances 0, everything else unchanged), ``"dark"``,
@@ -107,7 +109,9 @@ class FeatureAblationScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(feature.description, partial(_ablate, feature, values, absent)) for feature in features]
-        settings = Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise, executor=executor
+        )
         measured = self._measure(arms, target, settings)
         templates = dict(values) if members is None else {group: torch.zeros(()) for group in members}
         parts = [(feature.owner, feature.channel or 0) for feature in features]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
 from typing import Any
 
 import torch
@@ -60,6 +61,7 @@ class GradientShapScene(GradientMethod):
         replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric's difference from the baselines to each input.
@@ -74,7 +76,7 @@ class GradientShapScene(GradientMethod):
             Noise on the inputs, as in ``SmoothGradScene``.
         return_convergence_delta
             Return ``(attribution, delta)``.
-        inputs, target, groups, seed, spp, picture_spp, replicates, denoise, checkpoint, show_progress
+        inputs, target, groups, seed, spp, picture_spp, replicates, denoise, checkpoint, executor, show_progress
             As for ``SmoothGradScene``.
 
         Returns
@@ -91,7 +93,9 @@ class GradientShapScene(GradientMethod):
             On Ctrl-C after the first scene, with the mean over the scenes so far.
         """
         count = whole_number("n_samples", n_samples)
-        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise, executor
+        )
         run = self._start(inputs, target, settings)
         given: list[Any] = baselines if isinstance(baselines, list) else [baselines]
         if not given:

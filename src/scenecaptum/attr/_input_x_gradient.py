@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 
 import torch
 
@@ -55,6 +56,7 @@ class InputXGradientScene(GradientMethod):
         top: int | None = None,
         time_limit: float | None = None,
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input.
@@ -63,7 +65,7 @@ class InputXGradientScene(GradientMethod):
         ----------
         inputs, target, groups, seed, spp, picture_spp, replicates, denoise, tolerance, share, top
             As for ``VanillaSceneGradient``.
-        time_limit, checkpoint, show_progress
+        time_limit, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
 
         Returns
@@ -76,7 +78,9 @@ class InputXGradientScene(GradientMethod):
         SceneCaptumError, AttributionInterrupted
             As ``VanillaSceneGradient``.
         """
-        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise, executor
+        )
         run = self._start(inputs, target, settings)
         goal = Goal(tolerance, share, top, time_limit)
         point = Point(run.values, factors=run.values)

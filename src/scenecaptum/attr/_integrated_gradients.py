@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 
 import torch
 
@@ -58,13 +59,14 @@ class IntegratedGradientsScene(GradientMethod):
         replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric's difference from the baseline to each input.
 
         Parameters
         ----------
-        inputs, target, groups, seed, denoise, checkpoint, show_progress
+        inputs, target, groups, seed, denoise, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         baselines
             The scene to compare with: ``"dark"`` (emitters off), ``"black"`` (reflectances 0), ``"grey"`` (each
@@ -101,7 +103,9 @@ class IntegratedGradientsScene(GradientMethod):
             On Ctrl-C after the first step, with the integral estimated from the steps so far.
         """
         rule = quadrature(method, n_steps)
-        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise, executor
+        )
         run = self._start(inputs, target, settings)
         start = resolve_baselines(self.renderer, run.values, baselines)
         points = (

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 import torch
 
-from ..checkpoint import Folder, Stopwatch, with_checkpoint
+from ..checkpoint import Folder, Stopwatch
 from ..errors import SceneCaptumError
 from ..estimation import (
     MIN_METRIC_SPP,
@@ -41,6 +42,7 @@ from ..estimation import (
     sum_gradients,
     with_image_transform,
 )
+from ..executors import spread
 from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, make_attribution, surfaces_of
 from ._data import Tensors, metric_interval
@@ -63,6 +65,7 @@ class Settings(Sampling):
     groups: Groups = None
     checkpoint: Folder = None
     denoise: Denoise = "auto"
+    executor: Executor | None = None
 
 
 class NamedMethod(NamedTuple):
@@ -163,6 +166,10 @@ class Run:
         ``first_spp`` are the samples per pixel of the first round. ``against`` is another renderer, with which the
         gradients are compared at the end.
         """
+        if self.settings.executor is not None and goal.time_limit is not None:
+            raise SceneCaptumError(
+                "time_limit= measures the time of this process: leave out executor=, or give tolerance= or top=."
+            )
         if goal.is_set:
             return self._attribute_to_goal(point, goal, factors, first_spp, against, **info)
         if against is not None:
@@ -339,7 +346,7 @@ class GradientMethod:
         values, groups = input_values(self.renderer, inputs), settings.groups
         return Run(
             method=type(self).__name__,
-            renderer=with_checkpoint(self.renderer, settings.checkpoint),
+            renderer=spread(self.renderer, settings.executor, settings.checkpoint),
             values=values,
             members=None if groups is None else resolve_groups(self.renderer, values, groups),
             metrics=[TargetedMetric(self.metric, element) for element in target_list(target)],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
@@ -67,6 +68,7 @@ class OcclusionScene(Perturbation):
         replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to patches of textures.
@@ -82,7 +84,7 @@ class OcclusionScene(Perturbation):
             Strides of the window, in the same format; by default the window size, without overlap.
         baselines
             Values of occluded patches, as for ``FeatureAblationScene``; by default each channel's mean.
-        target, seed, spp, replicates, denoise, checkpoint, show_progress
+        target, seed, spp, replicates, denoise, checkpoint, executor, show_progress
             As for ``FeatureAblationScene``.
 
         Returns
@@ -116,7 +118,9 @@ class OcclusionScene(Perturbation):
             )
         arms = [Arm("the unchanged scene", lambda: values)]
         arms += [Arm(patch.description, partial(_occlude, patch, values, occluded)) for patch in patches]
-        settings = Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise, executor=executor
+        )
         measured = self._measure(arms, target, settings)
 
         parts = [(patch.name, patch.index) for patch in patches]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import torch
 from tqdm import tqdm
 
-from ..checkpoint import Stopwatch, with_checkpoint
+from ..checkpoint import Stopwatch
 from ..errors import SceneCaptumError
 from ..estimation import (
     Budget,
@@ -26,6 +26,7 @@ from ..estimation import (
     require_memory,
     with_image_transform,
 )
+from ..executors import spread
 from ..finite import error_context
 from ..protocols import Capabilities, Renderer
 from ._attribution import SceneAttribution, seen_through, surfaces_of, versions
@@ -107,7 +108,7 @@ class Perturbation:
 
         Only the images of one arm are in memory at a time.
         """
-        renderer = with_checkpoint(self.renderer, settings.checkpoint)
+        renderer = spread(self.renderer, settings.executor, settings.checkpoint)
         watch = Stopwatch(renderer)
         metrics = tuple(TargetedMetric(self.metric, element) for element in target_list(target))
         spp = Capabilities(self.renderer).spp if settings.spp is None else settings.spp

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, pairwise
@@ -70,13 +71,14 @@ class ShapleyValueScene(Perturbation):
         replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each player.
 
         Parameters
         ----------
-        inputs, target, denoise, checkpoint, show_progress
+        inputs, target, denoise, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         baselines
             Values of players that have not joined, as for ``FeatureAblationScene``.
@@ -116,7 +118,9 @@ class ShapleyValueScene(Perturbation):
             Arm(_description(coalition, players), partial(_scene, coalition, members, values, absent))
             for coalition in game.coalitions
         ]
-        settings = Settings(seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, checkpoint=checkpoint, denoise=denoise, executor=executor
+        )
         measured = self._measure(arms, target, settings)
 
         def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, Residual | None]:

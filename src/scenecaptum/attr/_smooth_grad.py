@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from typing import Literal
 
 import torch
@@ -72,13 +73,14 @@ class SmoothGradScene(GradientMethod):
         replicates: int = DEFAULT_REPLICATES,
         denoise: Denoise = "auto",
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input.
 
         Parameters
         ----------
-        inputs, target, groups, denoise, checkpoint, show_progress
+        inputs, target, groups, denoise, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         nt_type
             ``"smoothgrad"``: the mean of the gradients; ``"smoothgrad_sq"``: of their squares; ``"vargrad"``:
@@ -122,7 +124,9 @@ class SmoothGradScene(GradientMethod):
             raise SceneCaptumError(
                 f"nt_type={nt_type!r} requires replicates of 2 or more, to estimate the rendering noise."
             )
-        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise, executor
+        )
         run = self._start(inputs, target, settings)
         noisy_count = count - 1 if noise_free_last else count
         noise = Noise(self.renderer, run.values, stdevs if noisy_count else 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from typing import Any
 
 import torch
@@ -57,6 +58,7 @@ class VanillaSceneGradient(GradientMethod):
         time_limit: float | None = None,
         against: Any = None,
         checkpoint: Folder = None,
+        executor: Executor | None = None,
         show_progress: bool = False,
     ) -> Result:
         """Attribute the metric to each input, with a fixed number of samples or as many as a goal requires.
@@ -107,6 +109,10 @@ class VanillaSceneGradient(GradientMethod):
         checkpoint
             A folder that caches finished renders and backward passes: an interrupted job resumes if it is run
             again with the same arguments. ``info["checkpoint"]`` counts the reused results.
+        executor
+            A ``concurrent.futures.Executor`` whose workers are processes, such as ``executors.process_pool()`` or
+            ``Client.get_executor()`` of Dask: they compute the replicates. On several machines, give a
+            ``checkpoint`` folder that all of them share.
         show_progress
             Whether to show a progress bar.
 
@@ -125,7 +131,9 @@ class VanillaSceneGradient(GradientMethod):
         AttributionInterrupted
             On Ctrl-C after at least one backward pass, with the result so far.
         """
-        settings = Settings(seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise)
+        settings = Settings(
+            seed, spp, replicates, show_progress, picture_spp, groups, checkpoint, denoise, executor
+        )
         run = self._start(inputs, target, settings)
         goal = Goal(tolerance, share, top, time_limit)
         factors = extents(self.renderer, run.values) or None

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import torch
 
 from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, check_gradient, check_image, error_context
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, Renderer, RenderPass
 from ._adjoints import Adjoints
 from ._jackknife import adjoints_if_linear, jackknife, with_image_transform
 from ._linearity import is_linear
@@ -25,6 +26,7 @@ from ._replicates import (
     SMOOTHED_PICTURE_RATIO,
     Budget,
     ReplicateStatistics,
+    begin_passes,
     channel_totals,
     extra_image_seeds,
     render_images,
@@ -276,18 +278,53 @@ class GradientEstimator:
             PointGradient({name: ReplicateStatistics() for name in leaves}, adjoints, point.weight, spp)
             for adjoints in self._evaluate_metrics(index, point.values, images)
         ]
+        begun, bias_begun = self._begin_backward(index, values, leaves, results)
         try:
-            for number, graph in enumerate(graphs):
+            for number, (graph, wait) in enumerate(zip(graphs, begun, strict=True)):
                 if self._is_out_of_time(number):
                     break
                 with error_context(f"In backward pass {number + 1} of {len(graphs)}"):
+                    wait()
                     _add_replicate(results, number, graph, leaves, point)
                 self.bar.differentiated()
-            for result in results:
+            for result, wait in zip(results, bias_begun, strict=True):
+                wait()
                 result.bias = _bias(graphs[0], leaves, result.adjoints, point)
         except KeyboardInterrupt:
             return results, True
         return results, False
+
+    def _begin_backward(
+        self,
+        index: int,
+        values: dict[str, torch.Tensor],
+        leaves: Collection[str],
+        results: Sequence[PointGradient],
+    ) -> tuple[Sequence[Callable[[], object]], Sequence[Callable[[], object]]]:
+        """Begin all backward passes; return a function for each replicate, and one for each bias, that waits."""
+        options, tracked = self._options(index), tuple(leaves)
+        adjoints = [result.adjoints.per_replicate[n] for n in range(len(options)) for result in results]
+        passes = [
+            RenderPass(options[n // len(results)], adjoint, tracked) for n, adjoint in enumerate(adjoints)
+        ]
+        biases = [result.adjoints.bias_adjoint for result in results]
+        passes += [RenderPass(options[0], bias, tracked) for bias in biases if bias is not None]
+        waits = iter(begin_passes(self.renderer, values, passes))
+        replicates = [[next(waits) for _ in results] for _ in options]
+        bias_waits = [_do_nothing if bias is None else next(waits) for bias in biases]
+        return [partial(_call_all, each) for each in replicates], bias_waits
+
+    def _options(self, index: int) -> list[dict[str, Any]]:
+        """Return the options of the render of each replicate of a point."""
+        spp, with_seed_grad = self.budget.spp[index], self._render_with_seed_grad is not None
+        # A point may have more image seeds than replicates.
+        seeds = zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False)
+        return [
+            {"seed": seed, "spp": spp, "seed_grad": seed_grad}
+            if with_seed_grad
+            else {"seed": seed_grad, "spp": spp}
+            for seed_grad, seed in seeds
+        ]
 
     def _held(self, point: Point) -> dict[str, torch.Tensor]:
         """Return the values of a point in tensors without a graph."""
@@ -307,8 +344,10 @@ class GradientEstimator:
         images, graphs = [], []
         # A point may have more image seeds than replicates.
         seeds = list(zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False))
-        for number, (seed_grad, seed) in enumerate(seeds, 1):
+        begun = begin_passes(self.renderer, values, [RenderPass(one) for one in self._options(index)])
+        for number, ((seed_grad, seed), wait) in enumerate(zip(seeds, begun, strict=True), 1):
             with error_context(f"In replicate {number} of {len(seeds)}"):
+                wait()
                 if self._render_with_seed_grad is not None:
                     graph = self._render_with_seed_grad(values, seed=seed, spp=spp, seed_grad=seed_grad)
                     images.append(graph.detach())
@@ -487,6 +526,15 @@ def _add_replicate(
     for result, by_name, own_totals in zip(results, gradients, totals, strict=True):
         for name, gradient in by_name.items():
             result.statistics[name].add(gradient, own_totals[name])
+
+
+def _do_nothing() -> None:
+    pass
+
+
+def _call_all(waits: Sequence[Callable[[], object]]) -> None:
+    for wait in waits:
+        wait()
 
 
 def vjp(

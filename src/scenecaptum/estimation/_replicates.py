@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ import torch
 
 from ..errors import SceneCaptumError, whole_number
 from ..finite import check_image, error_context
-from ..protocols import Renderer
+from ..protocols import Capabilities, Renderer, RenderPass
 from ._seeds import Stream, derived_seeds
 
 DEFAULT_REPLICATES = 8
@@ -149,11 +149,25 @@ def render_images(
 ) -> list[torch.Tensor]:
     """Render an image for each seed without tracking gradients; raise if one is not finite."""
     images = []
-    for number, seed in enumerate(seeds, 1):
+    begun = begin_passes(renderer, values, [RenderPass({"seed": seed, "spp": spp}) for seed in seeds])
+    for number, (seed, wait) in enumerate(zip(seeds, begun, strict=True), 1):
         with torch.no_grad(), error_context(f"In replicate {number} of {len(seeds)}"):
+            wait()
             images.append(renderer(values, seed=seed, spp=spp).detach())
             check_image(images[-1], f"The render with seed {seed}")
     return images
+
+
+def begin_passes(
+    renderer: Renderer, values: Mapping[str, torch.Tensor], passes: Sequence[RenderPass]
+) -> list[Callable[[], object]]:
+    """Begin passes in other processes, where the renderer can; return a function for each that waits for it."""
+    begin = Capabilities(renderer).begin
+    return [_do_nothing] * len(passes) if begin is None else list(begin(values, passes))
+
+
+def _do_nothing() -> None:
+    pass
 
 
 def _single_point_replicates(spp: int | None, replicates: int) -> int:

@@ -7,6 +7,8 @@ Any ``concurrent.futures.Executor`` will do whose workers are processes: `proces
 # What users call; the other names are for the rooms above.
 __all__ = ["RayExecutor", "process_pool"]
 
+from ._kept import made as made
 from ._pool import Workers as Workers
 from ._pool import process_pool as process_pool
 from ._ray import RayExecutor as RayExecutor
+from ._spread import spread as spread

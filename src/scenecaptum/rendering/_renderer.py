@@ -6,6 +6,7 @@ import dataclasses
 import math
 import traceback
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal, NoReturn, cast
 
 import numpy as np
@@ -38,7 +39,9 @@ from ..scene import (
     hashable_source,
     load_scene,
     overlaps,
+    portable,
     pose_parameters,
+    restored,
     scene_name,
     select,
     touching,
@@ -154,6 +157,20 @@ class SceneRenderer(torch.nn.Module):
         direct_sky: bool = False,
     ) -> None:
         super().__init__()
+        self._arguments: dict[str, Any] = {
+            "scene": scene,
+            "inputs": inputs,
+            "resolution": resolution,
+            "spp": spp,
+            "max_depth": max_depth,
+            "sensor": sensor,
+            "parameters": parameters,
+            "ranges": ranges,
+            "objects": objects,
+            "sky_patches": sky_patches,
+            "direct_sky": direct_sky,
+        }
+        self._replaced: dict[str, Any] = {}
         with exclusively(_variant_of(scene)) as mi:
             self._variant, self._device = mi.variant(), device()
             self._borrowed = isinstance(scene, mi.Scene)
@@ -390,8 +407,22 @@ class SceneRenderer(torch.nn.Module):
             if wanted != plan.integrator:
                 plan = with_integrator(plan, wanted)
             other = self._shallow_copy()
+            given = {"resolution": resolution, "max_depth": max_depth, "integrator": integrator}
+            other._replaced = {**self._replaced, **{k: v for k, v in given.items() if v is not None}}
             other._prepare(size, plan)
         return other
+
+    @property
+    def recipe(self) -> Callable[[], SceneRenderer]:
+        """A function that makes the same renderer in another process; it can be pickled.
+
+        Raises
+        ------
+        SceneCaptumError
+            If the scene is an ``mi.Scene``, or has something that cannot be sent.
+        """
+        arguments = {**self._arguments, "scene": portable(self._arguments["scene"])}
+        return partial(_make, arguments, self._replaced, self._variant)
 
     @property
     def inputs(self) -> dict[str, torch.Tensor]:
@@ -1038,3 +1069,10 @@ def _variant_of(scene: SceneLike) -> str | None:
 def _seed_of_camera(seed: int, number: int) -> int:
     """Return an independent seed for each camera; the first has the seed itself."""
     return seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def _make(arguments: Mapping[str, Any], replaced: Mapping[str, Any], variant: str) -> SceneRenderer:
+    """Make the renderer of a recipe."""
+    with exclusively(variant):
+        renderer = SceneRenderer(**{**arguments, "scene": restored(arguments["scene"])})
+    return renderer.replace(**replaced) if replaced else renderer

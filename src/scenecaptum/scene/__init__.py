@@ -32,6 +32,8 @@ from ._parameter_table import Parameter as Parameter
 from ._parameter_table import SceneParameters as SceneParameters
 from ._parameters import discover as discover
 from ._parameters import discover_in as discover_in
+from ._portable import portable as portable
+from ._portable import restored as restored
 from ._poses import Moved as Moved
 from ._poses import camera_parameters as camera_parameters
 from ._poses import overlaps as overlaps

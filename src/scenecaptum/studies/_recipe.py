@@ -7,15 +7,14 @@ import os
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from ..checkpoint import digest
-from ..errors import SceneCaptumError, near_misses
-from ..scene import BUNDLED, hashable_source
+from ..errors import SceneCaptumError
+from ..scene import hashable_source
 
 
 class Cell(NamedTuple):
@@ -94,58 +93,3 @@ def hashable(value: Any, owner: str) -> Any:
             f"The {owner} of a study must be sent to other processes, and {value!r} cannot be: {error}. Define it "
             "at the top level of a module."
         ) from error
-
-
-@dataclass(frozen=True)
-class _Matrix:
-    """A transform of a Mitsuba dict, which itself cannot be sent to a process without a variant."""
-
-    rows: list[list[float]]
-
-
-def portable(scene: Any) -> Any:
-    """Return a scene that can be pickled: an absolute path, a bundled name, or a dict of plain values."""
-    if isinstance(scene, (str, os.PathLike)):
-        path = Path(scene)
-        if path.is_file():
-            return str(path.resolve())
-        if os.fspath(scene) not in BUNDLED:
-            raise SceneCaptumError(
-                f"There is no scene file {os.fspath(scene)!r}, and no bundled scene of that name (bundled: "
-                f"{', '.join(BUNDLED)}).{near_misses(os.fspath(scene), BUNDLED)}"
-            )
-        return os.fspath(scene)
-    if not isinstance(scene, Mapping):
-        raise SceneCaptumError(
-            f"A scene of a study is a path, the name of a bundled scene or a Mitsuba dict, not a "
-            f"{type(scene).__name__}: its cells are computed in other processes, which load it themselves."
-        )
-    return {name: _portable(value, name) for name, value in scene.items()}
-
-
-def _portable(value: Any, name: str) -> Any:
-    if value is None or isinstance(value, (str, int, float, np.ndarray)):
-        return value
-    if isinstance(value, Mapping):
-        return {key: _portable(item, key) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_portable(item, name) for item in value]
-    if type(value).__name__.endswith("Transform4f"):
-        return _Matrix(np.array(value.matrix, dtype=float).reshape(4, 4).tolist())
-    if type(value).__module__.startswith(("mitsuba", "drjit")) and hasattr(value, "__len__"):
-        return [float(number) for number in value]  # a colour or a point
-    raise SceneCaptumError(
-        f"{name!r} of the scene dict is a {type(value).__name__}, which cannot be sent to other processes. Use "
-        "numbers, lists, arrays, strings and transforms, or a scene file."
-    )
-
-
-def restored(scene: Any) -> Any:
-    """Return the scene of ``portable`` as ``SceneRenderer`` takes it, under an active variant."""
-    if isinstance(scene, Mapping):
-        return {name: restored(value) for name, value in scene.items()}
-    if not isinstance(scene, _Matrix):
-        return scene
-    import mitsuba as mi
-
-    return mi.ScalarTransform4f(scene.rows)

@@ -22,10 +22,11 @@ from ..checkpoint import digest
 from ..errors import SceneCaptumError, check_seed, near_misses
 from ..executors import Workers
 from ..files import write_error
+from ..scene import portable
 from ._file import read_study
 from ._folder import StudyFolder
 from ._metrics import check_metric
-from ._recipe import AXES, Cell, Recipe, digest_of_scene, portable
+from ._recipe import AXES, Cell, Recipe, digest_of_scene
 from ._result import StudyResult
 from ._run import on_executor, on_workers
 from ._worker import VALUE, compute_cell

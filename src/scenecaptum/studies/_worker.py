@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import time
 import traceback
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..attr import METHODS, SceneAttribution
-from ..backend import activate, trim_heap, use_threads
-from ..checkpoint import digest
+from ..backend import activate, use_threads
 from ..designs import design_of
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
+from ..executors import made
 from ..rendering import SceneRenderer
+from ..scene import restored
 from ..validation import Scenes
 from ..visualization import metric_name, metric_unit, verdict
 from ._folder import StudyFolder
 from ._metrics import create_metric, renderer_options_for
-from ._recipe import Recipe, hashable, restored
+from ._recipe import Recipe
 
 VALUE = "value"  # the method that measures the metric, without derivatives
-MAX_RENDERERS = 4  # kept by a worker
-LARGEST_SHARE = 0.5  # of the machine's memory that a worker may take with more than one renderer
-
-_renderers: OrderedDict[str, SceneRenderer] = OrderedDict()  # the last used one at the end
 
 
 @dataclass(frozen=True)
@@ -121,7 +117,7 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
 
 
 def _renderer(recipe: Recipe) -> SceneRenderer:
-    """Return the renderer of a recipe: kept from an earlier cell, or a new one."""
+    """Return the renderer of a cell: kept from an earlier cell, or a new one."""
     if (
         isinstance(recipe.scene, str)
         and Path(recipe.scene).is_absolute()
@@ -130,35 +126,18 @@ def _renderer(recipe: Recipe) -> SceneRenderer:
         raise SceneCaptumError(
             f"The scene {recipe.scene} is not on this machine: put it into a folder that all machines share."
         )
-    activate()
     options = {
         **recipe.renderer_options,
         "sensor": recipe.sensor,
         **renderer_options_for(recipe.metric, recipe.metric_options),
     }
-    key = digest(hashable({"scene": recipe.scene, **options}, "renderer"))
-    renderer = _renderers.pop(key, None)
-    if renderer is None:
-        _make_room()
-        renderer = SceneRenderer(restored(recipe.scene), **options)
-    _renderers[key] = renderer
+    renderer: SceneRenderer = made(partial(_make, recipe.scene, options))
     return renderer
 
 
-def _make_room() -> None:
-    """Drop the renderers that were used least recently: all but a few, more if the process has grown large."""
-    while len(_renderers) >= MAX_RENDERERS or (_renderers and _memory_share() > LARGEST_SHARE):
-        _renderers.popitem(last=False)
-        trim_heap()
-
-
-def _memory_share() -> float:
-    """Return the share of the machine's memory that this process occupies, or 0 where that is unknown."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages / os.sysconf("SC_PHYS_PAGES")
-    except (OSError, ValueError):
-        return 0.0
+def _make(scene: Any, options: dict[str, Any]) -> SceneRenderer:
+    activate()
+    return SceneRenderer(restored(scene), **options)
 
 
 def _host() -> str:
