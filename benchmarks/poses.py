@@ -320,7 +320,8 @@ def cost(options: argparse.Namespace) -> None:
     _, alike = timed(lambda: method.attribute(values, spp=FEW, seed=0))
     alike *= samples / FEW  # with the check of the steps, which takes samples in the same proportion
     print(
-        f"alike for all objects, extrapolated from {FEW} to {samples} spp: {alike:.0f} s, {alike / seconds:.1f} times",
+        f"alike for all objects, extrapolated from {FEW} to {samples} spp: {alike:.0f} s, "
+        f"{alike / seconds:.1f} times as long",
         flush=True,
     )
 
