@@ -68,7 +68,7 @@ def run() -> int:
     """Run the command of this process; it ends within seconds of Ctrl-C."""
     warnings.formatwarning = _one_line
     status = main()
-    if status == INTERRUPTED:
+    if status == INTERRUPTED and "drjit" in sys.modules:  # whose kernels may still run
         leave(status)
     return status
 

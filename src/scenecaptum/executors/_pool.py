@@ -90,3 +90,4 @@ class Workers:
             process.kill()
         for process in processes:
             process.join()
+        self.pool.shutdown()

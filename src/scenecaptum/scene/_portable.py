@@ -41,8 +41,8 @@ def portable(scene: Any) -> Any:
         return os.fspath(scene)
     if not isinstance(scene, Mapping):
         raise SceneCaptumError(
-            "A scene for other processes is a path, the name of a bundled scene or a Mitsuba dict, which they load "
-            f"themselves, not a {type(scene).__name__}."
+            "A scene for other processes is a path, the name of a bundled scene or a Mitsuba dict, which they "
+            f"load themselves, not a {type(scene).__name__}."
         )
     return {name: _portable(value, name) for name, value in scene.items()}
 
