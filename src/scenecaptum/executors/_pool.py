@@ -8,6 +8,8 @@ import signal
 import threading
 from concurrent.futures import ProcessPoolExecutor
 
+from tqdm import tqdm
+
 from ..errors import whole_number
 
 
@@ -48,6 +50,8 @@ def _cores() -> int:
 def _start_worker() -> None:
     """Let the parent handle Ctrl-C, and end when it ends: a worker would wait for its next task for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Its default lock is shared between processes, and Python warns if a worker is killed that has one.
+    tqdm.set_lock(threading.RLock())
     parent = multiprocessing.parent_process()
     assert parent is not None
 
