@@ -26,7 +26,7 @@ def on_executor(recipes: Iterable[Recipe], executor: Executor, submit: Submit) -
         if isinstance(outcome, BaseException):
             raise SceneCaptumError(
                 f"The executor {type(executor).__name__} has ended "
-                f"({type(outcome).__name__}: {outcome}): finished cells are kept; run the study again with a new "
+                f"({': '.join(filter(None, [type(outcome).__name__, str(outcome)]))}): finished cells are kept; run the study again with a new "
                 f"one to go on. It was computing {recipe.cell}."
             ) from outcome
         yield outcome
