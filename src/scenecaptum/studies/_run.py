@@ -24,10 +24,10 @@ def on_executor(recipes: Iterable[Recipe], executor: Executor, submit: Submit) -
     """Yield the outcomes of cells as they finish on an executor of the user, which restarts its own workers."""
     for recipe, outcome in _finished(iter(recipes), executor, submit, UNKNOWN_WORKERS):
         if isinstance(outcome, BaseException):
+            reason = ": ".join(filter(None, [type(outcome).__name__, str(outcome)]))
             raise SceneCaptumError(
-                f"The executor {type(executor).__name__} has ended "
-                f"({': '.join(filter(None, [type(outcome).__name__, str(outcome)]))}): finished cells are kept; run the study again with a new "
-                f"one to go on. It was computing {recipe.cell}."
+                f"The executor {type(executor).__name__} has ended ({reason}): finished cells are kept; run the "
+                f"study again with a new one to go on. It was computing {recipe.cell}."
             ) from outcome
         yield outcome
 
