@@ -1,7 +1,7 @@
 """Draw the concepts of docs/concepts.md as SVG: the adjoint, replicates, the effect scale, the denoised metric.
 
-The backgrounds are transparent and the colours of medium lightness, so that the drawings can be read on light and on
-dark pages. Curves and pixels are toy examples, computed here; nothing is rendered.
+The backgrounds are transparent and the colours of medium lightness, so that the drawings can be read on light and
+on dark pages. Curves and pixels are toy examples, computed here; nothing is rendered.
 
     python docs/drawings.py [FOLDER]
 """
@@ -39,7 +39,7 @@ STYLE = {
 
 
 def toy_picture() -> np.ndarray[Any, Any]:
-    """Return a 12 x 8 picture of a room: a bright window, a lamp, a wall and a darker floor, in relative luminance."""
+    """Return a 12 × 8 picture of a room in relative luminance: window, lamp, wall, and a darker floor and desk."""
     picture = np.full((8, 12), 0.32)
     picture[5:] = 0.18
     picture[1:4, 2:6] = 0.95
