@@ -92,7 +92,7 @@ def pixels(axes: Axes, values: np.ndarray[Any, Any], corner: tuple[float, float]
     side = 0.11
     rows, columns = values.shape
     x, y = (corner[i] + side * np.arange(n + 1) for i, n in enumerate((columns, rows)))
-    axes.pcolormesh(x, y, values[::-1], antialiased=False, **colours)
+    axes.pcolormesh(x, y, values[::-1], edgecolors="face", linewidth=0.5, **colours)  # no seams
 
 
 # ------------------------------------------------------------------------------------------------ drawings
