@@ -24,9 +24,9 @@ from _section import Section
 HEAD = """# Reproducing the paper
 
 After this page you know which claims of "Scene Parameter Saliency via Differentiable Light Transport" (Beresna and
-Fiume) could be reproduced. The paper asks which parameters of a scene a metric of its image depends on. Each section
-compares a claim of the paper with the measurements of `python examples/paper --write docs/paper.md`. The paper's
-kitchen is not available here; the rooms are {rooms}.
+Fiume) could be reproduced. The paper asks which parameters of a scene a metric of its image depends on. Each
+section compares a claim of the paper with the measurements of `python examples/paper --write docs/paper.md`. The
+paper's kitchen is not available here; the rooms are {rooms}.
 The network is {network}.
 """
 
