@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from derivative_table import ABOVE, BELOW, CASES, WITHOUT_PARAMETERS, Case, Row
+from derivative_table import ABOVE, BELOW, CASES, GROUPS, WITHOUT_PARAMETERS, Case, Row
 
 from scenecaptum import SceneRenderer, activate
 from scenecaptum.errors import SceneCaptumError
@@ -493,10 +493,23 @@ def summary(outcomes: Sequence[Outcome]) -> str:
 
 INTRODUCTION = """# Derivatives against finite differences
 
-Every BSDF, texture, emitter and medium plugin of Mitsuba, and every continuous parameter that it exposes, each in
-a small scene: a ball or two, a floor, a block, a lamp, and a non-uniform sky; or a floor that reflects a lamp into
-the camera. Measured by `python benchmarks/derivatives.py --write docs/derivatives.md` with {versions}:
-**{summary}**.
+After this page you know whether the derivative of a parameter can be trusted, here and in Mitsuba's own `prb`.
+Every BSDF, texture, emitter and medium plugin of Mitsuba, and every continuous parameter that it exposes, was
+compared with finite differences: **{summary}**.
+
+{overview}
+
+*Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
+and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly
+specular reflections, and plugins that Mitsuba itself does not render or sample correctly; selecting one raises an
+error with the reason. For `prb`, the rows with a finite difference are counted; *none* means that it refuses the
+scene or does not track the parameter.
+
+## How it was measured
+
+Each parameter is in a small scene: a ball or two, a floor, a block, a lamp, and a non-uniform sky; or a floor that
+reflects a lamp into the camera. Measured by `python benchmarks/derivatives.py --write docs/derivatives.md` with
+{versions}.
 
 - *Ours* is the derivative of a weighted mean of the image from `SceneRenderer`, summed over all elements of the
   parameter (for a bump map, weighted by their values). It is taken with `seed_grad`, as in every attribution
@@ -524,7 +537,12 @@ def document(outcomes: Sequence[Outcome]) -> str:
     versions = " and ".join(f"{n} {importlib.metadata.version(n)}" for n in ("mitsuba", "drjit"))
     parts = [
         INTRODUCTION.format(
-            versions=versions, summary=summary(outcomes), seeds=SEEDS, bias=STEP_BIAS, good=GOOD
+            versions=versions,
+            summary=summary(outcomes),
+            overview=overview(outcomes),
+            seeds=SEEDS,
+            bias=STEP_BIAS,
+            good=GOOD,
         ),
         "Without continuous parameters: "
         + "; ".join(f"`{plugin}` ({why})" for plugin, why in WITHOUT_PARAMETERS.items())
@@ -533,6 +551,34 @@ def document(outcomes: Sequence[Outcome]) -> str:
     for plugin, group in groupby(outcomes, key=lambda outcome: outcome.plugin):
         parts += ["\n".join((f"## {plugin}\n", *_table(list(group)))) + "\n"]
     return "\n".join(parts)
+
+
+def overview(outcomes: Sequence[Outcome]) -> str:
+    """Return the verdicts by group of plugins as Markdown, and the plugins for which ``prb`` is wrong."""
+    group_of = {plugin: group for group, plugins in GROUPS.items() for plugin in plugins}
+    lines = [
+        "| | right | wrong | unresolved | unsupported | `prb`: right | wrong | unresolved | none |",
+        "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for group in ("materials", *GROUPS):
+        members = [outcome for outcome in outcomes if group_of.get(outcome.plugin, "materials") == group]
+        ours = Counter(outcome.verdict for outcome in members)
+        stock = Counter(map(stock_verdict, members))
+        counts = [ours[v] for v in ("right", "wrong", "unresolved", "unsupported")]
+        counts += [stock[v] for v in ("right", "wrong", "unresolved", "none")]
+        lines.append(f"| {group} | {' | '.join(map(str, counts))} |")
+    failing = dict.fromkeys(o.plugin for o in outcomes if stock_verdict(o) in ("wrong", "none"))
+    plugins = ", ".join(f"`{plugin}`" for plugin in failing)
+    return "\n".join(
+        [*lines, "", f"`prb` is wrong, or has no derivative, for at least one parameter of: {plugins}."]
+    )
+
+
+def stock_verdict(outcome: Outcome) -> str:
+    """Return the verdict on ``prb``: as on ours, *none* without a derivative, and nothing without a difference."""
+    if outcome.difference is None or outcome.stock is None:
+        return ""
+    return "none" if isinstance(outcome.stock, str) else _verdict_on_pair(outcome.stock, outcome.difference)
 
 
 def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:

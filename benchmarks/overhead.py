@@ -3,7 +3,7 @@
 The script renders once, differentiates the same torch metric, and calls ``render_backward`` once. It tracks what
 Mitsuba can track of our inputs. Both sides keep their scene loaded and their kernels compiled, the
 script keeps its gradients enabled, and they take turns in one process; medians over several turns are compared.
-The time of a replicate for itself is what seven more replicates with the same samples add, divided by seven.
+The fixed cost of a replicate is what seven more replicates with the same samples add, divided by seven.
 Every scene is measured in a process of its own.
 
     python benchmarks/overhead.py [SCENE …] [--variant cuda_ad_rgb] [--write docs/performance.md]
@@ -45,7 +45,7 @@ HEADER = (
     "script",
     "one replicate",
     f"{DEFAULT_REPLICATES} replicates with error bars",
-    "a replicate for itself",
+    "fixed cost of a replicate",
 )
 
 
@@ -96,7 +96,7 @@ def measure(setting: Setting) -> list[str]:
             f"{statistics.median(times) / base:.3f}   median of ratios {statistics.median(ratios):.3f}"
         )
     alone = (on - off) / (DEFAULT_REPLICATES - 1)
-    print(f"a replicate for itself: {alone:.3f} s")
+    print(f"fixed cost of a replicate: {alone:.3f} s")
     print(
         f"peak memory (all sides), {device_name()}: {measured(peak_memory() / 2**30, '{:.2f} GiB')}",
         flush=True,

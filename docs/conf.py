@@ -14,8 +14,14 @@ project = "scenecaptum"
 copyright = "The scenecaptum developers"
 release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build", "performance.md"]  # speed.md includes the latter
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 myst_heading_anchors = 3
 
@@ -35,6 +41,11 @@ html_css_files = ["pages.css"]
 html_copy_source = False
 html_show_sphinx = False
 html_use_index = False
+
+# The buttons copy the input of an example, without its prompts and without what it prints.
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+copybutton_only_copy_prompt_lines = True
 
 
 def _fix_docstring(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:

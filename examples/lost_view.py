@@ -1,9 +1,9 @@
 """Turn the camera until a classifier no longer sees the sphere that fills the picture.
 
 Gradient descent of the margin of the right class, with respect to the rotation of the camera alone: the room, the
-light and the sphere stay as they are, and the sphere stays in view. A network is rough: it changes its
-mind with the position of a single edge within a pixel. The margin that is lowered is therefore the mean over
-pictures that are shifted by up to one pixel, with a little noise.
+light and the sphere do not change, and the sphere stays in view. The output of a network depends on the position
+of a single edge within a pixel. The margin that is lowered is therefore the mean over pictures that are shifted by
+up to one pixel, with a little noise.
 
 Prints the margin at every step, what the network alone sees before and after, and how many random turns as large
 as the one found lose the sphere too. Draws both views.

@@ -3,7 +3,7 @@
 Two networks learn to tell spheres from cubes. In the training pictures of the first, the reading lamp is always
 warm where there is a sphere, and always white where there is a cube. For the second, its colour says nothing about
 the class. Then both see a cube under a warm reading lamp, in a room of random paint and light. Integrated
-gradients from the same room in grey, with white lamps, tell which of the differences moves the decision.
+gradients from the same room in grey, with white lamps, show which of the differences changes the decision.
 
 Prints a table of all trainings, and draws training pictures, one result with and one without the shortcut, and the
 effect of the lamp in all trainings.

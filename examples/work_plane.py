@@ -1,4 +1,4 @@
-"""Measure the illuminance on the work plane of the office, draw its map, and ask what its darkest points lack.
+"""Measure the illuminance on the work plane of the office, draw its map, and rank what limits its darkest points.
 
 Mean illuminance and uniformity are the two numbers that EN 12464-1 sets limits for. Their derivatives say which
 surfaces to paint, or which lamps to change, for each of them.

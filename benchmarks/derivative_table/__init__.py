@@ -10,6 +10,19 @@ from ._surfaces import surface_cases
 
 CASES = (*surface_cases(), *light_cases(), *medium_cases())
 
+# What the summary counts together; plugins in none of these groups are materials.
+GROUPS = {
+    "textures and colours": ("bitmap", "checkerboard", "mesh_attribute", "volume", "spectra"),
+    "lights": (
+        *("area", "directionalarea", "point", "spot", "projector", "directional"),
+        *("constant", "envmap", "sunsky", "timed_sunsky"),
+    ),
+    "media": (
+        *("homogeneous", "heterogeneous", "fog"),
+        *("hg", "isotropic", "rayleigh", "tabphase", "blendphase", "sggx"),
+    ),
+}
+
 # Plugins of these categories without rows in the table.
 WITHOUT_PARAMETERS = {
     "null": "fully transparent",

@@ -23,9 +23,10 @@ from _section import Section
 
 HEAD = """# Reproducing the paper
 
-"Scene Parameter Saliency via Differentiable Light Transport" (Beresna and Fiume) asks which parameters of a scene
-a metric of its image depends on. Each section compares a claim of the paper with the measurements of
-`python examples/paper --write docs/paper.md`. The paper's kitchen is not available here; the rooms are {rooms}.
+After this page you know which claims of "Scene Parameter Saliency via Differentiable Light Transport" (Beresna and
+Fiume) could be reproduced. The paper asks which parameters of a scene a metric of its image depends on. Each
+section compares a claim of the paper with the measurements of `python examples/paper --write docs/paper.md`. The
+paper's kitchen is not available here; the rooms are {rooms}.
 The network is {network}.
 """
 

@@ -7,8 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from derivative_table import CASES, QUICK, Case
-from derivatives import DIFFERENCE, GOOD, OURS, Estimate, MitsubaReference, Ours, estimates, z_score
+from derivative_table import CASES, GROUPS, QUICK, Case
+from derivatives import (
+    DIFFERENCE,
+    GOOD,
+    OURS,
+    Estimate,
+    MitsubaReference,
+    Ours,
+    Outcome,
+    estimates,
+    overview,
+    z_score,
+)
 from seeds import seeds
 
 SEEDS = 8
@@ -69,3 +80,29 @@ def fault(name: str, ours: Estimate, theirs: Estimate) -> str | None:
         if abs(z) < 4
         else f"{name}: derivative {ours}, difference quotient {theirs}: z = {z:+.1f}, allowed ±4"
     )
+
+
+def test_the_summary_counts_verdicts_by_group() -> None:
+    one, half = Estimate(1.0, 0.01, 64), Estimate(0.5, 0.01, 64)
+
+    def outcome(
+        plugin: str, verdict: str, difference: Estimate | None, stock: Estimate | str | None
+    ) -> Outcome:
+        return Outcome("", plugin, "", None, "", verdict, difference=difference, stock=stock)
+
+    text = overview(
+        [
+            outcome("diffuse", "right", one, one),
+            outcome("plastic", "right", one, half),
+            outcome("point", "unsupported", None, "not tracked"),
+            outcome("fog", "unresolved", one, "raises"),
+        ]
+    )
+    assert "| materials | 2 | 0 | 0 | 0 | 1 | 1 | 0 | 0 |" in text
+    assert "| lights | 0 | 0 | 0 | 1 | 0 | 0 | 0 | 0 |" in text
+    assert "| media | 0 | 0 | 1 | 0 | 0 | 0 | 0 | 1 |" in text
+    assert text.endswith("of: `plastic`, `fog`.")
+
+
+def test_groups_of_the_summary_are_plugins_of_the_table() -> None:
+    assert {plugin for group in GROUPS.values() for plugin in group} <= {case.plugin for case in CASES}

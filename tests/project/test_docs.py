@@ -13,6 +13,8 @@ import pkgutil
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,7 +29,8 @@ from scenecaptum.cli import parser
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+NAMES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 TORCHVISION = ("vision.md",)
 
@@ -149,6 +152,24 @@ def test_scripts_that_pages_name_exist(page):
         assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pictures_have_alternative_text(page):
+    prose = FENCE.sub("", page.read_text())
+    assert all(len(text) > 10 for text in re.findall(r"!\[(.*?)\]\(", prose))
+
+
+def test_the_drawings_of_the_concepts_are_those_of_the_script(tmp_path):
+    subprocess.run([sys.executable, ROOT / "docs" / "drawings.py", tmp_path], check=True)
+    drawn = {path.name for path in tmp_path.glob("*.svg")}
+    assert drawn == {path.name for path in (ROOT / "docs" / "pictures").glob("concepts-*.svg")}
+    assert drawn == set(re.findall(r"concepts-[\w-]+\.svg", (ROOT / "docs" / "concepts.md").read_text()))
+
+
+def test_the_citation_names_the_version():
+    [version] = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert version == scenecaptum.__version__
+
+
 def public() -> Iterator[tuple[str, Any]]:
     """Return every public name with its object: what packages re-export, and the functions of two modules."""
     packages = {one.name for one in pkgutil.walk_packages(scenecaptum.__path__, "scenecaptum.") if one.ispkg}
@@ -262,7 +283,7 @@ def methods(thing: Any) -> list[tuple[str, Any]]:
 @pytest.mark.long
 def test_the_documentation_builds_without_a_warning(tmp_path):
     sphinx = pytest.importorskip("sphinx.cmd.build", reason="Sphinx is not installed: pip install '.[docs]'")
-    for package in ("myst_parser", "furo"):
+    for package in ("myst_parser", "furo", "sphinx_copybutton"):
         pytest.importorskip(package)
     shutil.rmtree(
         ROOT / "docs" / "generated", ignore_errors=True
