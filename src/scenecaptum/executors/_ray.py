@@ -39,12 +39,12 @@ class RayExecutor(Executor):
         self._call = ray.remote(num_cpus=1, max_retries=3)(_call)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Return the future result of a call of ``function`` in a process of Ray."""
+        """Return the future result of ``function`` with ``args`` and ``kwargs`` in a process of Ray."""
         future: Future[Any] = self._call.remote(function, args, kwargs).future()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Disconnect from Ray if this executor has connected to it."""
+        """Disconnect from Ray if this executor has connected to it; ``wait`` and ``cancel_futures`` have no effect."""
         if self._owns_connection:
             self._ray.shutdown()
 
