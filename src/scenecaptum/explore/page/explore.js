@@ -55,8 +55,10 @@ function decode({ buffer, byteOffset = 0, byteLength }, scale) {
       return sign * (power ? 2 ** (power - 15) * (1 + rest / 1024) : rest * 2 ** -24);
     });
   }
-  const view = new DataView(buffer, byteOffset, byteLength);
-  return Float32Array.from({ length: byteLength / 2 }, (_, index) => scale * halves[view.getUint16(2 * index, true)]);
+  const bits = new Uint16Array(buffer.slice(byteOffset, byteOffset + byteLength)); // a copy: an offset may be odd
+  const numbers = new Float32Array(bits.length);
+  for (let index = 0; index < bits.length; index += 1) numbers[index] = scale * halves[bits[index]];
+  return numbers;
 }
 
 const STEPS = 16384;
@@ -84,18 +86,35 @@ function toneMap(linear, exposure, pixels) {
   }
 }
 
-/** Add a slider's way from one place to another to a picture, in place. */
-function advance(linear, slider, from, to) {
-  slider.images.forEach((image, index) => {
-    const all = to[index] - from[index];
-    const [red, green, blue] = slider.byChannel ? to.map((number, channel) => number - from[channel]) : [all, all, all];
-    if (!red && !green && !blue) return;
-    for (let at = 0; at < linear.length; at += 3) {
-      linear[at] += red * image[at];
-      linear[at + 1] += green * image[at + 1];
-      linear[at + 2] += blue * image[at + 2];
-    }
-  });
+/** Return the images that a slider's way adds to a picture, each with its weights in the three channels. */
+function termsOf(slider, from, to) {
+  const way = to.map((number, index) => number - from[index]);
+  const all = slider.images.map((image, index) => ({
+    image,
+    weights: slider.byChannel ? way : Array(3).fill(way[index]),
+  }));
+  return all.filter(({ weights }) => weights.some(Boolean));
+}
+
+/** Add terms to a picture in place, three at a time: that takes little longer than one. */
+function add(linear, terms) {
+  for (let first = 0; first < terms.length; first += 3) {
+    const nothing = { image: terms[first].image, weights: [0, 0, 0] };
+    addThree(
+      linear,
+      [0, 1, 2].map((index) => terms[first + index] ?? nothing),
+    );
+  }
+}
+
+function addThree(linear, terms) {
+  const [a, b, c] = terms.map(({ image }) => image);
+  const [[redA, greenA, blueA], [redB, greenB, blueB], [redC, greenC, blueC]] = terms.map(({ weights }) => weights);
+  for (let red = 0, green = 1, blue = 2; red < linear.length; red += 3, green += 3, blue += 3) {
+    linear[red] += redA * a[red] + redB * b[red] + redC * c[red];
+    linear[green] += greenA * a[green] + greenB * b[green] + greenC * c[green];
+    linear[blue] += blueA * a[blue] + blueB * b[blue] + blueC * c[blue];
+  }
 }
 
 const toHex = (linear) =>
@@ -270,18 +289,20 @@ class Page {
   /** Compute the predicted picture anew, from the start that is known now. */
   takeBase() {
     if (!this.base) return;
-    this.linear = Float32Array.from(this.base.picture);
+    this.linear = this.base.picture.slice();
     this.applied = new Map();
   }
 
   /** Bring a picture to a design, changing only what has moved since. */
   follow(linear, applied, design) {
+    const terms = [];
     for (const slider of this.sliders.values()) {
       if (!slider.images.length) continue;
       const [from, to] = [applied.get(slider.name) ?? this.place(slider, this.base.design), this.place(slider, design)];
-      advance(linear, slider, from, to);
+      terms.push(...termsOf(slider, from, to));
       applied.set(slider.name, to);
     }
+    add(linear, terms);
     return linear;
   }
 
@@ -345,7 +366,7 @@ class Page {
     if (!this.base) return this.preview && { ...this.preview, label: "First picture" };
     if (this.held) {
       const design = this.saved.find((one) => one.name === this.compared)?.design ?? {};
-      const picture = this.follow(Float32Array.from(this.base.picture), new Map(), design);
+      const picture = this.follow(this.base.picture.slice(), new Map(), design);
       return { ...this.base, picture, label: this.compared ?? "Before" };
     }
     const isStart = same(this.design, this.base.design);
@@ -366,11 +387,13 @@ class Page {
     const shown = this.shown();
     frame.toggleAttribute("data-empty", !shown);
     if (!shown) return;
-    Object.assign(canvas, { width: shown.width, height: shown.height });
     const context = canvas.getContext("2d");
-    const image = context.createImageData(shown.width, shown.height);
-    toneMap(shown.picture, shown.exposure, image.data);
-    context.putImageData(image, 0, 0);
+    if (this.pixels?.width !== shown.width || this.pixels.height !== shown.height) {
+      Object.assign(canvas, { width: shown.width, height: shown.height });
+      this.pixels = context.createImageData(shown.width, shown.height);
+    }
+    toneMap(shown.picture, shown.exposure, this.pixels.data);
+    context.putImageData(this.pixels, 0, 0);
     badge.textContent = shown.label;
     frame.setAttribute("aria-busy", String(shown.label !== "Rendered" && !this.held));
   }
