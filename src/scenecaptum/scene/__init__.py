@@ -34,6 +34,7 @@ from ._parameters import discover as discover
 from ._parameters import discover_in as discover_in
 from ._poses import Moved as Moved
 from ._poses import camera_parameters as camera_parameters
+from ._poses import moved_pivot as moved_pivot
 from ._poses import overlaps as overlaps
 from ._poses import placement as placement
 from ._poses import pose_component as pose_component
