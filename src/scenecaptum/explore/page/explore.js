@@ -788,7 +788,7 @@ class Page {
   }
 
   python() {
-    const { python, attribute } = this.scene.recipe;
+    const { python, metrics, attribute } = this.scene.recipe;
     const changes = Object.entries(this.design).map(([name, place]) => {
       const { form } = this.sliders.get(name);
       const [key, numbers] = [`values[${JSON.stringify(name)}]`, place.map(short)];
@@ -800,7 +800,7 @@ class Page {
       python.replace("{inputs}", () => inputs),
       ...changes,
       "renderer.clamp_(values)",
-      `print(VanillaSceneGradient(renderer, metric).attribute(${attribute}))`,
+      ...metrics.map((metric) => `print(VanillaSceneGradient(renderer, ${metric}).attribute(${attribute}))`),
       "",
     ].join("\n");
   }
