@@ -127,7 +127,7 @@ def test_a_render_far_from_its_prediction_says_by_how_much(window):
     described = confirmed(window)["metrics"][0]
     note = window.all("warning").first
     wait_for(note.is_visible)
-    off, errors = re.search(r"off by ([−+][\d.]+), ([\d.]+) errors", note.inner_text()).groups()
+    off, errors = re.search(r"off by ([−+][\d.]+), ([\d.]+) standard errors", note.inner_text()).groups()
     assert float(errors) > 2
     _, [(change, _), _] = window.exploration.about.predict(last_render(window.exploration)["design"])
     assert float(off.replace("−", "-")) == pytest.approx(described["change"][0] - change, rel=0.1)

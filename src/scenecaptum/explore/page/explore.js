@@ -38,6 +38,14 @@ function written(value, error, signed = false) {
 const withError = (value, error, signed) => written(value, error, signed).filter(Boolean).join(" ± ");
 const short = (number) => Number(number.toPrecision(6));
 
+/** Write where a slider stands. */
+function placeText(form, place) {
+  if (form === "dimmer") return `${Math.round(100 * place[0])} %`;
+  const numbers = place.map((one) => Number(one.toPrecision(3)));
+  if (form === "offset") return numbers[0] ? minus(`${numbers[0] > 0 ? "+" : ""}${numbers[0]}`) : "±0"; // of a texture
+  return minus(numbers.join("  "));
+}
+
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
 async function inflate(text) {
@@ -414,7 +422,7 @@ class Page {
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
       note.textContent = isOff
-        ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} errors.`
+        ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} standard errors.`
         : "";
     });
     this.parts.undo.disabled = !this.past.length;
@@ -427,7 +435,7 @@ class Page {
     if (!this.base) return;
     const { unit } = this.scene.metrics[this.metric];
     this.parts.heading.textContent = this.sliders.size
-      ? `Effect over the range of each${unit ? `, in ${unit}` : ""}; of what you move, that of the move`
+      ? `Effect of each over its range${unit ? `, in ${unit}` : ""}; bold: of your change`
       : "";
     for (const slider of this.sliders.values()) {
       const row = this.rows.get(slider.name);
@@ -442,11 +450,7 @@ class Page {
           : "";
       row.effect.title = own ? "effect of this change, to first order" : "effect over its range, to first order";
       row.effect.dataset.sign = Math.sign(own ? own.change : (over?.[0] ?? 0));
-      const place = this.place(slider);
-      row.number.textContent =
-        slider.form === "dimmer"
-          ? `${Math.round(100 * place[0])} %`
-          : minus(place.map((one) => String(Number(one.toPrecision(3)))).join("  "));
+      row.number.textContent = placeText(slider.form, this.place(slider));
     }
   }
 
@@ -526,7 +530,7 @@ class Page {
         ["magnitude", "Map of magnitudes"],
       ].map(([value, text]) => make("option", { value }, text)),
     );
-    p.before = button("Before (hold B)", () => {}, {
+    p.before = button("Before (hold, key B)", () => {}, {
       onpointerdown: () => this.hold(true),
       onpointerup: () => this.hold(false),
       onpointerleave: () => this.hold(false),
