@@ -107,8 +107,8 @@ class Capabilities:
         "The poses that move objects into others, each with the name of the other."
     )
     touching = _Offer[Callable[[str], list[str]]]("The objects near to one that a pose moves.")
-    shown_moves = _Offer[Mapping[str, tuple[list[float], list[list[float]]]]](
-        "Where the picture shows the object of each translation, and how it moves there."
+    shown_moves = _Offer[Callable[[Iterable[str], Mapping[str, torch.Tensor]], Mapping[str, Any]]](
+        "Where the picture shows the objects of translations, and how these move them, where all are moved."
     )
     rendered_separately = _Offer[Collection[str]]("The inputs whose derivatives take renders of their own.")
     vectors = _Offer[Collection[str]]("The inputs that are vectors in space, compared by their lengths.")

@@ -28,11 +28,11 @@ def exploration(tiny: SceneRenderer) -> Exploration:
     python = (
         "import torch\n\nfrom scenecaptum import SceneRenderer, VanillaSceneGradient, metrics\n\n"
         "renderer = SceneRenderer('cornell-box', {inputs}, resolution=(24, 24), spp=64, max_depth=3)\n"
-        "metric = metrics.MeanLuminance()\nvalues = renderer.inputs"
+        "values = renderer.inputs"
     )
-    recipe = dict(
-        RECIPE, python=python, command="scenecaptum attribute cornell-box --resolution 24x24 --max-depth 3"
-    )
+    words = "attribute cornell-box --metric luminance --metric percentile --resolution 24x24 --max-depth 3"
+    code = ["metrics.MeanLuminance()", "metrics.LuminancePercentile()"]
+    recipe = dict(RECIPE, python=python, metrics=code, command=f"scenecaptum {words}")
     return Exploration(tiny, named, seed=shifted(), spp=64, recipe=recipe)
 
 

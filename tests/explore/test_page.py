@@ -17,13 +17,11 @@ from scenecaptum import cli, metrics
 from scenecaptum.explore import Exploration, Server
 from scenecaptum.visualization import automatic_exposure, display_image
 
-from .windows import Window, last_render, served, wait_for
+from .windows import REPLICATES, Window, last_render, number, run, served, wait_for
 
 LAMP = "light.emitter.radiance.value"
 WALL = "left_wall.reflectance.value"
 BOX = "tall_box_shape.pose.translation"
-REPLICATES = 4
-NUMBER = r"([−+]?[\d.]+) ± ([\d.]+)"
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +34,6 @@ def shared(browser: Any, server: Server) -> Iterator[Window]:
 @pytest.fixture
 def window(shared: Window) -> Window:
     return shared.ready()
-
-
-def number(text: str) -> tuple[float, float]:
-    """Read a value with its error."""
-    value, error = re.search(NUMBER, text).groups()
-    return float(value.replace("−", "-")), float(error)
 
 
 def confirmed(window: Window) -> dict[str, Any]:
@@ -135,7 +127,7 @@ def test_a_render_far_from_its_prediction_says_by_how_much(window):
     described = confirmed(window)["metrics"][0]
     note = window.all("warning").first
     wait_for(note.is_visible)
-    off, errors = re.search(r"off by ([−+][\d.]+), ([\d.]+) errors", note.inner_text()).groups()
+    off, errors = re.search(r"off by ([−+][\d.]+), ([\d.]+) standard errors", note.inner_text()).groups()
     assert float(errors) > 2
     _, [(change, _), _] = window.exploration.about.predict(last_render(window.exploration)["design"])
     assert float(off.replace("−", "-")) == pytest.approx(described["change"][0] - change, rel=0.1)
@@ -228,31 +220,27 @@ def test_several_metrics_are_shown_and_one_ranks(window):
 def test_the_design_as_python_gives_the_same_metric(window):
     window.set(LAMP, 0.6)
     window.slider(WALL).locator("input[type=color]").fill("#4060c0")
-    described = confirmed(window)["metrics"][0]
+    described = confirmed(window)["metrics"]
     window.page.get_by_role("button", name="Copy as Python").click()
     script = window.page.evaluate("navigator.clipboard.readText()")
     assert script == window.page.get_by_label("Code").input_value()
-    value, error = number(run(script))
-    assert abs(value - described["value"]) < allowed(REPLICATES) * together(error, described["error"])
-
-
-def run(script: str) -> str:
-    """Run a script in this process, whose kernels are compiled, and return what it prints first."""
-    printed: list[str] = []
-    exec(script, {"print": lambda result: printed.append(str(result))})
-    return printed[0]
+    for printed, one in zip(run(script), described, strict=True):
+        value, error = number(printed)
+        assert abs(value - one["value"]) < allowed(REPLICATES, len(described)) * together(error, one["error"])
 
 
 def test_the_design_as_a_command_gives_the_same_metric(window, capsys, tmp_path):
     window.set(LAMP, 0.6)
-    described = confirmed(window)["metrics"][0]
+    described = confirmed(window)["metrics"]
     window.page.get_by_role("button", name="Copy as command line").click()
     program, *words = shlex.split(window.page.get_by_label("Code").input_value().replace("\\\n", ""))
     assert program == "scenecaptum"
     assert cli.main([*words, "--spp", "64", "--json", "--format", "json", "--out", str(tmp_path)]) == 0
-    metric = json.loads(capsys.readouterr().out)["metric"]
-    off = metric["value"] - described["value"]
-    assert abs(off) < allowed(REPLICATES) * together(metric["standard_error"], described["error"])
+    printed = re.split(r"(?<=^})\n", capsys.readouterr().out.strip(), flags=re.MULTILINE)
+    for text, one in zip(printed, described, strict=True):
+        metric = json.loads(text)["metric"]
+        errors = together(metric["standard_error"], one["error"])
+        assert abs(metric["value"] - one["value"]) < allowed(REPLICATES, len(described)) * errors
 
 
 def test_a_new_start_is_taken(window):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from chance import allowed, together
 from nbclient import NotebookClient
 from nbformat.v4 import new_code_cell, new_notebook
 
@@ -17,7 +18,7 @@ from scenecaptum import cli, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.explore import Exploration, widget
 
-from .windows import wait_for
+from .windows import REPLICATES, number, run, wait_for
 
 LAMP = "light.emitter.radiance.value"
 CODE = """
@@ -27,6 +28,15 @@ renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), 
 exploration = Exploration(renderer, metrics.MeanLuminance(), spp=16)
 shown = widget(exploration)
 shown
+"""
+OWN = """
+class Red:
+    def __call__(self, image):
+        return image[..., 0].mean()
+
+
+def blue(image):
+    return image[..., 2].mean()
 """
 # What a notebook does with the module: a model whose messages go to the kernel and come from it.
 FRONTEND = """async (source) => {
@@ -104,9 +114,11 @@ def test_anywidget_is_asked_for_where_it_is_missing(tiny, monkeypatch):
 
 
 def test_a_report_predicts_without_a_server(browser, tmp_path, capsys):
-    path = tmp_path / "explore.html"
+    path, own = tmp_path / "explore.html", tmp_path / "own.py"
+    own.write_text(OWN)
     words = (
-        "explore cornell-box --metric luminance --resolution 16x16 --spp 16 --max-depth 3 --inputs emitters"
+        f"explore cornell-box --metric luminance --metric {own}:Red --metric {own}:blue "
+        "--resolution 16x16 --spp 16 --max-depth 3 --inputs emitters"
     )
     assert cli.main([*words.split(), "--to", str(path)]) == 0
     assert str(path) in capsys.readouterr().out
@@ -119,11 +131,18 @@ def test_a_report_predicts_without_a_server(browser, tmp_path, capsys):
     page.goto(path.as_uri())
     slider = page.locator(f'.explore-slider[data-name="{LAMP}"]:not([data-waiting]) input')
     wait_for(slider.count)
-    value = float(page.locator(".explore-value").inner_text().split()[0])
+    value, _ = number(page.locator(".explore-value").first.inner_text())
     slider.fill("0.5")
     wait_for(lambda: page.locator(".explore-badge").inner_text() == "Predicted")
-    halved = float(page.locator(".explore-value").inner_text().split()[0])
+    halved, error = number(page.locator(".explore-value").first.inner_text())
     assert halved == pytest.approx(value / 2, rel=0.02)  # as far as its digits go
+    page.get_by_role("button", name="Copy as Python").click()
+    printed = run(page.get_by_label("Code").input_value())
+    assert [text.split(" = ")[0].split()[-1] for text in printed] == ["luminance", "Red", "blue"]
+    again, its_error = number(printed[0])
+    assert abs(again - halved) < allowed(REPLICATES) * together(error, its_error)
+    page.get_by_role("button", name="Copy as command line").click()
+    assert page.get_by_label("Code").input_value().count("--metric ") == len(printed)
     page.get_by_label("Name of this design").fill("half")
     page.get_by_role("button", name="Save").click()
     wait_for(lambda: "half" in page.locator(".explore-saved").inner_text())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ READ = """const read = (canvas) => {
     context.drawImage(canvas, 0, 0);
     return [...context.getImageData(0, 0, canvas.width, canvas.height).data];
 };"""
+REPLICATES = 4  # of a design
 PATIENCE = 60.0  # seconds for what takes less than one on a machine that has nothing else to do
 
 
@@ -126,6 +128,20 @@ class Window:
         assert not self.complaints, self.complaints
         asked = {urlsplit(url).netloc for url in self.requests if not url.startswith(("data:", "blob:"))}
         assert asked == {self.server.hosts[0]}
+
+
+def number(text: str) -> tuple[float, float]:
+    """Read a value with its error."""
+    found = re.search(r"([−+]?[\d.]+) ± ([\d.]+)", text)
+    assert found is not None, text
+    return float(found[1].replace("−", "-")), float(found[2])
+
+
+def run(script: str) -> list[str]:
+    """Run a script in this process, whose kernels are compiled, and return what it prints."""
+    printed: list[str] = []
+    exec(script, {"print": lambda result: printed.append(str(result))})
+    return printed
 
 
 def last_render(exploration: Exploration) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def test_docstring_examples_run(name, mi):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_block_of_python_consists_of_examples(page):
     for language, code in blocks(page):
-        assert language in ("python", "sh", "text", "{toctree}", "{eval-rst}", "{include}"), code
+        assert language in ("python", "sh", "text", "toml", "{toctree}", "{eval-rst}", "{include}"), code
         if language == "python":
             assert ">>> " in code, f"{page.name} shows code that nobody runs:\n{code}"
 

@@ -17,7 +17,9 @@ NAME = "short_box_shape.pose.translation"
 
 @pytest.fixture(scope="module")
 def renderer(mi: Any) -> SceneRenderer:
-    return SceneRenderer("cornell-box", [NAME, "light.pose.translation"], resolution=(32, 32), spp=64)
+    objects = {"boxes": ["short_box_shape", "tall_box_shape"], "short_box_shape": ["short_box_shape"]}
+    inputs = [NAME, "light.pose.translation"]
+    return SceneRenderer("cornell-box", inputs, resolution=(32, 32), spp=64, objects=objects)
 
 
 def left_to_right(image: torch.Tensor) -> torch.Tensor:
@@ -26,7 +28,7 @@ def left_to_right(image: torch.Tensor) -> torch.Tensor:
 
 
 def test_an_object_is_where_the_picture_shows_it(renderer: SceneRenderer) -> None:
-    (x, y), slopes = renderer.shown_moves[NAME]
+    (x, y), slopes = renderer.shown_moves()[NAME]
     mask = renderer.surfaces.mask("short_box_shape")
     rows, columns = np.nonzero(mask > 0.5)
     assert columns.min() < x < columns.max() + 1
@@ -36,6 +38,47 @@ def test_an_object_is_where_the_picture_shows_it(renderer: SceneRenderer) -> Non
     assert across[0] > 1
     assert abs(across[2]) < 0.05
     assert down[2] < -1
+
+
+@pytest.mark.parametrize(
+    ("name", "move"),
+    [
+        (NAME, (-0.7, 0.3, 0.0)),
+        ("boxes.pose.translation", (-0.5, 0.0, 0.3)),
+        ("camera.pose.translation", (0.4, 0.0, 0.0)),
+        ("camera.pose.rotation", (0.0, 0.0, 0.2)),
+        ("camera.fov", 60.0),
+    ],
+)
+def test_an_object_is_where_the_values_show_it(
+    renderer: SceneRenderer, name: str, move: float | tuple[float, ...]
+) -> None:
+    values = {name: torch.tensor(move)}
+    place, before = (np.array(renderer.shown_moves((NAME,), moved)[NAME][0]) for moved in (values, {}))
+    assert np.abs(place - before).max() > 2
+    rows, columns = np.nonzero(renderer.surfaces_with_texels((), values).mask("short_box_shape") > 0.5)
+    assert columns.min() < place[0] < columns.max() + 1
+    assert rows.min() < place[1] < rows.max() + 1
+
+
+def test_slopes_are_those_of_moved_objects(renderer: SceneRenderer) -> None:
+    values = {
+        NAME: torch.tensor([-0.3, 0.1, 0.2]),
+        "boxes.pose.rotation": torch.tensor([0.1, 0.2, 0.5]),
+        "camera.pose.rotation": torch.tensor([0.05, 0.1, 0.0]),
+    }
+    slopes = np.array(renderer.shown_moves((NAME,), values)[NAME][1])
+    for axis, step in enumerate(0.01 * torch.eye(3)):
+        ends = [{**values, NAME: values[NAME] + sign * step} for sign in (-1, 1)]
+        low, high = (np.array(renderer.shown_moves((NAME,), end)[NAME][0]) for end in ends)
+        assert (high - low) / 0.02 == pytest.approx(slopes[:, axis], abs=0.02)
+
+
+def test_an_arrow_starts_where_its_object_was_moved(renderer: SceneRenderer) -> None:
+    values = {**renderer.inputs, NAME: torch.tensor([-0.7, 0.3, 0.0])}
+    found = VanillaSceneGradient(renderer, left_to_right).attribute(values, seed=shifted(), spp=8)
+    assert found.info["shown_moves"] == renderer.shown_moves(None, values)
+    assert found.info["shown_moves"][NAME][0][0] < renderer.shown_moves()[NAME][0][0] - 2
 
 
 def test_an_arrow_points_to_where_the_metric_rises(renderer: SceneRenderer) -> None:

@@ -285,6 +285,7 @@ def make_attribution(
     scale = 1 / gradients.weight
     names = list(gradients.mean)
     surfaces = surfaces_of(renderer, names, values)
+    shown_moves = Capabilities(renderer).shown_moves
     replicates = {name: scale * gradients.rows(name) for name in names}
     has_errors = gradients.degrees_of_freedom > 0
     bias = (
@@ -321,9 +322,7 @@ def make_attribution(
             "jumps": steps.jumps,
             "left_out": steps.left_out,
             "left_out_notes": steps.notes,
-            "shown_moves": {
-                n: m for n, m in (Capabilities(renderer).shown_moves or {}).items() if n in names
-            },
+            "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **(Capabilities(renderer).info or {}),

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import inspect
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..designs import CHANGES, read_design
+from ..estimation import Metric
 from ..explore import Exploration, section, serve
 from ..linearization import Designs
 from ..metrics import BY_NAME
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         target=options.target,
         seed=options.seed,
         top=options.top,
-        recipe=_recipe(options, renderer),
+        recipe=_recipe(options, renderer, created),
         spp=_spp(options),
     )
     if options.to is not None:
@@ -93,9 +95,10 @@ def _spp(options: argparse.Namespace) -> int:
     return spp
 
 
-def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, Any]:
-    """Return the renderer, the first metric and the given design as code and as a command."""
-    metric, *_ = options.metrics or [DEFAULT]
+def _recipe(
+    options: argparse.Namespace, renderer: SceneRenderer, metrics: Mapping[str, Metric]
+) -> dict[str, Any]:
+    """Return the renderer, the metrics by name and the given design as code and as a command."""
     width, height = renderer.resolution
     settings = {**(read_design(options.design) if options.design else {}), **dict(options.settings or ())}
     renderer_options = {
@@ -106,18 +109,19 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, A
         "parameters": dict(options.parameters or ()),
     }
     arguments = "".join(f", {name}={value!r}" for name, value in renderer_options.items() if value)
+    own = [name.rpartition(":")[0] for name in metrics if name not in BY_NAME]
+    needed = sorted({"runpy" if module.endswith(".py") else "importlib" for module in own})
     python = [
+        *(f"import {module}\n" for module in needed),
         "import torch",
         "",
         "from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics",
         "",
         f"renderer = SceneRenderer({options.scene!r}, {{inputs}}{arguments})",
-        _metric_code(metric, options),
         "values = renderer.inputs",
         *(_setting_code(key, value) for key, value in settings.items()),
     ]
     flags = {
-        "--metric": metric,
         "--resolution": f"{width}x{height}",
         "--spp": _spp(options),
         "--max-depth": renderer.plan.max_depth,
@@ -127,11 +131,13 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, A
         **{_flag(name): getattr(options, name) for name in OPTIONS},
     }
     words = ["scenecaptum", "attribute", options.scene]
+    words += [word for name in metrics for word in ("--metric", name)]
     words += [word for name, value in flags.items() if value is not None for word in (name, str(value))]
     words += [word for pair in options.parameters or () for word in ("-D", "=".join(pair))]
     words += [word for key, value in options.settings or () for word in ("--set", f"{key}={_joined(value)}")]
     return {
         "python": "\n".join(python),
+        "metrics": [_metric_code(name, metric, options) for name, metric in metrics.items()],
         "attribute": f"values, target={options.target}" if options.target is not None else "values",
         "command": shlex.join(words),
         "changed": [key.rstrip("".join(CHANGES)) for key in settings],
@@ -139,20 +145,20 @@ def _recipe(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, A
     }
 
 
-def _metric_code(name: str, options: argparse.Namespace) -> str:
-    """Return lines that create the metric of this name for ``renderer``."""
-    module, _, attribute = name.rpartition(":")
-    if name not in BY_NAME and module.endswith(".py"):
-        return f"import runpy\n\nmetric = runpy.run_path({module!r})[{attribute!r}]"
+def _metric_code(name: str, created: Metric, options: argparse.Namespace) -> str:
+    """Return an expression that creates the metric of this name for ``renderer``."""
     if name not in BY_NAME:
-        return f"import importlib\n\nmetric = importlib.import_module({module!r}).{attribute}"
+        module, _, attribute = name.rpartition(":")
+        call = "()" if type(created).__name__ == attribute else ""  # a class
+        if module.endswith(".py"):
+            return f"runpy.run_path({module!r})[{attribute!r}]{call}"
+        return f"importlib.import_module({module!r}).{attribute}{call}"
     metric = BY_NAME[name]
     known = {option: getattr(options, option) for option in OPTIONS if option in metric.parameters}
     arguments = [f"{option}={value!r}" for option, value in known.items() if value is not None]
     arguments += ["camera=renderer.camera"] if "camera" in metric.parameters else []
-    is_class = inspect.isclass(metric.create)
-    create = metric.create.__name__ if is_class else f"BY_NAME[{name!r}].create"
-    return f"metric = metrics.{create}({', '.join(arguments)})"
+    create = metric.create.__name__ if inspect.isclass(metric.create) else f"BY_NAME[{name!r}].create"
+    return f"metrics.{create}({', '.join(arguments)})"
 
 
 def _setting_code(key: str, value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -51,8 +52,9 @@ class Exploration:
         Number of parameters that get a slider at once, those with the largest effects.
     recipe
         How a page writes a design as code: lines of ``python`` that create ``renderer``, whose inputs are
-        ``{inputs}``, ``metric`` and ``values``; the arguments of ``attribute``; a ``command``; the names of the
-        parameters that these have ``changed`` already; and the ``inputs`` if the page changes none.
+        ``{inputs}``, and ``values``; an expression for each of the ``metrics``; the arguments of ``attribute``; a
+        ``command``; the names of the parameters that these have ``changed`` already; and the ``inputs`` if the
+        page changes none.
     options
         ``inputs``, ``target``, ``seed``, ``spp`` and ``denoise``, as for ``linearization.Designs``.
 
@@ -94,7 +96,7 @@ class Exploration:
             height=height,
             metrics=[_describe(*pair) for pair in zip(named, self.designs.metrics, strict=True)],
             parameters={name: slider.label for name, slider in self.designs.sliders.items()},
-            recipe=recipe,
+            recipe={"metrics": [re.sub(r"\W", "_", name) or "metric" for name in named], **recipe},
         )
 
     def start(self) -> None:

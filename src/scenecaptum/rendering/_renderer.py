@@ -38,6 +38,7 @@ from ..scene import (
     format_parameters,
     hashable_source,
     load_scene,
+    moved_pivot,
     overlaps,
     portable,
     pose_parameters,
@@ -503,18 +504,36 @@ class SceneRenderer(torch.nn.Module):
         """A readable name for each input."""
         return {name: self._table[name].label for name in self._names}
 
-    @property
-    def shown_moves(self) -> dict[str, tuple[list[float], list[list[float]]]]:
-        """Where the picture shows the object of each translation, in pixels, and how it moves, ``(2, 3)``."""
+    def shown_moves(
+        self, names: Iterable[str] | None = None, values: Mapping[str, torch.Tensor] | None = None
+    ) -> dict[str, tuple[list[float], list[list[float]]]]:
+        """Return where the picture shows the objects of translations, and how these move them there.
+
+        Parameters
+        ----------
+        names
+            Parameters; those that are no translations of objects in the picture are left out. All inputs by
+            default.
+        values
+            Values by parameter name: objects and the camera are where their poses move them.
+
+        Returns
+        -------
+        dict
+            By name: a point in pixels, and its ``(2, 3)`` derivative with respect to the translation. Empty for
+            a list of sensors, a sensor grid, and other cameras than a pinhole.
+        """
         if self._stacked or not self.shows_a_view:
             return {}
+        poses = {name: torch.tensor(value) for name, value in self._moved(values)}
         moves: dict[str, tuple[list[float], list[list[float]]]] = {}
-        for name in self._names:
-            parameter = self._table[name]
+        wanted = self._names if names is None else names
+        for parameter in (self._table[name] for name in wanted if name in self._table):
             one = self._objects.get(parameter.owners[0]) if parameter.role == "translation" else None
             if parameter.moves and one is not None and one.name != "camera":
-                shown = self._views[0].engine.camera.shown_at(one.pivot)
-                moves |= {} if shown is None else {name: shown}
+                place, along = moved_pivot(one, self._objects, poses)
+                if shown := self._views[0].engine.camera.shown_at(place, poses):
+                    moves[parameter.name] = shown[0].tolist(), (shown[1] @ along).tolist()
         return moves
 
     @property

@@ -84,19 +84,19 @@ class TurningCamera:
         light = self._radiance_at(self._live.scene, dr.opaque(mi.UInt32, seed), point, scalars)
         return mi.TensorXf(dr.ravel(light), shape=(count, 3))
 
-    def shown_at(self, place: Sequence[float]) -> tuple[list[float], list[list[float]]] | None:
-        """Return where the picture shows a place of the scene, in pixels, and how it moves there, ``(2, 3)``.
+    def shown_at(self, place: torch.Tensor, values: Values) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """Return where the picture shows a place ``(3,)`` of the scene, in pixels, and how it moves, ``(2, 3)``.
 
-        None outside the picture, or for another camera than a pinhole.
+        None outside the picture, or for another camera than a pinhole. ``values`` may move the camera.
         """
         if not self._is_pinhole:
             return None
-        with self._live.with_values({}):
+        with self._live.with_values(values):
             origin = np.array(self._live.sensor.world_transform().matrix).reshape(4, 4, -1)[:3, 3, 0]
-            shown = self._motion({}).project(np.array(place) - origin)
+            shown = self._motion(values).project(place.numpy() - origin)
         if shown is None or not ((shown[0] >= 0) & (shown[0] <= self._live.resolution)).all():
             return None
-        return shown[0].tolist(), shown[1].tolist()
+        return torch.from_numpy(shown[0]), torch.from_numpy(shown[1])
 
     def _motion(self, values: Values) -> FilmMotion:
         """Return how points of the film move, for the camera in a pose."""

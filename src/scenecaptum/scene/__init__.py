@@ -36,6 +36,7 @@ from ._portable import portable as portable
 from ._portable import restored as restored
 from ._poses import Moved as Moved
 from ._poses import camera_parameters as camera_parameters
+from ._poses import moved_pivot as moved_pivot
 from ._poses import overlaps as overlaps
 from ._poses import placement as placement
 from ._poses import pose_component as pose_component

@@ -113,15 +113,35 @@ def _moved_box(
     """Return the bounds of an object in its pose, ``(2, 3)``."""
     if one.box is None:
         return None
-    box = torch.from_numpy(one.box)
-    moves = [placement(known[name], values) for name in (one.name, *one.part_of)]
-    if all(matrix is None for matrix in moves):
-        return box
-    corners = torch.cartesian_prod(*box.T)
-    for matrix in moves:
-        if matrix is not None:
-            corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    corners = torch.cartesian_prod(*torch.from_numpy(one.box).T)
+    corners = _moved(corners, (one.name, *one.part_of), known, values)
     return torch.stack([corners.amin(0), corners.amax(0)])
+
+
+def moved_pivot(
+    one: SceneObject, known: Mapping[str, SceneObject], values: Mapping[str, torch.Tensor]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return where the pivot of an object is in its pose, ``(3,)``, and how its translation moves it, ``(3, 3)``.
+
+    ``known`` has all objects by name, ``values`` the values of poses by name.
+    """
+    pivot = _moved(torch.tensor([one.pivot], dtype=torch.float64), (one.name,), known, values)
+    steps = torch.cat([torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)])
+    place, *ends = _moved(pivot + steps, one.part_of, known, values)
+    return place, (torch.stack(ends) - place).T
+
+
+def _moved(
+    points: torch.Tensor,
+    movers: Iterable[str],
+    known: Mapping[str, SceneObject],
+    values: Mapping[str, torch.Tensor],
+) -> torch.Tensor:
+    """Return points ``(N, 3)`` after the poses of objects, one after the other."""
+    for name in movers:
+        if (matrix := placement(known[name], values)) is not None:
+            points = points @ matrix[:3, :3].T + matrix[:3, 3]
+    return points
 
 
 def _overlap(left: torch.Tensor, right: torch.Tensor) -> bool:
