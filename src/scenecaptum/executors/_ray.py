@@ -44,7 +44,7 @@ class RayExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Disconnect from Ray if this executor has connected to it; ``wait`` and ``cancel_futures`` have no effect."""
+        """Disconnect from Ray if this executor has done so; ``wait`` and ``cancel_futures`` have no effect."""
         if self._owns_connection:
             self._ray.shutdown()
 
