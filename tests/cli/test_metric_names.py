@@ -73,7 +73,10 @@ def test_one_line_of_the_registry_is_enough(
 def test_a_metric_of_points_needs_a_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = ["attribute", *TINY, *VIEW, *QUIET, "--metric", "uniformity", "--out", str(tmp_path)]
     assert cli.main(wrong) == 2
-    assert "A metric of points in a room (smallest over mean illuminance of a sensor grid): add --sensor grid" in capsys.readouterr().err
+    assert (
+        "A metric of points in a room (smallest over mean illuminance of a sensor grid): add --sensor grid"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("command", ["attribute", "tradeoff", "validate"])

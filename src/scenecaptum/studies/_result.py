@@ -11,8 +11,11 @@ from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
 from ..files import atomic_write
 from ..visualization import pluralize
+from . import _extras as extras
+from ._cell_effects import Group
 from ._folder import StudyFolder
 from ._recipe import AXES, Cell
+from ._summary import Summary, summarize_effects
 
 if TYPE_CHECKING:
     import pandas
@@ -111,7 +114,7 @@ class StudyResult:
             "verdict",
             "seconds",
         ]
-        frame = _pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])
+        frame = extras.pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])
         return frame.sort_values([*Cell._fields], ignore_index=True)
 
     def effects(self) -> pandas.DataFrame:
@@ -133,7 +136,7 @@ class StudyResult:
             "saliency_error",
             "unit",
         ]
-        frame = _pandas().DataFrame(list(self._rows()), columns=[*Cell._fields, *columns])
+        frame = extras.pandas().DataFrame(list(self._rows()), columns=[*Cell._fields, *columns])
         return frame.sort_values([*Cell._fields, "rank"], ignore_index=True)
 
     def _rows(self) -> Iterator[dict[str, Any]]:
@@ -171,6 +174,47 @@ class StudyResult:
             except ImportError as error:
                 raise SceneCaptumError("Parquet needs pyarrow: pip install 'scenecaptum[studies]'") from error
 
+    def summary(
+        self,
+        group: Group = "kind",
+        *,
+        metric: str | None = None,
+        design: str | None = None,
+        method: str | None = None,
+    ) -> Summary:
+        """Return the mean effect of each group of parameters over the rooms, and how it varies between them.
+
+        Example
+        -------
+        >>> walls = {"walls": "*wall*.reflectance.*", "floor": ["*floor*", "*rug*"]}
+        >>> print(result.summary(walls))  # doctest: +SKIP
+
+        The effect of a group in a cell is the sum over its members; its error accounts for their covariance. Rooms
+        are a sample of the rooms that the study stands for, the cameras of a room a sample of its views, and seeds
+        repeat the noise.
+
+        Parameters
+        ----------
+        group
+            ``"kind"``: reflectances, roughnesses, …, or the groups of a method with ``groups=``. A mapping from a
+            group's name to a glob, or several, over names or labels of parameters; groups may overlap, and a room
+            without such parameters does not count. None: each parameter alone, by name.
+        metric, design, method
+            Names of the study, to summarize only their cells.
+
+        Returns
+        -------
+        Summary
+            A row for each metric, design, method and group, with intervals.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a pattern matches nothing, a name is unknown, no cell has an attribution, or statsmodels is not
+            installed: ``pip install 'scenecaptum[studies]'``.
+        """
+        return summarize_effects(self, group, metric=metric, design=design, method=method)
+
     def __str__(self) -> str:
         counts = [f"{pluralize(len(self.cells), 'cell')} finished"]
         counts += [f"{len(self.failures)} failed"] if self.failures else []
@@ -190,11 +234,3 @@ class StudyResult:
 
 def _without_rows(numbers: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in numbers.items() if name not in ("rows", "cell", "key")}
-
-
-def _pandas() -> Any:
-    try:
-        import pandas
-    except ImportError as error:
-        raise SceneCaptumError("Tables of a study need pandas: pip install 'scenecaptum[studies]'") from error
-    return pandas
