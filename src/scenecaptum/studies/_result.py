@@ -13,12 +13,15 @@ from ..files import atomic_write
 from ..visualization import pluralize
 from . import _extras as extras
 from ._cell_effects import Group
+from ._figures import DEFAULT_ROOMS, GALLERY_ROOMS, plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._folder import StudyFolder
 from ._recipe import AXES, Cell
 from ._summary import Summary, summarize_effects
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 class StudyResult:
@@ -214,6 +217,34 @@ class StudyResult:
             installed: ``pip install 'scenecaptum[studies]'``.
         """
         return summarize_effects(self, group, metric=metric, design=design, method=method)
+
+    def plot_effects(
+        self,
+        of: str | None = None,
+        group: Group = "kind",
+        *,
+        metric: str | None = None,
+        design: str | None = None,
+        method: str | None = None,
+        top: int | None = DEFAULT_ROOMS,
+        ax: Axes | None = None,
+    ) -> Figure:
+        """Draw the effect ``of`` one group of ``summary(group)`` by room, as `studies.plot_effect_by_room` does.
+
+        By default of the one with the largest mean effect. The other options are as there.
+        """
+        names = {"metric": metric, "design": design, "method": method}
+        return plot_effect_by_room(self.summary(group, **names), of, top=top, ax=ax)
+
+    def plot_stability(self, group: Group = "kind", *, ax: Axes | None = None, **names: str | None) -> Figure:
+        """Draw how alike cells rank the groups, with the ``ax`` and ``names`` of `studies.plot_rank_stability`."""
+        return plot_rank_stability(self, group, ax=ax, **names)
+
+    def plot_gallery(
+        self, *, rooms: int | None = GALLERY_ROOMS, shared: bool = False, **names: str | None
+    ) -> Figure:
+        """Draw the maps of rooms and cameras, with the options and ``names`` of `studies.plot_gallery`."""
+        return plot_gallery(self, rooms=rooms, shared=shared, **names)
 
     def __str__(self) -> str:
         counts = [f"{pluralize(len(self.cells), 'cell')} finished"]
