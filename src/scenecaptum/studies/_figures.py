@@ -13,6 +13,7 @@ from ..errors import SceneCaptumError
 from ..projection import DEFAULT_NORM, heatmap, shared_maximum
 from ..ranks import kendall_tau
 from ..visualization import (
+    DEFAULT_TOP,
     LOWERS,
     RAISES,
     SMALL,
@@ -49,10 +50,8 @@ from ._summary import GroupEffect, Summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
-DEFAULT_ROOMS = 40  # in a figure of effects
-GALLERY_ROOMS = 12
 MIN_GROUPS = 3  # of a ranking that is compared
 MAX_PAIRS = 2000  # of cells, for each source of variation
 _COLORBAR = 0.14  # width in inches
@@ -72,12 +71,12 @@ _SOURCES = {
 def plot_effect_by_room(
     summary: Summary,
     group: str | None = None,
+    top: int | None = DEFAULT_TOP,
     *,
+    ax: Axes | None = None,
     metric: str | None = None,
     design: str | None = None,
     method: str | None = None,
-    top: int | None = DEFAULT_ROOMS,
-    ax: Axes | None = None,
 ) -> Figure:
     """Plot the effect of a group of parameters in each room, the largest on top, and below them the mean.
 
@@ -91,12 +90,12 @@ def plot_effect_by_room(
         What ``StudyResult.summary`` returns.
     group
         Name of the group; by default the one with the largest mean effect.
-    metric, design, method
-        Names in the study; needed if the summary has several.
     top
         Number of rooms, those with the largest effects; None for all.
     ax
         Axes to draw into; by default those of a new figure.
+    metric, design, method
+        Names in the study; needed if the summary has several.
 
     Raises
     ------
@@ -184,10 +183,10 @@ def plot_rank_stability(
     result: CellResults,
     group: Group = KIND,
     *,
+    ax: Axes | None = None,
     metric: str | None = None,
     design: str | None = None,
     method: str | None = None,
-    ax: Axes | None = None,
 ) -> Figure:
     """Plot how alike pairs of cells rank the groups of parameters, by what the two cells differ in.
 
@@ -201,10 +200,10 @@ def plot_rank_stability(
         The study.
     group
         As for ``StudyResult.summary``. Two cells are compared by the groups that both have, at least three.
-    metric, design, method
-        Names of the study, to compare only their cells.
     ax
         Axes to draw into; by default those of a new figure.
+    metric, design, method
+        Names of the study, to compare only their cells.
 
     Raises
     ------
@@ -301,11 +300,12 @@ def _stability_finding(means: Mapping[str, float]) -> str:
 
 def plot_gallery(
     result: CellResults,
+    top: int | None = DEFAULT_TOP,
     *,
+    figure: Figure | SubFigure | None = None,
     metric: str | None = None,
     design: str | None = None,
     method: str | None = None,
-    rooms: int | None = GALLERY_ROOMS,
     shared: bool = False,
 ) -> Figure:
     """Plot the render and the signed map of each room and camera, of the first seed, with the metric's value.
@@ -316,10 +316,12 @@ def plot_gallery(
     ----------
     result
         The study.
+    top
+        Number of rooms, the first of the study; None for all.
+    figure
+        Figure or subfigure to draw into; by default a new one.
     metric, design, method
         Names of the study; by default the first of each.
-    rooms
-        Number of rooms, the first of the study; None for all.
     shared
         Use one scale for all maps, relative to the strongest object of any. By default each has its own.
 
@@ -331,7 +333,7 @@ def plot_gallery(
     cells = selected_cells(result, metric=metric, design=design, method=method)
     of_question = [cell for cell in cells if cell[2:5] == cells[0][2:5]]
     names = list(dict.fromkeys(cell.scene for cell in of_question))
-    shown = first(names, rooms)
+    shown = first(names, top)
     cameras = list(dict.fromkeys(cell.camera for cell in of_question))
     places: dict[tuple[str, str], SceneAttribution] = {}
     for cell in of_question:
@@ -344,21 +346,23 @@ def plot_gallery(
             "No cell of the study has a picture with a map of its objects, which a gallery needs."
         )
     maximum = shared_maximum(places.values()) or None if shared else None
-    return _draw_gallery(places, shown, cameras, maximum, len(names) - len(shown))
+    return _draw_gallery(places, (shown, cameras), figure, maximum, len(names) - len(shown))
 
 
 def _draw_gallery(
     places: Mapping[tuple[str, str], SceneAttribution],
-    rooms: Sequence[str],
-    cameras: Sequence[str],
+    names: tuple[Sequence[str], Sequence[str]],
+    figure: Figure | SubFigure | None,
     maximum: float | None,
     hidden: int,
 ) -> Figure:
+    """Draw the maps; ``names`` are those of the rooms and of the cameras."""
+    rooms, cameras = names
     some = next(iter(places.values()))
     ratio = max(one.image.shape[0] / one.image.shape[1] for one in places.values() if one.image is not None)
     width = min(2.6, max(1.5, (WIDTH - 1.0) / len(cameras)))
-    figure = new_figure(width * len(cameras) + 1.0, (width * ratio + 0.2) * len(rooms) + 0.9)
-    axes = figure.subplots(len(rooms), len(cameras), squeeze=False)
+    part: Any = figure or new_figure(width * len(cameras) + 1.0, (width * ratio + 0.2) * len(rooms) + 0.9)
+    axes = part.subplots(len(rooms), len(cameras), squeeze=False)
     mapped: Any = None
     for (row, room), (column, camera) in itertools.product(enumerate(rooms), enumerate(cameras)):
         attribution, ax = places.get((room, camera)), axes[row, column]
@@ -381,7 +385,8 @@ def _draw_gallery(
                 "va": "center",
             }
             write_at(ax, name, (0, 0.5), (-5, 0), fontsize=SMALL, **style)
-    aspect = figure.get_figheight() / _COLORBAR
+    inches = part.bbox.size / figure_of(part).dpi
+    aspect = inches[1] / _COLORBAR
     bar = draw_colorbar(
         mapped, True, DEFAULT_NORM, ax=list(axes.flat), aspect=aspect, pad=0.02, fraction=0.05
     )
@@ -389,9 +394,9 @@ def _draw_gallery(
     raises, lowers = sign_labels(some) or ("positive", "negative")
     title = f"Effects on {metric_name(some)} of what pixels show; blue: {raises}, orange: {lowers}"
     more = [f"{pluralize(hidden, 'more room')} not shown"] if hidden else []
-    lines = [*wrapped_lines(title, characters_per_line(figure.get_figwidth() - 0.3, TITLE)), *more]
-    figure.suptitle("\n".join(lines), fontsize=TITLE, x=0.02, ha="left", parse_math=False)
-    return figure
+    lines = [*wrapped_lines(title, characters_per_line(inches[0] - 0.3, TITLE)), *more]
+    part.suptitle("\n".join(lines), fontsize=TITLE, x=0.02, ha="left", parse_math=False)
+    return figure_of(part)
 
 
 def _value(attribution: SceneAttribution) -> str:

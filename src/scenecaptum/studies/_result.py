@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..visualization import pluralize
+from ..visualization import DEFAULT_TOP, pluralize
 from . import _extras as extras
 from ._cell_effects import Group
-from ._figures import DEFAULT_ROOMS, GALLERY_ROOMS, plot_effect_by_room, plot_gallery, plot_rank_stability
+from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._folder import StudyFolder
 from ._recipe import AXES, Cell
 from ._summary import Summary, summarize_effects
@@ -21,7 +21,7 @@ from ._summary import Summary, summarize_effects
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 
 class StudyResult:
@@ -222,29 +222,31 @@ class StudyResult:
         self,
         of: str | None = None,
         group: Group = "kind",
+        top: int | None = DEFAULT_TOP,
         *,
-        metric: str | None = None,
-        design: str | None = None,
-        method: str | None = None,
-        top: int | None = DEFAULT_ROOMS,
         ax: Axes | None = None,
+        **names: str | None,
     ) -> Figure:
-        """Draw the effect ``of`` one group of ``summary(group)`` by room, as `studies.plot_effect_by_room` does.
+        """Draw the effect ``of`` one group of ``summary(group)`` by room, by default of the largest.
 
-        By default of the one with the largest mean effect. The other options are as there.
+        ``top`` rooms, ``ax`` and the ``names`` are those of `studies.plot_effect_by_room`.
         """
-        names = {"metric": metric, "design": design, "method": method}
-        return plot_effect_by_room(self.summary(group, **names), of, top=top, ax=ax)
+        return plot_effect_by_room(self.summary(group, **names), of, top, ax=ax)
 
     def plot_stability(self, group: Group = "kind", *, ax: Axes | None = None, **names: str | None) -> Figure:
         """Draw how alike cells rank the groups, with the ``ax`` and ``names`` of `studies.plot_rank_stability`."""
         return plot_rank_stability(self, group, ax=ax, **names)
 
     def plot_gallery(
-        self, *, rooms: int | None = GALLERY_ROOMS, shared: bool = False, **names: str | None
+        self,
+        top: int | None = DEFAULT_TOP,
+        *,
+        figure: Figure | SubFigure | None = None,
+        shared: bool = False,
+        **names: str | None,
     ) -> Figure:
-        """Draw the maps of rooms and cameras, with the options and ``names`` of `studies.plot_gallery`."""
-        return plot_gallery(self, rooms=rooms, shared=shared, **names)
+        """Draw the maps of ``top`` rooms, with the options and ``names`` of `studies.plot_gallery`."""
+        return plot_gallery(self, top, figure=figure, shared=shared, **names)
 
     def __str__(self) -> str:
         counts = [f"{pluralize(len(self.cells), 'cell')} finished"]
