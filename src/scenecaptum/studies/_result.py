@@ -16,6 +16,7 @@ from ._cell_effects import Group
 from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._folder import StudyFolder
 from ._recipe import AXES, Cell
+from ._report import write_study_report
 from ._summary import Summary, summarize_effects
 
 if TYPE_CHECKING:
@@ -247,6 +248,42 @@ class StudyResult:
     ) -> Figure:
         """Draw the maps of ``top`` rooms, with the options and ``names`` of `studies.plot_gallery`."""
         return plot_gallery(self, top, figure=figure, shared=shared, **names)
+
+    def write_report(
+        self,
+        path: str | os.PathLike[str],
+        group: Group = "kind",
+        *,
+        pages: bool = True,
+        show_progress: bool = False,
+    ) -> Path:
+        """Write the study as pages for a browser: an index, and a page for each cell in ``cells/`` beside it.
+
+        The index is one self-contained file with the summary, the figures, and a table of all cells to sort and
+        filter, with the errors of those that failed.
+
+        Parameters
+        ----------
+        path
+            A folder, or the index itself, a name that ends in ``.html``.
+        group
+            As for ``summary``.
+        pages
+            Whether to write the pages of the cells. Without, the index links those that are there.
+        show_progress
+            Show a progress bar of the pages.
+
+        Returns
+        -------
+        Path
+            The index.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a file cannot be written, or statsmodels is not installed: ``pip install 'scenecaptum[studies]'``.
+        """
+        return write_study_report(self, path, group, pages=pages, show_progress=show_progress)
 
     def __str__(self) -> str:
         counts = [f"{pluralize(len(self.cells), 'cell')} finished"]
