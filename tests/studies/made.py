@@ -25,7 +25,7 @@ Effects = Mapping[str, float]
 
 
 def attribution(
-    effects: Effects, *, noise: float = 0.1, seed: int = 0, shared: float = 0.0, value: float = 10.0
+    effects: Effects, *, noise: float = 0.1, seed: int = 0, shared: float = 0.0, picture: bool = True
 ) -> SceneAttribution:
     """Return an attribution of scalars whose errors are about ``noise``; ``shared`` noise is the same for all."""
     generator = np.random.default_rng(seed)
@@ -42,14 +42,14 @@ def attribution(
     return SceneAttribution(
         attributions={name: one.mean().float() for name, one in rows.items()},
         standard_error={name: one.sqrt().reshape(()).float() for name, one in covariance.items()},
-        metric_value=value,
+        metric_value=10.0,
         metric_standard_error=noise,
         replicates=rows,
         covariance=covariance,
         extents={name: torch.ones(1) for name in effects},
         labels={name: name.replace(".", ": ", 1) for name in effects},
         image=torch.from_numpy(generator.random((4, 6, 3), dtype=np.float32)),
-        surfaces=surfaces(names[0], names[1]),
+        surfaces=surfaces(names[0], names[1]) if picture else None,
         info={
             "metric": "MeanLuminance",
             "measure": {"name": "mean luminance", "unit": "cd/m²"},

@@ -14,7 +14,7 @@ from statsmodels.stats.meta_analysis import combine_effects
 
 from scenecaptum import SceneCaptumError
 from scenecaptum.estimation import student_t
-from scenecaptum.studies._random_effects import Observation, combine
+from scenecaptum.studies._random_effects import Observation, _variance_between_cameras, _views, combine
 
 from . import made
 
@@ -30,8 +30,9 @@ def observed(effects: np.ndarray, errors: np.ndarray) -> list[Observation]:
     ]
 
 
-def test_means_are_those_of_statsmodels() -> None:
-    effects, errors = np.array([1.0, 2.5, 0.4, 3.0, 1.7]), np.array([0.2, 0.5, 0.3, 0.9, 0.1])
+@pytest.mark.parametrize("factor", [1.0, 10.0], ids=["rooms differ", "rooms are alike within the noise"])
+def test_means_are_those_of_statsmodels(factor: float) -> None:
+    effects, errors = np.array([1.0, 2.5, 0.4, 3.0, 1.7]), factor * np.array([0.2, 0.5, 0.3, 0.9, 0.1])
     expected = combine_effects(effects, errors**2, method_re="pm", use_t=True)
     found = combine(observed(effects, errors))
     assert found.mean == pytest.approx(expected.mean_effect_re, rel=1e-4)
@@ -93,6 +94,20 @@ def test_intervals_of_a_new_room_hold_it() -> None:
         found = combine(observed(np.array(rooms), np.full(6, 0.01)))
         held.append(found.new_low <= new <= found.new_high)
     assert abs(np.mean(held) - 0.95) < binomial_margin(0.95, RUNS), f"95 % interval: {np.mean(held):.3f}"
+
+
+def test_what_cameras_have_in_common_is_a_fit_of_rooms_and_cameras() -> None:
+    generator = np.random.default_rng(shifted())
+    # Not all rooms have all cameras, and one has a camera of its own.
+    places = [(i, j) for i in range(5) for j in range(4) if (i, j) not in ((0, 1), (2, 3), (3, 0))] + [(1, 9)]
+    effects = generator.standard_normal(len(places))
+    views = _views(
+        [Observation(f"{i}", f"{j}", e, 0.0) for (i, j), e in zip(places, effects, strict=True)], None
+    )
+    fit = np.array([[i == k for k in range(5)] + [j == k for k in range(4)] for i, j in places], dtype=float)
+    residuals = effects - fit @ np.linalg.lstsq(fit, effects, rcond=None)[0]
+    expected = residuals @ residuals / (len(places) - np.linalg.matrix_rank(fit))
+    assert _variance_between_cameras(views, remove_common=True) == pytest.approx(expected)
 
 
 def test_seeds_repeat_the_noise() -> None:
