@@ -112,7 +112,7 @@ def _page(data: dict[str, Any], sections: Sequence[Section]) -> str:
 def fill_template(
     template: str, parts: Mapping[str, str], styles: Sequence[str], scripts: Sequence[str]
 ) -> str:
-    """Return a page: a template with its ``{{parts}}``, and the style of all pages before its own.
+    """Return a page: a template with its ``{{parts}}``, and the head and the style of all pages before its own.
 
     The content security policy allows only this style and these scripts, so that names in a scene stay text.
     """
@@ -123,7 +123,9 @@ def fill_template(
         "script_hashes": " ".join(f"'{_hash(script)}'" for script in scripts),
     }
     values = {**parts, **hashes}
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], template)
+    return re.sub(
+        r"\{\{(\w+)\}\}", lambda match: values[match[1]], template.replace("{{head}}", _resource("head.html"))
+    )
 
 
 def _section(section: Section) -> str:

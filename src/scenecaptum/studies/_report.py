@@ -96,8 +96,10 @@ def _index(result: Reported, index: Path, group: Group) -> str:
     numeric = ("value", "seconds", "seed")
     script = _resource("index.js")
     rows = [*_rows(result, index, axes)]
+    name = html.escape(result.folder.resolve().name or str(result.folder))
     parts = {
-        "title": html.escape(result.folder.resolve().name or str(result.folder)),
+        "title": f"{name} · study",
+        "name": name,
         "counts": html.escape(_counts(result)),
         "summary": "" if summary is None else _summary(summary),
         "figures": "" if summary is None else _figures(result, summary, group),

@@ -228,14 +228,18 @@ class StudyResult:
         ax: Axes | None = None,
         **names: str | None,
     ) -> Figure:
-        """Draw the effect ``of`` one group of ``summary(group)`` by room, by default of the largest.
+        """Draw the effect ``of`` one of the groups by room, by default of the one with the largest mean effect.
 
-        ``top`` rooms, ``ax`` and the ``names`` are those of `studies.plot_effect_by_room`.
+        ``group`` is as for ``summary``; ``top``, ``ax`` and the ``names`` of metric, design and method are as for
+        `studies.plot_effect_by_room`.
         """
         return plot_effect_by_room(self.summary(group, **names), of, top, ax=ax)
 
     def plot_stability(self, group: Group = "kind", *, ax: Axes | None = None, **names: str | None) -> Figure:
-        """Draw how alike cells rank the groups, with the ``ax`` and ``names`` of `studies.plot_rank_stability`."""
+        """Draw how alike cells rank the groups of ``group``, as `studies.plot_rank_stability` does.
+
+        ``ax`` and the ``names`` of metric, design and method are as there.
+        """
         return plot_rank_stability(self, group, ax=ax, **names)
 
     def plot_gallery(
@@ -246,7 +250,10 @@ class StudyResult:
         shared: bool = False,
         **names: str | None,
     ) -> Figure:
-        """Draw the maps of ``top`` rooms, with the options and ``names`` of `studies.plot_gallery`."""
+        """Draw the maps of ``top`` rooms from each camera, as `studies.plot_gallery` does.
+
+        ``figure``, ``shared`` and the ``names`` of metric, design and method are as there.
+        """
         return plot_gallery(self, top, figure=figure, shared=shared, **names)
 
     def write_report(
