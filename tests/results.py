@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import torch
@@ -68,3 +69,20 @@ def all_text(figure: Any) -> str:
     from matplotlib.text import Text
 
     return "\n".join(text.get_text() for text in figure.findobj(Text))
+
+
+def outside(figure: Any) -> list[str]:
+    """Return the drawn texts that are cut off at the edges of a figure."""
+    from matplotlib.text import Text
+
+    with mock.patch.object(Text, "draw", autospec=True, side_effect=Text.draw) as draw:
+        figure.canvas.draw()
+    drawn = {call.args[0] for call in draw.call_args_list if call.args[0].get_text()}
+    assert drawn
+    width, height = figure.canvas.get_width_height()
+    boxes = {text: text.get_window_extent() for text in drawn}
+    return [
+        text.get_text()
+        for text, box in boxes.items()
+        if box.x0 < -1 or box.y0 < -1 or box.x1 > width + 1 or box.y1 > height + 1
+    ]

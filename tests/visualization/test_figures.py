@@ -8,12 +8,11 @@ import itertools
 import math
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
 import torch
-from results import CASES, all_text, make, surfaces
+from results import CASES, all_text, make, outside, surfaces
 
 from scenecaptum import Camera, SceneAttribution, SceneCaptumError, metrics
 from scenecaptum.visualization import (
@@ -33,23 +32,6 @@ def hexes(colors: Any) -> list[str]:
     from matplotlib.colors import to_hex
 
     return [to_hex(color).upper() for color in colors]
-
-
-def outside(figure: Any) -> list[str]:
-    """Return the drawn texts that are cut off at the edges of a figure."""
-    from matplotlib.text import Text
-
-    with mock.patch.object(Text, "draw", autospec=True, side_effect=Text.draw) as draw:
-        figure.canvas.draw()
-    drawn = {call.args[0] for call in draw.call_args_list if call.args[0].get_text()}
-    assert drawn
-    width, height = figure.canvas.get_width_height()
-    boxes = {text: text.get_window_extent() for text in drawn}
-    return [
-        text.get_text()
-        for text, box in boxes.items()
-        if box.x0 < -1 or box.y0 < -1 or box.x1 > width + 1 or box.y1 > height + 1
-    ]
 
 
 # -- bars ------------------------------------------------------------------------------------------------

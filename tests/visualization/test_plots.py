@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
 import pkgutil
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from matplotlib.figure import Figure
 from results import make
+from studies import made
 
 import scenecaptum
-from scenecaptum import SceneCaptumError, metrics, optimize, tradeoff, visualization
+from scenecaptum import SceneCaptumError, metrics, optimize, studies, tradeoff, visualization
 from scenecaptum.validation import (
     Ablated,
     AblationTest,
@@ -31,6 +35,7 @@ from scenecaptum.validation import (
 NAMES = {"metric": "Glare", "method": "VanillaSceneGradient"}
 SPREAD = torch.linspace(-0.01, 0.01, 8).double()
 VALUES = torch.linspace(-1.0, 1.0, 6).double()
+FOLDER = tempfile.TemporaryDirectory()
 PLAN = torch.stack(torch.meshgrid(torch.arange(6.0), torch.arange(4.0), indexing="xy"), -1)
 
 
@@ -97,6 +102,13 @@ def optimized() -> optimize.Optimization:
     return optimize.Optimization({}, (), before, after, (9.0, 6.0, 3.0), 5.0, "Glare")
 
 
+@functools.cache
+def rooms() -> studies.StudyResult:
+    """A study of two rooms, from two cameras each."""
+    cells = made.cells(["office", "attic"], ["front", "left"])
+    return made.study(Path(FOLDER.name), made.random_effects(cells, 0))
+
+
 # By qualified name; each takes ``ax`` or ``figure``.
 PLOTS: dict[str, Callable[..., Figure]] = {
     "SceneAttribution.plot_bars": lambda **where: make().plot_bars(**where),
@@ -118,12 +130,20 @@ PLOTS: dict[str, Callable[..., Figure]] = {
     "DeletionInsertion.plot": lambda **where: curves().plot(**where),
     "SensitivityComparison.plot": lambda **where: compared().plot(**where),
     "Optimization.plot": lambda **where: optimized().plot(**where),
+    "plot_effect_by_room": lambda **where: studies.plot_effect_by_room(rooms().summary(), **where),
+    "plot_rank_stability": lambda **where: studies.plot_rank_stability(rooms(), None, **where),
+    "plot_gallery": lambda **where: studies.plot_gallery(rooms(), **where),
+    "StudyResult.plot_effects": lambda **where: rooms().plot_effects(**where),
+    "StudyResult.plot_stability": lambda **where: rooms().plot_stability(None, **where),
+    "StudyResult.plot_gallery": lambda **where: rooms().plot_gallery(**where),
 }
 SEVERAL_PANELS = {
     "plot_specificity",
     "DeletionInsertion.plot",
     "SensitivityComparison.plot",
     "Optimization.plot",
+    "plot_gallery",
+    "StudyResult.plot_gallery",
 }
 
 

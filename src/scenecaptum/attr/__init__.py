@@ -38,6 +38,7 @@ from ._explanation import Source as Source
 from ._feature_ablation import FeatureAblationScene as FeatureAblationScene
 from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._groups import GROUPS as GROUPS
+from ._groups import sum_groups as sum_groups
 from ._input_x_gradient import InputXGradientScene as InputXGradientScene
 from ._integrated_gradients import IntegratedGradientsScene as IntegratedGradientsScene
 from ._mean_effects import MeanEffect as MeanEffect

@@ -7,5 +7,7 @@ from ._data import describe_objects as describe_objects
 from ._numbers import json_text as json_text
 from ._numbers import write_csv as write_csv
 from ._numbers import write_json as write_json
+from ._pixels import encode_figure as encode_figure
 from ._write import Section as Section
+from ._write import fill_template as fill_template
 from ._write import write_report as write_report

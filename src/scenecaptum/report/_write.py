@@ -8,7 +8,7 @@ import html
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -95,21 +95,37 @@ def write_report(
 
 
 def _page(data: dict[str, Any], sections: Sequence[Section]) -> str:
-    style = "\n".join([_resource("report.css"), *(section.style for section in sections)])
     script = "\n".join(map(_resource, _SCRIPTS))
+    wrapped = f'"use strict";\n(() => {{\n{script}\n}})();\n'
     scenes = list(dict.fromkeys(str(result["info"].get("scene", "")) for result in data["results"]))
     parts = {
         "title": html.escape(" · ".join(filter(None, [*scenes[:2], "scene attribution"]))),
-        "style": style,
-        "script": f'"use strict";\n(() => {{\n{script}\n}})();\n',
+        "script": wrapped,
         "data": _to_json(data),
+        "sections": "\n".join(map(_section, sections)),
     }
-    # The content security policy allows only this script and this style, so names in a scene stay text.
-    parts["style_hash"] = _hash(parts["style"])
-    scripts = [parts["script"], *(section.module for section in sections)]
-    parts["script_hashes"] = " ".join(f"'{_hash(one)}'" for one in scripts)
-    parts["sections"] = "\n".join(map(_section, sections))
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _resource("report.html"))
+    styles = [_resource("report.css"), *(section.style for section in sections)]
+    scripts = [wrapped, *(section.module for section in sections)]
+    return fill_template(_resource("report.html"), parts, styles, scripts)
+
+
+def fill_template(
+    template: str, parts: Mapping[str, str], styles: Sequence[str], scripts: Sequence[str]
+) -> str:
+    """Return a page: a template with its ``{{parts}}``, and the head and the style of all pages before its own.
+
+    The content security policy allows only this style and these scripts, so that names in a scene stay text.
+    """
+    style = "\n".join([_resource("base.css"), *styles])
+    hashes = {
+        "style": style,
+        "style_hash": _hash(style),
+        "script_hashes": " ".join(f"'{_hash(script)}'" for script in scripts),
+    }
+    values = {**parts, **hashes}
+    return re.sub(
+        r"\{\{(\w+)\}\}", lambda match: values[match[1]], template.replace("{{head}}", _resource("head.html"))
+    )
 
 
 def _section(section: Section) -> str:

@@ -9,8 +9,24 @@ Example
 """
 
 # What users call; the other names are for the rooms above.
-__all__ = ["Cell", "Study", "StudyResult"]
+__all__ = [
+    "Cell",
+    "GroupEffect",
+    "RoomEffect",
+    "Study",
+    "StudyResult",
+    "Summary",
+    "plot_effect_by_room",
+    "plot_gallery",
+    "plot_rank_stability",
+]
 
+from ._figures import plot_effect_by_room as plot_effect_by_room
+from ._figures import plot_gallery as plot_gallery
+from ._figures import plot_rank_stability as plot_rank_stability
+from ._random_effects import RoomEffect as RoomEffect
 from ._recipe import Cell as Cell
 from ._result import StudyResult as StudyResult
 from ._study import Study as Study
+from ._summary import GroupEffect as GroupEffect
+from ._summary import Summary as Summary

@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING, Any
 from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..visualization import pluralize
+from ..visualization import DEFAULT_TOP, pluralize
+from . import _extras as extras
+from ._cell_effects import Group
+from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._folder import StudyFolder
 from ._recipe import AXES, Cell
+from ._report import write_study_report
+from ._summary import Summary, summarize_effects
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
 
 
 class StudyResult:
@@ -111,7 +118,7 @@ class StudyResult:
             "verdict",
             "seconds",
         ]
-        frame = _pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])
+        frame = extras.pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])
         return frame.sort_values([*Cell._fields], ignore_index=True)
 
     def effects(self) -> pandas.DataFrame:
@@ -133,7 +140,7 @@ class StudyResult:
             "saliency_error",
             "unit",
         ]
-        frame = _pandas().DataFrame(list(self._rows()), columns=[*Cell._fields, *columns])
+        frame = extras.pandas().DataFrame(list(self._rows()), columns=[*Cell._fields, *columns])
         return frame.sort_values([*Cell._fields, "rank"], ignore_index=True)
 
     def _rows(self) -> Iterator[dict[str, Any]]:
@@ -171,6 +178,120 @@ class StudyResult:
             except ImportError as error:
                 raise SceneCaptumError("Parquet needs pyarrow: pip install 'scenecaptum[studies]'") from error
 
+    def summary(
+        self,
+        group: Group = "kind",
+        *,
+        metric: str | None = None,
+        design: str | None = None,
+        method: str | None = None,
+    ) -> Summary:
+        """Return the mean effect of each group of parameters over the rooms, and how it varies between them.
+
+        Example
+        -------
+        >>> walls = {"walls": "*wall*.reflectance.*", "floor": ["*floor*", "*rug*"]}
+        >>> print(result.summary(walls))  # doctest: +SKIP
+
+        The effect of a group in a cell is the sum over its members; its error accounts for their covariance. Rooms
+        are a sample of the rooms that the study stands for, the cameras of a room a sample of its views, and seeds
+        repeat the noise.
+
+        Parameters
+        ----------
+        group
+            ``"kind"``: reflectances, roughnesses, …, or the groups of a method with ``groups=``. A mapping from a
+            group's name to a glob, or several, over names or labels of parameters; groups may overlap, and a room
+            without such parameters does not count. None: each parameter alone, by name.
+        metric, design, method
+            Names of the study, to summarize only their cells.
+
+        Returns
+        -------
+        Summary
+            A row for each metric, design, method and group, with intervals.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a pattern matches nothing, a name is unknown, no cell has an attribution, or statsmodels is not
+            installed: ``pip install 'scenecaptum[studies]'``.
+        """
+        return summarize_effects(self, group, metric=metric, design=design, method=method)
+
+    def plot_effects(
+        self,
+        of: str | None = None,
+        group: Group = "kind",
+        top: int | None = DEFAULT_TOP,
+        *,
+        ax: Axes | None = None,
+        **names: str | None,
+    ) -> Figure:
+        """Draw the effect ``of`` one of the groups by room, by default of the one with the largest mean effect.
+
+        ``group`` is as for ``summary``; ``top``, ``ax`` and the ``names`` of metric, design and method are as for
+        `studies.plot_effect_by_room`.
+        """
+        return plot_effect_by_room(self.summary(group, **names), of, top, ax=ax)
+
+    def plot_stability(self, group: Group = "kind", *, ax: Axes | None = None, **names: str | None) -> Figure:
+        """Draw how alike cells rank the groups of ``group``, as `studies.plot_rank_stability` does.
+
+        ``ax`` and the ``names`` of metric, design and method are as there.
+        """
+        return plot_rank_stability(self, group, ax=ax, **names)
+
+    def plot_gallery(
+        self,
+        top: int | None = DEFAULT_TOP,
+        *,
+        figure: Figure | SubFigure | None = None,
+        shared: bool = False,
+        **names: str | None,
+    ) -> Figure:
+        """Draw the maps of ``top`` rooms from each camera, as `studies.plot_gallery` does.
+
+        ``figure``, ``shared`` and the ``names`` of metric, design and method are as there.
+        """
+        return plot_gallery(self, top, figure=figure, shared=shared, **names)
+
+    def write_report(
+        self,
+        path: str | os.PathLike[str],
+        group: Group = "kind",
+        *,
+        pages: bool = True,
+        show_progress: bool = False,
+    ) -> Path:
+        """Write the study as pages for a browser: an index, and a page for each cell in ``cells/`` beside it.
+
+        The index is one self-contained file with the summary, the figures, and a table of all cells to sort and
+        filter, with the errors of those that failed.
+
+        Parameters
+        ----------
+        path
+            A folder, or the index itself, a name that ends in ``.html``.
+        group
+            As for ``summary``.
+        pages
+            Whether to write the pages of the cells. Without, the index links those that are there.
+        show_progress
+            Show a progress bar of the pages.
+
+        Returns
+        -------
+        Path
+            The index.
+
+        Raises
+        ------
+        SceneCaptumError
+            If a file cannot be written, or statsmodels is not installed: ``pip install 'scenecaptum[studies]'``.
+        """
+        return write_study_report(self, path, group, pages=pages, show_progress=show_progress)
+
     def __str__(self) -> str:
         counts = [f"{pluralize(len(self.cells), 'cell')} finished"]
         counts += [f"{len(self.failures)} failed"] if self.failures else []
@@ -190,11 +311,3 @@ class StudyResult:
 
 def _without_rows(numbers: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in numbers.items() if name not in ("rows", "cell", "key")}
-
-
-def _pandas() -> Any:
-    try:
-        import pandas
-    except ImportError as error:
-        raise SceneCaptumError("Tables of a study need pandas: pip install 'scenecaptum[studies]'") from error
-    return pandas

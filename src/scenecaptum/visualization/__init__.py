@@ -31,6 +31,7 @@ from ._figures import UNCLEAR as UNCLEAR
 from ._figures import WIDTH as WIDTH
 from ._figures import add_footnotes as add_footnotes
 from ._figures import axes_or_new as axes_or_new
+from ._figures import characters_per_line as characters_per_line
 from ._figures import color_of as color_of
 from ._figures import figure_of as figure_of
 from ._figures import first as first
@@ -48,6 +49,8 @@ from ._layout import terminal_width as terminal_width
 from ._layout import wrap as wrap
 from ._layout import wrapped_lines as wrapped_lines
 from ._maps import diverging as diverging
+from ._maps import draw_colorbar as draw_colorbar
+from ._maps import draw_overlay as draw_overlay
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
 from ._numbers import Format as Format

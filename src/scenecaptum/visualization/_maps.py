@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _NORMS = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
 DEFAULT_SIZE = (WIDTH, 4.0)  # the largest width of a figure and height of an image
+OPACITY = 0.8  # of the map in an overlay, at its maximum
 _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
 
 
@@ -91,7 +92,7 @@ def plot_overlay(
     attribution: Attribution,
     *,
     ax: Axes | None = None,
-    alpha: float = 0.8,
+    alpha: float = OPACITY,
     signed: bool = False,
     norm: MapNorm = DEFAULT_NORM,
     figsize: tuple[float, float] = DEFAULT_SIZE,
@@ -118,17 +119,25 @@ def plot_overlay(
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must be between 0 and 1, not {alpha!r}.")
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
-    grey = _displayed_render(attribution).mean(-1)
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
         ax, bar = _panels(attribution, heat, 1, figsize, title, options.get("scale"))
-    ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
-    mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
-    draw_arrows(ax, attribution)
+    mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
     return figure_of(ax)
+
+
+def draw_overlay(
+    ax: Axes, attribution: Attribution, heat: torch.Tensor, *, signed: bool, alpha: float = OPACITY
+) -> AxesImage:
+    """Draw a map over the grey render, with the arrows of objects that could move; return the map."""
+    grey = _displayed_render(attribution).mean(-1)
+    ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
+    mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
+    draw_arrows(ax, attribution)
+    return mapped
 
 
 def draw_map(ax: Axes, heat: torch.Tensor, *, signed: bool, alpha: float | None = None) -> AxesImage:

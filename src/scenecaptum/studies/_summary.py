@@ -1,0 +1,313 @@
+"""Summaries of a study: the effects of groups of parameters over all rooms."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..errors import SceneCaptumError, near_misses
+from ..visualization import (
+    Format,
+    align_decimals,
+    align_with_errors,
+    grid,
+    group_by_text,
+    pluralize,
+    rounded,
+    shorten,
+    terminal_width,
+    wrapped_lines,
+)
+from . import _extras as extras
+from ._cell_effects import KIND, CellEffect, CellResults, Group, Quantity, cell_effects, selected_cells
+from ._random_effects import MIN_ROOMS_FOR_NEW_ROOM, Combined, Observation, combine
+
+if TYPE_CHECKING:
+    import pandas
+
+_NAME_WIDTH = 32
+_NOTE_WIDTH = 100  # without a terminal
+_UNKNOWN = "–"
+
+
+@dataclass(frozen=True)
+class GroupEffect(Combined):
+    """The effect of a group of parameters over all rooms, for one metric, design and method.
+
+    What cannot be estimated is None.
+
+    Attributes
+    ----------
+    mean, error
+        The mean effect over the rooms, in the metric's unit, and its standard error by Hartung, Knapp, Sidik and
+        Jonkman: of the mean over all rooms of which these are a sample.
+    low, high
+        95 % confidence interval of the mean (Student's t).
+    new_low, new_high
+        95 % prediction interval: where the effect in another room would be.
+    between, within
+        Standard deviation between rooms (Paule and Mandel), and between the cameras of one room, both less what
+        the noise adds. Their squares are the components of variance.
+    noise
+        Standard error of one cell, that of its renders (root mean square); from the spread of the seeds if a
+        cell has no error.
+    seed_spread
+        Standard deviation between seeds, about as large as ``noise`` if the errors of the cells are right.
+    rooms
+        A `RoomEffect` for each room that has such parameters.
+    metric, design, method, group
+        Names in the study, and that of the group.
+    measure, unit
+        What the metric measures, and its unit.
+    quantity
+        What the effects are: the label of an axis, and the meanings of positive and negative effects.
+    """
+
+    metric: str
+    design: str
+    method: str
+    group: str
+    measure: str
+    unit: str
+    quantity: Quantity
+
+    @property
+    def raises(self) -> int:
+        """Number of rooms in which the effect is clearly positive."""
+        return sum(room.sign > 0 for room in self.rooms)
+
+    @property
+    def lowers(self) -> int:
+        """Number of rooms in which the effect is clearly negative."""
+        return sum(room.sign < 0 for room in self.rooms)
+
+    @property
+    def unknowns(self) -> list[str]:
+        """What cannot be estimated, and why."""
+        count, notes = len(self.rooms), []
+        if count == 1:
+            notes.append(
+                "one room: neither an interval of the mean nor the variance between rooms can be estimated"
+            )
+        elif count < MIN_ROOMS_FOR_NEW_ROOM:
+            notes.append(f"{count} rooms: an interval for a new room takes {MIN_ROOMS_FOR_NEW_ROOM}")
+        if self.within is None:
+            notes.append(
+                "one camera in each room: differences between cameras are part of those between rooms"
+            )
+        if self.noise is None:
+            notes.append(
+                "one seed and no error bars: the noise is part of the differences between rooms and cameras"
+            )
+        return notes
+
+
+@dataclass(frozen=True, repr=False)
+class Summary:
+    """What ``StudyResult.summary`` returns; prints as a table.
+
+    Attributes
+    ----------
+    rows
+        A `GroupEffect` for each metric, design, method and group; the largest mean effect first in each.
+    cells
+        Number of cells that it is about.
+    left_out
+        Number of cells that failed or have not been computed.
+    """
+
+    rows: tuple[GroupEffect, ...]
+    cells: int
+    left_out: int
+
+    def text(self) -> str:
+        """Return the tables that ``print`` shows, one for each metric, design and method."""
+        tables = [part for _, rows in self.by_question() for part in [*_table(rows), ""]]
+        return "\n".join([*tables, *self.notes()])
+
+    def by_question(self) -> Iterator[tuple[tuple[str, str, str], list[GroupEffect]]]:
+        """Yield each metric, design and method with its rows."""
+        for names, rows in itertools.groupby(self.rows, key=lambda row: (row.metric, row.design, row.method)):
+            yield names, list(rows)
+
+    def row(
+        self,
+        group: str | None = None,
+        *,
+        metric: str | None = None,
+        design: str | None = None,
+        method: str | None = None,
+    ) -> GroupEffect:
+        """Return the row of a group, by default of the one with the largest mean effect.
+
+        Parameters
+        ----------
+        group
+            Name of the group.
+        metric, design, method
+            Names in the study; needed if the summary has several.
+
+        Raises
+        ------
+        SceneCaptumError
+            If there is no such row, or several metrics, designs or methods have one.
+        """
+        wanted = {"group": group, "metric": metric, "design": design, "method": method}
+        rows = list(self.rows)
+        for axis, name in wanted.items():
+            known = list(dict.fromkeys(getattr(row, axis) for row in rows))
+            if name is not None and name not in known:
+                raise SceneCaptumError(
+                    f"The summary has no {axis} {name!r}.{near_misses(name, known)} It has {', '.join(known)}."
+                )
+            if name is None and axis != "group" and len(known) > 1:
+                raise SceneCaptumError(
+                    f"The summary has several {axis}s, {', '.join(known)}: choose one with {axis}=."
+                )
+            rows = [row for row in rows if name is None or getattr(row, axis) == name]
+        return rows[0]
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the rows as a pandas DataFrame, with NaN for what cannot be estimated.
+
+        Raises
+        ------
+        SceneCaptumError
+            If pandas is not installed: ``pip install 'scenecaptum[studies]'``.
+        """
+        names = ("metric", "design", "method", "group", "measure", "unit")
+        numbers = (
+            "mean",
+            "error",
+            "low",
+            "high",
+            "new_low",
+            "new_high",
+            "between",
+            "within",
+            "noise",
+            "seed_spread",
+        )
+        rows = [
+            {
+                **{name: getattr(row, name) for name in (*names, *numbers)},
+                "rooms": len(row.rooms),
+                "raises": row.raises,
+                "lowers": row.lowers,
+            }
+            for row in self.rows
+        ]
+        frame = extras.pandas().DataFrame(rows)
+        return frame.astype(dict.fromkeys(numbers, float))
+
+    def notes(self) -> list[str]:
+        """Return what the columns are, and what cannot be estimated, as lines."""
+        notes = [
+            f"from {pluralize(self.cells, 'cell')}",
+            "± one standard error; 95 % intervals of the mean, and of the effect in a new room",
+            "between rooms, and between cameras of one room: standard deviations, less the noise of the cells",
+            "+ and −: rooms in which the effect is clearly positive or negative",
+        ]
+        unknown = group_by_text((row.group, note) for row in self.rows for note in row.unknowns)
+        groups = {row.group for row in self.rows}
+        for note, names in unknown.items():
+            which = list(dict.fromkeys(names))
+            where = "" if len(which) == len(groups) else f" ({', '.join(which)})"
+            notes.append(f"{_UNKNOWN} {note}{where}")
+        if self.left_out:
+            notes.append(f"! {pluralize(self.left_out, 'cell')} failed or missing, and left out")
+        width = terminal_width() or _NOTE_WIDTH
+        return [line for note in notes for line in wrapped_lines(note, width, 2)]
+
+    def __str__(self) -> str:
+        return self.text()
+
+    __repr__ = __str__
+
+
+def summarize_effects(
+    result: CellResults,
+    group: Group = KIND,
+    *,
+    metric: str | None = None,
+    design: str | None = None,
+    method: str | None = None,
+) -> Summary:
+    """Return the mean effects of groups of parameters over rooms; see ``StudyResult.summary``."""
+    cells = selected_cells(result, metric=metric, design=design, method=method)
+    questions: dict[tuple[str, ...], list[CellEffect]] = {}
+    for one in cell_effects(result, cells, group):
+        questions.setdefault((one.cell.metric, one.cell.design, one.cell.method, one.group), []).append(one)
+    rows = [_row(result, names, effects) for names, effects in questions.items()]
+    order = list(dict.fromkeys(names[:3] for names in questions))
+    rows.sort(key=lambda row: (order.index((row.metric, row.design, row.method)), -abs(row.mean)))
+    return Summary(tuple(rows), len(cells), len(result.failures) + len(result.missing))
+
+
+def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffect]) -> GroupEffect:
+    metric, design, method, group = names
+    numbers = result.numbers(effects[0].cell)
+    combined = combine(
+        [Observation(one.cell.scene, one.cell.camera, one.effect, one.error, one.degrees) for one in effects]
+    )
+    return GroupEffect(
+        **vars(combined),
+        metric=metric,
+        design=design,
+        method=method,
+        group=group,
+        measure=numbers["measure"],
+        unit=numbers["unit"],
+        quantity=effects[0].quantity,
+    )
+
+
+def table_columns(rows: Sequence[GroupEffect]) -> dict[str, list[str]]:
+    """Return the cells of the table by column, with the decimal points of the means aligned."""
+    return {
+        "group": shorten([row.group for row in rows], _NAME_WIDTH),
+        "mean effect": _means(rows),
+        "95 % interval": [_interval(row.low, row.high) for row in rows],
+        "new room": [_interval(row.new_low, row.new_high) for row in rows],
+        "between rooms": _deviations([row.between for row in rows]),
+        "between cameras": _deviations([row.within for row in rows]),
+        "noise": _deviations([row.noise for row in rows]),
+        "+": [str(row.raises) for row in rows],
+        "−": [str(row.lowers) for row in rows],
+        "of": [str(len(row.rooms)) for row in rows],
+    }
+
+
+def heading(rows: Sequence[GroupEffect]) -> str:
+    """Return what the effects of a table are, with design and method where these say something."""
+    return " · ".join([rows[0].quantity.label, rows[0].metric, rows[0].design, rows[0].method])
+
+
+def _table(rows: Sequence[GroupEffect]) -> list[str]:
+    columns: Mapping[str, list[str]] = table_columns(rows)
+    return [heading(rows), "", *grid([*columns], list(zip(*columns.values(), strict=True)))]
+
+
+def _means(rows: Sequence[GroupEffect]) -> list[str]:
+    """Return the means with their errors; that of a single room has the digits that its noise leaves."""
+    lone = {row.group: row.rooms[0].error for row in rows if row.error is None}
+    written = align_with_errors([(row.mean, row.error or lone.get(row.group)) for row in rows], signed=True)
+    return [
+        text.partition(" ±")[0] if row.group in lone else text
+        for row, text in zip(rows, written, strict=True)
+    ]
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    """Return ``'−1.2 to +3.4'``, rounded to three digits of the larger end."""
+    if low is None or high is None:
+        return _UNKNOWN
+    size = max(abs(low), abs(high))
+    style: Any = Format.of(size, None).at_most(3, size)
+    return f"{style.write_signed(low)} to {style.write_signed(high)}"
+
+
+def _deviations(numbers: Sequence[float | None]) -> list[str]:
+    return align_decimals([_UNKNOWN if number is None else rounded(number, 2) for number in numbers])

@@ -1,0 +1,246 @@
+"""Summaries over rooms: the same as statsmodels and the closed form, right in simulated studies, and honest."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chance import binomial_margin
+from seeds import shifted
+from statsmodels.stats.meta_analysis import combine_effects
+
+from scenecaptum import SceneCaptumError
+from scenecaptum.estimation import student_t
+from scenecaptum.studies._random_effects import Observation, _variance_between_cameras, _views, combine
+
+from . import made
+
+RUNS = 400
+ROOMS = ["office", "attic", "kitchen", "stairs"]
+
+
+def observed(effects: np.ndarray, errors: np.ndarray) -> list[Observation]:
+    """One camera and seed in each room."""
+    return [
+        Observation(f"room {k}", "front", effect, error, 7)
+        for k, (effect, error) in enumerate(zip(effects, errors, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("factor", [1.0, 10.0], ids=["rooms differ", "rooms are alike within the noise"])
+def test_means_are_those_of_statsmodels(factor: float) -> None:
+    effects, errors = np.array([1.0, 2.5, 0.4, 3.0, 1.7]), factor * np.array([0.2, 0.5, 0.3, 0.9, 0.1])
+    expected = combine_effects(effects, errors**2, method_re="pm", use_t=True)
+    found = combine(observed(effects, errors))
+    assert found.mean == pytest.approx(expected.mean_effect_re, rel=1e-4)
+    assert (found.low, found.high) == pytest.approx(tuple(expected.conf_int()[3]), rel=1e-4)
+    assert found.between == pytest.approx(math.sqrt(expected.tau2), rel=1e-4)
+    assert found.within is None
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_equal_variances_have_a_closed_form(scale: float) -> None:
+    effects = scale * np.array([1.0, 2.0, 4.0, 7.0])
+    found, spread = combine(observed(effects, np.full(4, 0.5 * scale))), effects.std(ddof=1)
+    assert found.mean == pytest.approx(effects.mean())
+    assert found.error == pytest.approx(spread / 2, rel=1e-4)
+    assert found.high == pytest.approx(effects.mean() + student_t(0.95, 3) * spread / 2, rel=1e-4)
+    assert found.between == pytest.approx(math.sqrt(spread**2 - (0.5 * scale) ** 2), rel=1e-4)
+    between, half = found.between, found.new_high - found.mean
+    assert half == pytest.approx(student_t(0.95, 3) * math.hypot(spread / 2, between), rel=1e-4)
+
+
+@pytest.mark.parametrize("common", [0.0, 2.0], ids=["cameras of each room", "cameras alike in all rooms"])
+def test_intervals_and_variances_are_right_in_simulated_studies(common: float) -> None:
+    rooms, cameras, between, within, noise = 6, 3, 1.0, 0.5, 0.3
+    generator = np.random.default_rng(shifted(int(common)))
+    covered, variances = [], []
+    for _ in range(RUNS):
+        of_camera = common * generator.standard_normal(cameras)
+        mean = 1 + of_camera.mean()
+        effects = (
+            1
+            + of_camera
+            + between * generator.standard_normal((rooms, 1))
+            + within * generator.standard_normal((rooms, cameras))
+            + noise * generator.standard_normal((rooms, cameras))
+        )
+        found = combine(
+            [
+                Observation(f"{i}", f"{j}", effects[i, j], noise, 7)
+                for i in range(rooms)
+                for j in range(cameras)
+            ]
+        )
+        covered.append(found.low <= mean <= found.high)
+        variances.append([found.between**2, found.within**2])
+    share = np.mean(covered)
+    assert abs(share - 0.95) < binomial_margin(0.95, RUNS), f"95 % interval of the mean: {share:.3f}"
+    # The variance between the cameras of one room includes what they have in common in all rooms.
+    expected = np.array([between**2, within**2 + common**2])
+    z = (np.mean(variances, 0) - expected) / (np.std(variances, 0, ddof=1) / math.sqrt(RUNS))
+    assert np.abs(z).max() < 4, f"variances off by {z} standard errors"
+
+
+def test_intervals_of_a_new_room_hold_it() -> None:
+    # Where the noise is small; they are narrower than they should be where it hides the differences between rooms.
+    generator = np.random.default_rng(shifted())
+    effects = 1 + generator.standard_normal((RUNS, 7))
+    held = []
+    for *rooms, new in effects:
+        found = combine(observed(np.array(rooms), np.full(6, 0.01)))
+        held.append(found.new_low <= new <= found.new_high)
+    assert abs(np.mean(held) - 0.95) < binomial_margin(0.95, RUNS), f"95 % interval: {np.mean(held):.3f}"
+
+
+def test_what_cameras_have_in_common_is_a_fit_of_rooms_and_cameras() -> None:
+    generator = np.random.default_rng(shifted())
+    # Not all rooms have all cameras, and one has a camera of its own.
+    places = [(i, j) for i in range(5) for j in range(4) if (i, j) not in ((0, 1), (2, 3), (3, 0))] + [(1, 9)]
+    effects = generator.standard_normal(len(places))
+    views = _views(
+        [Observation(f"{i}", f"{j}", e, 0.0) for (i, j), e in zip(places, effects, strict=True)], None
+    )
+    fit = np.array([[i == k for k in range(5)] + [j == k for k in range(4)] for i, j in places], dtype=float)
+    residuals = effects - fit @ np.linalg.lstsq(fit, effects, rcond=None)[0]
+    expected = residuals @ residuals / (len(places) - np.linalg.matrix_rank(fit))
+    assert _variance_between_cameras(views, remove_common=True) == pytest.approx(expected)
+
+
+def test_seeds_repeat_the_noise() -> None:
+    generator = np.random.default_rng(shifted())
+    effects = {
+        (room, seed): room + 0.2 * generator.standard_normal() for room in range(3) for seed in range(50)
+    }
+    found = combine(
+        [Observation(f"{room}", "front", effect, 0.2, 7) for (room, _), effect in effects.items()]
+    )
+    assert found.noise == pytest.approx(0.2)
+    # A standard deviation from n degrees of freedom has a relative standard error of 1 / sqrt(2 n).
+    assert abs(found.seed_spread / 0.2 - 1) < 4 / math.sqrt(2 * 147)
+    assert found.rooms[0].error == pytest.approx(0.2 / math.sqrt(50))
+    without = combine(
+        [Observation(f"{room}", "front", effect, None) for (room, _), effect in effects.items()]
+    )
+    assert without.noise == found.seed_spread
+
+
+def test_the_error_of_a_group_knows_the_covariance_of_its_members(tmp_path: Path) -> None:
+    [cell] = made.cells(["office"])
+    result = made.study(tmp_path, {cell: {"wall.alpha": 1.0, "floor.alpha": 2.0}}, noise=0.0, shared=0.1)
+    [row] = result.summary().rows
+    [of_wall, _] = result.summary(None).rows
+    # Their noise is the same: errors add up, and not their squares.
+    assert row.rooms[0].error == pytest.approx(2 * of_wall.rooms[0].error, rel=1e-5)
+    assert row.mean == pytest.approx(3.0, abs=1.0)
+
+
+def test_groups_are_kinds_patterns_or_single_parameters(tmp_path: Path) -> None:
+    cells = made.cells(ROOMS)
+    result = made.study(tmp_path, made.random_effects(cells, shifted()))
+    by_kind = result.summary()
+    assert {row.group for row in by_kind.rows} == {"reflectance", "roughness"}
+    assert {row.group for row in result.summary(None).rows} == {*made.random_effects(cells, 0)[cells[0]]}
+    walls = result.summary({"walls": "wall*", "all": ["*: reflectance", "*.alpha"]})
+    rows = {row.group: row for row in walls.rows}
+    assert rows["walls"].mean == pytest.approx(result.summary(None).row("wall.reflectance").mean)
+    means = [row.mean for row in by_kind.rows]
+    assert [abs(mean) for mean in means] == sorted(map(abs, means), reverse=True)
+    effect = {room.room: room.effect for room in rows["all"].rooms}
+    parts = [{room.room: room.effect for room in row.rooms} for row in by_kind.rows]
+    assert all(effect[room] == pytest.approx(sum(part[room] for part in parts)) for room in ROOMS)
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [
+        ({"walls": "*wal.reflectance"}, "matches no name and no label.*Did you mean 'wall.reflectance'"),
+        ({"walls": []}, "'walls' is empty"),
+        ({"walls": [3]}, "'walls' must have a name, and globs that are strings"),
+        ("material", "group must be 'kind', None"),
+    ],
+)
+def test_wrong_groups_are_refused(group: object, message: str, tmp_path: Path) -> None:
+    result = made.study(tmp_path, made.random_effects(made.cells(["office"]), 0))
+    with pytest.raises(SceneCaptumError, match=message):
+        result.summary(group)  # type: ignore[arg-type]
+
+
+def test_wrong_names_are_refused(tmp_path: Path) -> None:
+    cells = made.cells(["office"], metrics=["luminance", "ugr"])
+    result = made.study(
+        tmp_path, made.random_effects(cells, 0), values_only=[cells[0]._replace(method="value")]
+    )
+    with pytest.raises(SceneCaptumError, match=r"no finished cell with the metric 'lumiance'\. Did you mean"):
+        result.summary(metric="lumiance")
+    with pytest.raises(SceneCaptumError, match="no finished cell with an attribution"):
+        result.summary(method="value")
+    with pytest.raises(SceneCaptumError, match="several metrics, luminance, ugr: choose one"):
+        result.summary().row()
+    with pytest.raises(SceneCaptumError, match=r"no group 'roughnes'\. Did you mean 'roughness'"):
+        result.summary().row("roughnes", metric="ugr")
+
+
+def test_what_cannot_be_estimated_is_said(tmp_path: Path) -> None:
+    one = made.study(tmp_path / "one", made.random_effects(made.cells(["office"]), 0)).summary()
+    row = one.row("roughness")
+    assert (row.low, row.error, row.between, row.within, row.new_low) == (None,) * 5
+    assert row.rooms[0].low < row.mean < row.rooms[0].high
+    assert "one room: neither an interval of the mean" in str(one)
+    assert "one camera in each room" in str(one)
+    failed = made.cells(["attic"])[0]
+    two = made.study(
+        tmp_path / "two",
+        made.random_effects(made.cells(["office", "kitchen"], ["front", "left"]), 0),
+        failures={failed: "no camera"},
+    ).summary()
+    row = two.row("roughness")
+    assert row.low < row.mean < row.high
+    assert row.new_low is None
+    assert row.within > 0
+    assert "2 rooms: an interval for a new room takes 3" in str(two)
+    assert "! 1 cell failed or missing, and left out" in str(two)
+    unknown = combine([Observation("office", "front", 1.0, None), Observation("attic", "front", 2.0, None)])
+    assert (unknown.noise, unknown.rooms[0].low, unknown.rooms[0].sign) == (None, None, 0)
+
+
+def test_no_effect_at_all_is_zero(tmp_path: Path) -> None:
+    effects = {cell: {"wall.alpha": 0.0} for cell in made.cells(ROOMS)}
+    [row] = made.study(tmp_path, effects, noise=0.0).summary().rows
+    assert (row.mean, row.error, row.low, row.high, row.between) == (0.0,) * 5
+    assert (row.raises, row.lowers) == (0, 0)
+
+
+def test_one_room_without_noise_does_not_get_all_the_weight() -> None:
+    effects = np.array([0.0, 1.0, 2.0, 3.0])
+    assert combine(observed(effects, np.array([0.0, 0.1, 0.1, 0.1]))).mean == pytest.approx(1.5, rel=0.05)
+
+
+def test_data_frames_have_all_rows(tmp_path: Path) -> None:
+    cells = made.cells(ROOMS, metrics=["luminance", "ugr"])
+    summary = made.study(tmp_path, made.random_effects(cells, 0)).summary()
+    frame = summary.to_dataframe()
+    assert len(frame) == len(summary.rows) == 4
+    assert frame["rooms"].tolist() == [4] * 4
+    assert frame["within"].isna().all()
+    assert frame["mean"].tolist() == [row.mean for row in summary.rows]
+
+
+def test_the_table_can_be_read_by_itself(tmp_path: Path) -> None:
+    cells = made.cells(ROOMS, ["front", "left"])
+    text = str(made.study(tmp_path, made.random_effects(cells, 0)).summary())
+    assert text.startswith(
+        "change of mean luminance (cd/m²) over the range of the parameter · luminance · as it is"
+    )
+    assert "from 8 cells" in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def test_without_statsmodels_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = made.study(tmp_path, made.random_effects(made.cells(ROOMS), 0))
+    monkeypatch.setitem(sys.modules, "statsmodels.stats.meta_analysis", None)
+    with pytest.raises(SceneCaptumError, match=r"need statsmodels: pip install 'scenecaptum\[studies\]'"):
+        result.summary()
