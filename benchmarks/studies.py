@@ -4,12 +4,14 @@
 worker, the scheduler or the client of studies at random moments with SIGKILL, runs them again, and compares the
 final tables with that of a study that nobody disturbed. ``efficiency`` compares two workers with one worker that
 is bound to one core, in turns. ``overhead`` measures the time that a study of very many very small cells takes
-beside the computation of these, and the memory of the client.
+beside the computation of these, and the memory of the client. ``intervals`` counts how often the intervals of
+summaries hold the truth in simulated studies, which takes no renders.
 
     python benchmarks/studies.py equal
     python benchmarks/studies.py kill [--times 20]
     python benchmarks/studies.py efficiency [--turns 3]
     python benchmarks/studies.py overhead [--cells 10000]
+    python benchmarks/studies.py intervals [--studies 6000]
 """
 
 from __future__ import annotations
@@ -29,9 +31,11 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from scenecaptum.studies import Study, StudyResult
+from scenecaptum.studies._random_effects import Observation, combine
 
 WITHOUT_MEANING = ("seconds", "host")
 SMALL = {"resolution": (32, 18), "spp": 8, "max_depth": 4}
@@ -284,7 +288,41 @@ def overhead(options: argparse.Namespace) -> int:
     return 0
 
 
-SECTIONS = {"equal": equal, "kill": kill, "efficiency": efficiency, "overhead": overhead}
+def intervals(options: argparse.Namespace) -> int:
+    """Count the simulated studies whose intervals hold the mean of all rooms, and a new room."""
+    generator = np.random.default_rng(options.seed)
+    for rooms, cameras, noise in ((6, 3, 0.3), (4, 1, 1.0)):
+        held = []
+        for _ in range(options.studies):
+            room = generator.standard_normal(rooms + 1)
+            view = 0.5 * generator.standard_normal((rooms + 1, cameras))
+            truth = 1 + room[:, None] + view
+            effects = truth + noise * generator.standard_normal(truth.shape)
+            found = combine(
+                [
+                    Observation(str(i), str(j), effects[i, j], noise, 7)
+                    for i in range(rooms)
+                    for j in range(cameras)
+                ]
+            )
+            new = truth[rooms].mean()
+            held.append([found.low <= 1 <= found.high, found.new_low <= new <= found.new_high])
+        of_mean, of_new = np.mean(held, 0)
+        error = max(np.sqrt(p * (1 - p) / options.studies) for p in (of_mean, of_new))
+        print(
+            f"{rooms} rooms, {cameras} cameras, noise {noise}: {100 * of_mean:.1f} % of the 95 % intervals hold "
+            f"the mean, {100 * of_new:.1f} % a new room, ± {100 * error:.1f} %"
+        )
+    return 0
+
+
+SECTIONS = {
+    "equal": equal,
+    "kill": kill,
+    "efficiency": efficiency,
+    "overhead": overhead,
+    "intervals": intervals,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -293,8 +331,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("section", choices=SECTIONS)
     parser.add_argument("--times", type=int, default=20, help="of kill (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of kill (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of kill and intervals (default: %(default)s)")
     parser.add_argument("--turns", type=int, default=3, help="of efficiency (default: %(default)s)")
+    parser.add_argument("--studies", type=int, default=6000, help="of intervals (default: %(default)s)")
     parser.add_argument("--cells", type=int, default=10_000, help="of overhead (default: %(default)s)")
     options = parser.parse_args(arguments)
     return SECTIONS[options.section](options)

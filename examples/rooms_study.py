@@ -57,8 +57,13 @@ def main() -> int:
         max_depth=6,
     )
     result = study.run(given.out, workers=given.workers, show_progress=sys.stderr.isatty())
-    print(result)
+    print(result, "\n")
+    print(result.summary())
     print_costs(result)
+    for metric in METRICS:
+        result.plot_effects("reflectance", metric=metric).savefig(given.out / f"{metric}.png")
+    result.plot_gallery(metric=METRICS[0]).savefig(given.out / "gallery.png")
+    print(f"\n{result.write_report(given.out / 'report')}  the summary, the figures and all cells")
     return 0
 
 

@@ -28,7 +28,7 @@ def design_of(renderer: Adjustable, settings: Mapping[str, Any]) -> dict[str, to
     >>> from scenecaptum import SceneRenderer
     >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(8, 8))
     >>> design_of(renderer, {"*_wall.reflectance.value*": 0.5})["left_wall.reflectance.value"].tolist()
-    [0.285..., 0.0215..., 0.0223...]
+    [0.285..., 0.021..., 0.022...]
 
     Parameters
     ----------
