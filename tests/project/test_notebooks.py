@@ -97,12 +97,6 @@ def test_traces_of_a_machine_are_detected(text: str) -> None:
     assert PRIVATE.search(text)
 
 
-def test_every_notebook_is_in_the_table_of_examples() -> None:
-    page = (FOLDER.parents[1] / "docs" / "examples.md").read_text()
-    assert NOTEBOOKS
-    assert not [path.name for path in NOTEBOOKS if f"(../examples/notebooks/{path.name})" not in page]
-
-
 def test_a_parameter_that_a_notebook_does_not_have_is_refused() -> None:
     with pytest.raises(ValueError, match="SAMPLES"):
         runner().run(NOTEBOOKS[0], SAMPLES=1)
