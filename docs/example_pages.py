@@ -71,7 +71,7 @@ def notebook_page(path: Path) -> str:
 
 def _figure(heading: str, cell: dict[str, Any]) -> str:
     """Return the alternative text of a cell's figure: where it is, and which call has drawn it."""
-    calls = re.findall(r"\b[\w.]*plot_?\w*\(.*\)", "".join(cell["source"]))
+    calls = re.findall(r"[\w.]*\bplot(?:_\w+)?\(.*\)", "".join(cell["source"]))
     return f"Figure: {heading}" + (f", drawn by {calls[-1]}" if calls else "")
 
 

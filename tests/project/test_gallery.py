@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import shlex
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from loading import load_script
 from PIL import Image
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLES = DOCS.parent / "examples"
 GALLERY = (DOCS / "examples.md").read_text()
 THUMBNAILS = sorted(path.stem for path in (DOCS / "pictures" / "thumbnails").iterdir())
-ROUNDING = (
-    1  # of 255 levels, on average: versions of JPEG's decoder differ by less, other pictures or cuts by more
-)
+# Of 255 levels, on average: decoders of JPEG differ by less, other pictures or cuts by more.
+ROUNDING = 1
 
 
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-pages = load("example_pages")
+pages, thumbnails = (load_script(DOCS / f"{name}.py") for name in ("example_pages", "thumbnails"))
 
 
 def test_every_script_has_a_title_in_the_gallery() -> None:
@@ -93,7 +82,6 @@ def test_every_card_has_a_thumbnail_of_its_own() -> None:
 
 
 def test_thumbnails_are_those_of_the_script(tmp_path: Path) -> None:
-    thumbnails = load("thumbnails")
     thumbnails.main(tmp_path)
     assert sorted(path.stem for path in tmp_path.iterdir()) == THUMBNAILS
     for path in tmp_path.iterdir():
