@@ -43,7 +43,7 @@ notebooks: .venv/.test .venv/.llvm
 	$(BIN)/python examples/notebooks/run.py
 
 clean:
-	rm -rf out docs/_build docs/generated build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info
+	rm -rf out docs/_build docs/generated docs/jupyter_execute build dist .mypy_cache .ruff_cache .pytest_cache src/*.egg-info
 	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 $(BIN)/python:

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import sys
+from pathlib import Path
 from typing import Any
 
 from sphinx.domains.python import PyObject
 
 from scenecaptum import __version__
 
+sys.path.insert(0, str(Path(__file__).parent))
+from example_pages import linked_to_pages, write_pages
+
 project = "scenecaptum"
 copyright = "The scenecaptum developers"
 release = __version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",  # Markdown and notebooks
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "jupyter_execute"]  # what Sphinx and MyST-NB write
+nb_execution_mode = "off"  # the outputs that the notebooks store are shown; the tests run them
 templates_path = ["_templates"]
 myst_heading_anchors = 3
 
@@ -73,8 +79,15 @@ def _skip_numbered_field(
     return True if (getattr(obj, "__doc__", None) or "").startswith("Alias for field number") else None
 
 
+def _link_to_pages(_app: Any, _name: str, source: list[str]) -> None:
+    """Let links to notebooks and scripts lead to their pages."""
+    source[0] = linked_to_pages(source[0])
+
+
 def setup(app: Any) -> None:
-    """Connect the hooks to Sphinx's events."""
+    """Write the pages of the examples, and connect the hooks to Sphinx's events."""
+    write_pages()
+    app.connect("source-read", _link_to_pages)
     app.connect("autodoc-process-docstring", _fix_docstring, priority=100)
     app.connect("autodoc-process-signature", _hide_constructor)
     app.connect("autodoc-skip-member", _skip_numbered_field)

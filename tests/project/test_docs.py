@@ -283,7 +283,7 @@ def methods(thing: Any) -> list[tuple[str, Any]]:
 @pytest.mark.long
 def test_the_documentation_builds_without_a_warning(tmp_path):
     sphinx = pytest.importorskip("sphinx.cmd.build", reason="Sphinx is not installed: pip install '.[docs]'")
-    for package in ("myst_parser", "furo", "sphinx_copybutton"):
+    for package in ("myst_nb", "furo", "sphinx_copybutton"):
         pytest.importorskip(package)
     shutil.rmtree(
         ROOT / "docs" / "generated", ignore_errors=True

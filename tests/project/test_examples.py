@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 from chance import allowed
+from loading import load_script
 from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics
@@ -26,12 +26,7 @@ def _examples_import_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(EXAMPLES / f"{name}.py")
 
 
 def test_lamps_add_up_to_the_brightness(mi: Any, capsys: pytest.CaptureFixture[str]) -> None:

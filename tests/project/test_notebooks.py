@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import importlib.util
 import io
 import json
 import re
@@ -12,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from loading import load_script
 from PIL import Image
 
 FOLDER = Path(__file__).parents[2] / "examples" / "notebooks"
@@ -25,12 +25,7 @@ every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: pat
 
 
 def runner() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("run_notebooks", FOLDER / "run.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(FOLDER / "run.py")
 
 
 def outputs(notebook: Any) -> list[Any]:
@@ -95,12 +90,6 @@ def test_notebooks_are_small() -> None:
 @pytest.mark.parametrize("text", ["in /home/ann/rooms", "C:\\Users", "<Figure at 0x7f2a>", "ipykernel_42"])
 def test_traces_of_a_machine_are_detected(text: str) -> None:
     assert PRIVATE.search(text)
-
-
-def test_every_notebook_is_in_the_table_of_examples() -> None:
-    page = (FOLDER.parents[1] / "docs" / "examples.md").read_text()
-    assert NOTEBOOKS
-    assert not [path.name for path in NOTEBOOKS if f"(../examples/notebooks/{path.name})" not in page]
 
 
 def test_a_parameter_that_a_notebook_does_not_have_is_refused() -> None:
