@@ -58,6 +58,11 @@ def add(commands: Any) -> None:
         metavar="ADDRESS",
         help="compute on the workers of this Dask scheduler, such as tcp://host:8786",
     )
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="also write report/index.html: the summary over the rooms, figures, and a page for each cell",
+    )
     parser.add_argument("--retry-failed", action="store_true", help="compute failed cells again")
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
     parser.set_defaults(run=run, json=False)
@@ -83,6 +88,8 @@ def run(options: argparse.Namespace) -> int:
     write_files(result, options.out, FORMATS)
     print(result)
     print_files(options.out, FORMATS)
+    if options.report:
+        print(f"{result.write_report(options.out / 'report')}  summary, figures, and a page for each cell")
     return 1 if result.failures else 0
 
 
