@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -22,6 +23,8 @@ FORMATS = [
         "effects.csv", "the effect of each parameter in each cell", StudyResult.write_table
     ),
 ]
+NUMBERS = ("measure", "unit", "value", "standard_error", "verdict", "seconds")
+PATIENCE = "10s"  # for a Dask scheduler
 
 
 def add(commands: Any) -> None:
@@ -64,8 +67,9 @@ def add(commands: Any) -> None:
         help="also write report/index.html: the summary over the rooms, figures, and a page for each cell",
     )
     parser.add_argument("--retry-failed", action="store_true", help="compute failed cells again")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
-    parser.set_defaults(run=run, json=False)
+    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -86,11 +90,29 @@ def run(options: argparse.Namespace) -> int:
             show_progress=_arguments.shows_progress(options),
         )
     write_files(result, options.out, FORMATS)
-    print(result)
-    print_files(options.out, FORMATS)
-    if options.report:
-        print(f"{result.write_report(options.out / 'report')}  summary, figures, and a page for each cell")
+    report = result.write_report(options.out / "report") if options.report else None
+    if options.json:
+        print(json.dumps(_numbers(result), indent=1, ensure_ascii=False))
+    else:
+        print(result)
+        print_files(options.out, FORMATS)
+        print(
+            f"{options.out / 'study.json'}  what the study is; a file for each cell is in {options.out / 'cells'}"
+        )
+        if report is not None:
+            print(f"{report}  summary, figures, and a page for each cell")
     return 1 if result.failures else 0
+
+
+def _numbers(result: StudyResult) -> dict[str, Any]:
+    """Return the cells as plain values, without their rankings."""
+    finished = [(cell, result.numbers(cell)) for cell in result.cells]
+    return {
+        "finished": [
+            {**cell._asdict(), **{name: numbers[name] for name in NUMBERS}} for cell, numbers in finished
+        ],
+        "failed": [{**cell._asdict(), "error": error} for cell, error in result.failures.items()],
+    }
 
 
 @contextlib.contextmanager
@@ -104,7 +126,7 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
     except ImportError as error:
         raise SceneCaptumError("--dask needs Dask: pip install 'scenecaptum[dask]'") from error
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout=PATIENCE)
     except (OSError, ValueError) as error:
         raise SceneCaptumError(f"There is no Dask scheduler at {address}: {error}") from error
     with client:

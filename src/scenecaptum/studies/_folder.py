@@ -38,9 +38,8 @@ class StudyFolder:
         """Create the folder, or open that of the same study; raise if it has another one."""
         folder = cls(path)
         try:
-            for one, suffix in ((folder.cells, CELL), (folder.failures, FAILED)):
-                one.mkdir(parents=True, exist_ok=True)
-                remove_abandoned(one, suffix)
+            folder.cells.mkdir(parents=True, exist_ok=True)
+            remove_abandoned(folder.cells, CELL)
             if not folder.manifest_path.exists():
                 folder._write_manifest(
                     json.dumps({"format": FORMAT, **manifest}, indent=1, ensure_ascii=False)
@@ -138,6 +137,10 @@ class StudyFolder:
     def write_failure(self, recipe: Recipe, error: str) -> None:
         """Write a failed cell with its error."""
         text = json.dumps({"cell": recipe.cell._asdict(), "key": recipe.key, "error": error})
+        try:
+            self.failures.mkdir(exist_ok=True)
+        except OSError as problem:
+            raise write_error(self.failures, problem) from problem
         with atomic_write(self.failures / f"{recipe.key}{FAILED}") as partial:
             partial.write_text(text + "\n", encoding="utf-8")
 
@@ -175,6 +178,8 @@ class StudyFolder:
 
 def _stems(folder: Path, suffix: str) -> set[str]:
     """Return the names of the complete files of a folder, without their suffix; partial files begin with a dot."""
+    if not folder.is_dir():
+        return set()
     with os.scandir(folder) as entries:
         return {
             entry.name[: -len(suffix)]

@@ -21,7 +21,6 @@ from ..camera import View
 from ..checkpoint import digest
 from ..errors import SceneCaptumError, check_seed, near_misses
 from ..executors import Workers
-from ..files import write_error
 from ..scene import portable
 from ._file import read_study
 from ._folder import StudyFolder
@@ -290,8 +289,6 @@ def _write_failure(folder: StudyFolder, recipe: Recipe, error: str) -> None:
         raise SceneCaptumError(
             f"The study stopped: {problem} The last cell, {recipe.cell}, failed with: {error}"
         ) from problem
-    except OSError as problem:
-        raise write_error(folder.path, problem) from problem
 
 
 def _axis(name: str, given: Axis) -> dict[str, Any]:
