@@ -13,6 +13,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,7 @@ class StudyFolder:
         return folder
 
     @classmethod
+    @lru_cache(maxsize=8)  # the manifest of a large study takes longer to read than a small cell to compute
     def of_worker(cls, path: Path, study: str) -> StudyFolder:
         """Return the folder in a worker, which may be on another machine."""
         folder = cls(path)
