@@ -34,7 +34,7 @@ DAYLIGHT = (
     "--floor floor_shape --weather year.epw.gz --north 90 --subdivision 1"
 )
 
-ELSEWHERE = {"--dask"}  # needs a scheduler: tests/studies/test_study.py
+ELSEWHERE = {"--dask"}  # needs a scheduler: test_study.py
 
 STUDY = """scenes = ["cornell-box"]
 inputs = "reflectance"

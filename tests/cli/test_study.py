@@ -1,0 +1,32 @@
+"""``scenecaptum study`` on a Dask scheduler; the other options are in test_options.py."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenecaptum import cli
+
+
+def test_the_command_computes_on_dask(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from distributed import LocalCluster
+
+    file, quiet = tmp_path / "rooms.json", {"dashboard_address": None, "silence_logs": "CRITICAL"}
+    file.write_text(
+        json.dumps({"scenes": ["cornell-box"], "methods": ["value"], "resolution": [8, 8], "spp": 4})
+    )
+    command = ["study", str(file), "--out", str(tmp_path / "out"), "--threads", "2", "--no-progress"]
+    # In this process, which starts faster; long tests have others.
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, **quiet) as cluster:
+        assert cli.main([*command, "--dask", cluster.scheduler_address]) == 0
+        assert "1 cell finished" in capsys.readouterr().out
+        assert cli.main([*command, "--dask", cluster.scheduler_address, "--workers", "2"]) == 2
+        assert "--workers has no effect with --dask" in capsys.readouterr().err
+    monkeypatch.setattr("scenecaptum.cli._study.PATIENCE", "1s")
+    assert cli.main([*command, "--dask", "tcp://127.0.0.1:1"]) == 2
+    assert "There is no Dask scheduler at tcp://127.0.0.1:1" in capsys.readouterr().err
