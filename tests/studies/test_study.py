@@ -36,15 +36,15 @@ class Counting(ThreadPoolExecutor):
 def test_a_grid_has_a_cell_for_every_combination() -> None:
     study = Study(
         {"box": "cornell-box", "room": "office"},
-        cameras=[0, {"turn": 30}, View(fov=20.0), "fisheye"],
+        cameras=[View(), [0, 0], {"turn": 30}, View(fov=20.0), "fisheye"],
         metrics=["luminance", {"metric": "ugr", "threshold_factor": 5}, brightness],
         designs={"as it is": {}, "dark": {"*.reflectance.value*": 0.5}},
         methods=["gradient", {"method": "value", "replicates": 2}],
         seeds=[3, 4],
     )
-    assert len(study) == 2 * 4 * 3 * 2 * 2 * 2 == len(set(study.cells))
-    assert study.cells[0] == Cell("box", "0", "luminance", "as it is", "gradient", 3)
-    assert {cell.camera for cell in study.cells} == {"0", "turn=30", "fov=20.0", "fisheye"}
+    assert len(study) == 2 * 5 * 3 * 2 * 2 * 2 == len(set(study.cells))
+    assert study.cells[0] == Cell("box", "as it is", "luminance", "as it is", "gradient", 3)
+    assert {cell.camera for cell in study.cells} == {"as it is", "[0, 0]", "turn=30", "fov=20.0", "fisheye"}
     assert {cell.metric for cell in study.cells} == {"luminance", "ugr threshold_factor=5", "brightness"}
     assert {cell.method for cell in study.cells} == {"gradient", "value replicates=2"}
 

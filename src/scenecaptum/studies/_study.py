@@ -21,6 +21,7 @@ from ..camera import View
 from ..checkpoint import digest
 from ..errors import SceneCaptumError, check_seed, near_misses
 from ..executors import Workers
+from ..grid import SensorGrid
 from ..scene import portable
 from ._file import read_study
 from ._folder import StudyFolder
@@ -171,8 +172,8 @@ class Study:
         metric, metric_options = self._axes["metric"][cell.metric]
         method, method_options = self._axes["method"][cell.method]
         sensor, options = self._axes["camera"][cell.camera], dict(self._renderer_options)
-        if not isinstance(sensor, (int, View)) and sensor != "fisheye":
-            options["resolution"] = None  # a sensor grid has a pixel for each point
+        if sensor == "grid" or isinstance(sensor, SensorGrid):
+            options["resolution"] = None  # it has a pixel for each point
         return Recipe(
             cell=cell,
             scene=self._axes["scene"][cell.scene],
@@ -237,7 +238,7 @@ class Study:
         with tqdm(
             total=len(recipes), initial=len(recipes) - len(left), disable=not show_progress, unit="cell"
         ) as bar:
-            failures = len(opened.failed()) - (len(opened.failed()) if retry_failed else 0)
+            failures = 0 if retry_failed else len(opened.failed())
             for outcome in self._outcomes(left, opened, executor, workers, threads):
                 if outcome.error:
                     failures += 1
@@ -319,7 +320,9 @@ def _name(entry: Any) -> str:
         return str(entry)
     if isinstance(entry, View):
         changed = {f.name: getattr(entry, f.name) for f in dataclasses.fields(View)}
-        return _name({name: value for name, value in changed.items() if value != getattr(View(), name)})
+        return (
+            _name({name: value for name, value in changed.items() if value != getattr(View(), name)}) or AS_IS
+        )
     if isinstance(entry, Mapping):
         named = [str(entry[kind]) for kind in ("metric", "method") if kind in entry]
         return " ".join([*named, *(f"{k}={v}" for k, v in entry.items() if k not in ("metric", "method"))])
