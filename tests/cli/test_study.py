@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from scenecaptum import cli
 
 
+@pytest.fixture
+def own_threads(mi: Any) -> Iterator[None]:
+    """Give the tests that follow their threads back: a worker in this process sets their number."""
+    import drjit as dr
+
+    before = torch.get_num_threads(), dr.thread_count()
+    yield
+    torch.set_num_threads(before[0])
+    dr.set_thread_count(before[1])
+
+
 def test_the_command_computes_on_dask(
-    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    own_threads: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from distributed import LocalCluster
 
