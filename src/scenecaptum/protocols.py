@@ -46,6 +46,22 @@ class Renderer(Protocol):
         """Render ``inputs`` with a seed and a number of samples per pixel; with None the renderer chooses it."""
 
 
+class WithSensor(Protocol):
+    """A renderer with a sensor that metrics need to know."""
+
+    @property
+    def camera(self) -> Any:
+        """Directions and solid angles of the pixels of a view."""
+
+    @property
+    def grid(self) -> Any:
+        """The points of a sensor grid."""
+
+    @property
+    def shows_a_view(self) -> bool:
+        """Whether it shows a view rather than the points of a grid."""
+
+
 class Adjustable(Protocol):
     """A renderer whose inputs have physical bounds."""
 

@@ -9,7 +9,7 @@ from ._variants import activate
 
 
 def use_threads(count: int) -> None:
-    """Let Dr.Jit and torch use so many threads of this process, from now on.
+    """Set the number of threads that Dr.Jit and torch use in this process.
 
     With one thread, sums have a fixed order: the same seeds give the same bits.
 

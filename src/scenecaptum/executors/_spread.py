@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -44,7 +44,7 @@ def spread(renderer: Renderer, executor: Executor | None, checkpoint: Folder) ->
 class SpreadRenderer:
     """A renderer that takes what ``begin`` has computed elsewhere from its checkpoint."""
 
-    renderer: Any
+    renderer: Renderer
     recipe: Callable[[], Any]
     executor: Executor
     temporary: tempfile.TemporaryDirectory[str] | None  # deleted with this renderer
@@ -61,20 +61,20 @@ class SpreadRenderer:
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
         """Render, or take the image from the checkpoint."""
-        image: torch.Tensor = self.renderer(inputs, **options)
-        return image
+        return self.renderer(inputs, **options)
 
     def begin(
         self, values: Mapping[str, torch.Tensor], passes: Sequence[RenderPass]
     ) -> list[Callable[[], None]]:
         """Begin passes at the same values; return a function for each that waits until it is done."""
-        own = self.renderer.inputs or {}
+        known = Capabilities(self.renderer)
+        own = known.inputs or {}
         changed = {
             name: value.detach().cpu()
             for name, value in values.items()
             if name not in own or not torch.equal(value, own[name])
         }
-        folder = str(self.renderer.checkpoint.folder.resolve())
+        folder = str(cast(Any, known.checkpoint).folder.resolve())
         task = self.executor.submit
         futures = [task(compute_pass, self.recipe, folder, tuple(values), changed, one) for one in passes]
         return [future.result for future in futures]
@@ -90,7 +90,7 @@ def compute_pass(
     """Compute a pass in a worker, and leave its result in the folder; with one thread, so that sums repeat."""
     use_threads(1)
     renderer = with_checkpoint(made(recipe), folder)
-    own = renderer.inputs or {}
+    own = Capabilities(renderer).inputs or {}
     values = {name: changed[name] if name in changed else own[name] for name in names}
     if one.adjoint is None:
         with torch.no_grad():

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import torch
 
 from ..errors import SceneCaptumError
+from ..protocols import WithSensor
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 
@@ -32,7 +33,7 @@ class NamedMetric(NamedTuple):
         """The names of the parameters of ``create``."""
         return inspect.signature(self.create).parameters.keys()
 
-    def create_for(self, renderer: Any, options: Mapping[str, Any]) -> Metric:
+    def create_for(self, renderer: WithSensor, options: Mapping[str, Any]) -> Metric:
         """Return the metric for the sensor of a ``SceneRenderer``, with the options that it has.
 
         Raises
