@@ -117,7 +117,7 @@ def test_a_gallery_has_a_map_for_each_room_and_camera(tmp_path: Path) -> None:
     assert "blue: raising it raises the metric" in text.replace("\n", " ")
     assert outside(figure) == []
     assert "2 more rooms not shown" in all_text(result.plot_gallery(1))
-    assert "strongest of all" in all_text(result.plot_gallery(shared=True))
+    assert "largest of all" in all_text(result.plot_gallery(shared=True))
 
 
 def test_a_gallery_needs_pictures(tmp_path: Path) -> None:

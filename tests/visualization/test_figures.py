@@ -135,7 +135,7 @@ def test_the_overlay_is_a_map_over_a_grey_render() -> None:
     assert opacity.max() > opacity.min()
     # The legend is opaque, even if the map is transparent.
     assert bar.collections[-1].get_alpha() is None
-    assert "relative to the strongest" in all_text(figure)
+    assert "relative to the largest" in all_text(figure)
 
 
 def test_invalid_overlays_are_refused() -> None:
@@ -171,6 +171,24 @@ def test_maps_draw_into_given_axes() -> None:
     assert len(left.images) == 1
     assert len(right.images) == 2
     assert len(figure.axes) == 4  # each with its colour bar
+
+
+def test_titles_say_what_the_metric_depends_on() -> None:
+    first, second, *_ = make().ranking()
+    assert f"depends most on {first.label}\n" in all_text(plot_bars(make()))
+    apart = {name: 0 * value for name, value in make().items()}
+    assert "depends on none of these" in all_text(plot_bars(dataclasses.replace(make(), attributions=apart)))
+    noisy = {name: 1e6 * value for name, value in make().covariance.items()}
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
+    assert f"depends most on {first.label} and {second.label}\n" in text
+
+
+def test_a_render_is_denoised_where_the_metric_image_was() -> None:
+    figure = plot_heatmap(make())
+    assert "render" in figure.axes[0].get_title()
+    denoised = plot_heatmap(make(picture={"denoised": True}))
+    assert denoised.axes[0].get_title() == "render, denoised"
+    assert not np.allclose(denoised.axes[0].images[0].get_array(), figure.axes[0].images[0].get_array())
 
 
 def test_maps_of_zeros_are_labelled() -> None:
@@ -212,7 +230,7 @@ def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
     assert middle.min() > 0.95
     # The map has 256 colours, and the nearest to a sixth is not exactly there.
     np.testing.assert_allclose([low, high], [to_rgb(LOWERS), to_rgb(RAISES)], atol=0.02)
-    assert "orange: raising it lowers the metric" in all_text(figure)
+    assert "blue raises the metric, orange lowers it" in all_text(figure)
 
 
 def test_lightness_of_colour_maps_follows_the_magnitude() -> None:

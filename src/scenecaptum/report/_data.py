@@ -31,6 +31,7 @@ from ..visualization import (
     rounded,
     sampling_notes,
     scene_cautions,
+    shown_render,
     sign_labels,
     untrusted_groups,
     verdict,
@@ -90,8 +91,7 @@ def _picture(attribution: Attribution, plan: Figure | None) -> tuple[str, Surfac
         encoded, shape = encode_figure(plan)
         return encoded, _nothing(shape)
     assert attribution.surfaces is not None, "write_report checks it"
-    assert attribution.image is not None, "write_report checks it"
-    return encode_picture(attribution.image), attribution.surfaces
+    return encode_picture(shown_render(attribution)), attribution.surfaces
 
 
 def _nothing(shape: tuple[int, int]) -> SurfaceMap:

@@ -323,7 +323,7 @@ def plot_gallery(
     metric, design, method
         Names of the study; by default the first of each.
     shared
-        Use one scale for all maps, relative to the strongest object of any. By default each has its own.
+        Use one scale for all maps, relative to the largest object of any. By default each has its own.
 
     Raises
     ------
@@ -390,7 +390,7 @@ def _draw_gallery(
     bar = draw_colorbar(
         mapped, True, DEFAULT_NORM, ax=list(axes.flat), aspect=aspect, pad=0.02, fraction=0.05
     )
-    bar.set_label(f"relative to the strongest {'of all' if maximum else 'in each'}", fontsize=SMALL)
+    bar.set_label(f"relative to the largest {'of all' if maximum else 'in each'}", fontsize=SMALL)
     raises, lowers = sign_labels(some) or ("positive", "negative")
     title = f"Effects on {metric_name(some)} of what pixels show; blue: {raises}, orange: {lowers}"
     more = [f"{pluralize(hidden, 'more room')} not shown"] if hidden else []

@@ -53,6 +53,7 @@ from ._maps import draw_colorbar as draw_colorbar
 from ._maps import draw_overlay as draw_overlay
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
+from ._maps import shown_render as shown_render
 from ._numbers import Format as Format
 from ._numbers import align_decimals as align_decimals
 from ._numbers import align_with_errors as align_with_errors

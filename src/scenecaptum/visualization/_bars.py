@@ -34,6 +34,7 @@ from ._text import (
     axis_label,
     caution_groups,
     convergence_notes,
+    method_name,
     pack,
     pluralize,
     sampling_notes,
@@ -84,7 +85,7 @@ def plot_bars(
     # Up to a third of the width is for the names.
     full = WIDTH if figsize is None else figsize[0]
     width = 0.67 * full if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
-    title = figure_title(attribution, characters_per_line(0.88 * width, TITLE))
+    title = figure_title(attribution, characters_per_line(0.88 * width, TITLE), scale)
     axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
     footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
     if ax is None:
@@ -181,6 +182,7 @@ def _footnotes(
     """Return the footnotes in lines of at most ``width`` characters."""
     hidden = len(attribution) - len(rows)
     notes = [
+        method_name(attribution),
         *sampling_notes(attribution),
         *convergence_notes(attribution),
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",

@@ -12,7 +12,7 @@ from ..errors import whole_number
 from ..protocols import Attribution, RankedParameter, Scale
 from ._layout import wrapped_lines
 from ._numbers import rounded
-from ._text import METRIC_WIDTH, method_name, metric_line, sign_labels
+from ._text import METRIC_WIDTH, finding, metric_line, sign_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,12 +91,10 @@ def characters_per_line(inches: float, size: float) -> int:
     return max(int(inches * 72 / (_CHARACTER_WIDTH * size)), 12)
 
 
-def figure_title(attribution: Attribution, width: int) -> str:
-    """Return the metric's value and the method, in lines of at most ``width`` characters."""
-    value, method = metric_line(attribution, METRIC_WIDTH), method_name(attribution)
-    if len(value) + len(method) + 5 <= width:
-        return f"{value}   ({method})"
-    return "\n".join(wrapped_lines(value, width) + wrapped_lines(f"({method})", width))
+def figure_title(attribution: Attribution, width: int, scale: Scale | None = None) -> str:
+    """Return the finding, and below it the metric's value, in lines of at most ``width`` characters."""
+    lines = (finding(attribution, scale), metric_line(attribution, METRIC_WIDTH))
+    return "\n".join(part for line in lines for part in wrapped_lines(line, width))
 
 
 def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ..denoising import denoise
 from ..errors import SceneCaptumError
 from ..projection import DECADES, DEFAULT_NORM, MapNorm, heatmap, normalized
 from ..protocols import Attribution, Scale
@@ -22,7 +23,7 @@ from ._figures import (
 )
 from ._layout import wrapped_lines
 from ._numbers import format_with_error, rounded, shorten
-from ._text import axis_label, noise_notes, sign_labels
+from ._text import axis_label, color_meanings, method_name, noise_notes, pack
 from ._tonemap import display_image
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def plot_heatmap(
         render = _displayed_render(attribution)
         left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"))
         left.imshow(render)
-        left.set_title("render", fontsize=TEXT)
+        left.set_title("render, denoised" if _is_denoised(attribution) else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
     draw_arrows(ax, attribution)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
@@ -185,29 +186,44 @@ def diverging() -> Colormap:
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colors)
 
 
-def _displayed_render(attribution: Attribution) -> np.ndarray[Any, Any]:
-    """Return the tone-mapped render."""
+def shown_render(attribution: Attribution) -> torch.Tensor:
+    """Return the linear render that figures show: denoised, if the metric was evaluated on a denoised image.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the attribution has no image.
+    """
     if attribution.image is None:
         raise SceneCaptumError("This attribution has no picture, which the figure of its heatmap needs.")
-    pixels: np.ndarray[Any, Any] = display_image(attribution.image).numpy(force=True)
+    return denoise(attribution.image) if _is_denoised(attribution) else attribution.image
+
+
+def _is_denoised(attribution: Attribution) -> bool:
+    return bool((attribution.info.get("picture") or {}).get("denoised"))
+
+
+def _displayed_render(attribution: Attribution) -> np.ndarray[Any, Any]:
+    """Return the tone-mapped render."""
+    pixels: np.ndarray[Any, Any] = display_image(shown_render(attribution)).numpy(force=True)
     return pixels
 
 
 def _map_title(
     attribution: Attribution, signed: bool, norm: MapNorm, options: dict[str, Any], width: float
 ) -> str:
+    """Return what a map shows: the quantity, relative to which value, and the meaning of its colours."""
     scale: Scale | None = options.get("scale")
     if not any(attribution.saliency(scale).values()):
         return "all effects are 0"
     parameter, maximum = options.get("parameter") or [], options.get("maximum")
     names = [parameter] if isinstance(parameter, str) else parameter
     shown = ", ".join(attribution.labels.get(name, name) for name in names)
-    shown = shorten([shown], 60)[0] or axis_label(attribution, scale)
-    strongest = "the strongest" if maximum is None else rounded(maximum)
-    lines = [f"{shown}, relative to {strongest} ({_NORMS[norm]})"]
-    labels = sign_labels(attribution) if signed else None
-    if labels is not None:
-        lines += [f"blue: {labels[0]}", f"orange: {labels[1]}"]
+    shown = shorten([shown], 60)[0] or axis_label(attribution, scale, metric="the metric")
+    largest = "the largest" if maximum is None else rounded(maximum)
+    lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
+    if signed:
+        lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
 
 
@@ -232,11 +248,20 @@ def _panels(
     w = _width(None, heat, count, limits)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
-    title = figure_title(attribution, characters_per_line(width - 0.2, TITLE))
+    title = figure_title(attribution, characters_per_line(width - 0.2, TITLE), scale)
     pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
-    notes = filter(None, [_invisible_note(attribution, scale), pointing, *noise_notes(attribution)])
+    notes = [
+        _invisible_note(attribution, scale),
+        pointing,
+        method_name(attribution),
+        *noise_notes(attribution),
+    ]
     line_length = characters_per_line(width - 0.2, SMALL)
-    caption = [line for note in notes for line in wrapped_lines(note, line_length)]
+    caption = [
+        line
+        for note in pack([*filter(None, notes)], line_length)
+        for line in wrapped_lines(note, line_length)
+    ]
     bottom = 0.12 + 0.14 * len(caption)
     top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines())
     height = bottom + h + top

@@ -91,18 +91,18 @@ def plot_specificity(
         ax.locator_params(axis="x", nbins=4)
         ax.set_xlabel(label, fontsize=SMALL, parse_math=False)
         legend |= {entry.get_label(): entry for entry in bar_legend(attribution, ranked, scale)}
-    _draw_titles(upper, attributions)
+    _draw_titles(upper, attributions, scale)
     if legend:
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
     axes = lower.subplots(1, columns, squeeze=False)[0]
     mapped = [draw_map(ax, heat, signed=signed) for ax, heat in zip(axes, heats, strict=True)]
     bar = draw_colorbar(mapped[-1], signed, norm, ax=list(axes), aspect=18, pad=0.02)
-    bar.set_label(f"relative to the strongest\n{'of all' if shared else 'in each'}", fontsize=SMALL)
+    bar.set_label(f"relative to the largest\n{'of all' if shared else 'in each'}", fontsize=SMALL)
     return figure_of(part)
 
 
-def _draw_titles(figure: Any, attributions: Sequence[Attribution]) -> None:
+def _draw_titles(figure: Any, attributions: Sequence[Attribution], scale: Scale | None) -> None:
     """Write each column's title centred over bars and names; a long one would not fit over the bars alone."""
     from matplotlib.transforms import blended_transform_factory
 
@@ -110,7 +110,7 @@ def _draw_titles(figure: Any, attributions: Sequence[Attribution]) -> None:
         ax.text(
             (index + 0.5) / len(attributions),
             1.03,
-            figure_title(attribution, characters_per_line(0.85 * _COLUMN_WIDTH, TITLE)),
+            figure_title(attribution, characters_per_line(0.85 * _COLUMN_WIDTH, TITLE), scale),
             transform=blended_transform_factory(figure.transSubfigure, ax.transAxes),
             ha="center",
             fontsize=TEXT,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ..protocols import Attribution, Scale
+from ..protocols import Attribution, RankedParameter, Scale
 from ._layout import group_by_text
 from ._numbers import format_with_error, rounded, shorten, with_error
 
@@ -48,16 +48,43 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
     return attribution.info.get("measure") or {}
 
 
+def finding(attribution: Attribution, scale: Scale | None = None, width: int = METRIC_WIDTH) -> str:
+    """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
+
+    The names are shortened to ``width``.
+    """
+    metric, leaders = metric_name(attribution, width), attribution.ranking(2, scale=scale)
+    if not leaders or not leaders[0].saliency:
+        return f"{metric} depends on none of these parameters"
+    names = shorten([row.label for row in leaders], width)
+    if len(leaders) == 1 or _are_apart(*leaders):
+        return f"{metric} depends most on {names[0]}"
+    return f"{metric} depends most on {names[0]} and {names[1]}"
+
+
+def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
+    """Whether two saliencies differ by more than two standard errors."""
+    errors = (larger.saliency_error or 0.0, smaller.saliency_error or 0.0)
+    return larger.saliency - smaller.saliency > 2 * math.hypot(*errors)
+
+
 def method_name(attribution: Attribution) -> str:
     """Return the name of the attribution method."""
     return str(attribution.info.get("method", "unknown method"))
 
 
-def axis_label(attribution: Attribution, scale: Scale | None = None, width: int | None = METRIC_WIDTH) -> str:
-    """Return the axis label for effects in a scale, with the metric's name shortened to ``width``."""
+def axis_label(
+    attribution: Attribution,
+    scale: Scale | None = None,
+    width: int | None = METRIC_WIDTH,
+    *,
+    metric: str | None = None,
+) -> str:
+    """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     unit = metric_unit(attribution)
-    metric = f"{metric_name(attribution, width)}{f' ({unit})' if unit else ''}"
+    if metric is None:
+        metric = f"{metric_name(attribution, width)}{f' ({unit})' if unit else ''}"
     label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 
@@ -73,6 +100,15 @@ def sign_labels(attribution: Attribution) -> tuple[str, str] | None:
     if attribution.kind.is_contribution:
         return f"adds to the {subject}", f"takes from the {subject}"
     return f"raising it raises the {subject}", f"raising it lowers the {subject}"
+
+
+def color_meanings(attribution: Attribution) -> str:
+    """Return ``'blue raises the metric, orange lowers it'``; empty if the quantity has no sign."""
+    if not attribution.kind.has_sign:
+        return ""
+    subject = "difference" if "minus" in attribution.info else "metric"
+    more, less = ("adds to", "takes from") if attribution.kind.is_contribution else ("raises", "lowers")
+    return f"blue {more} the {subject}, orange {less} it"
 
 
 def sampling_notes(attribution: Attribution) -> list[str]:
