@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from scenecaptum import SceneAttribution, SceneRenderer, metrics
 from scenecaptum.attr import Explanation
 from scenecaptum.explanation import explain
-from scenecaptum.visualization import display_image, new_figure
+from scenecaptum.visualization import display_image, new_figure, shown_render
 
 LABELS = 5
 LIMIT = 19  # of UGR in offices, EN 12464-1
@@ -33,7 +33,7 @@ def main(path: Path, resolution: tuple[int, int] = (640, 360), spp: int = 64) ->
     figure = new_figure(11, 3.9)
     figure.suptitle(sentence(explanation), fontsize=14)
     left, right = figure.subplots(1, 2)
-    left.imshow(display_image(attribution.image).numpy())
+    left.imshow(display_image(shown_render(attribution)).numpy())
     left.set_axis_off()
     attribution.plot_heatmap(ax=right, signed=True)
     figure.axes[-1].remove()  # the colour bar: the largest effects are written on the objects
@@ -61,26 +61,27 @@ def label_objects(ax: Axes, attribution: SceneAttribution) -> None:
     """Write the largest effects on the visible objects that have them."""
     surfaces = attribution.surfaces
     height, width = surfaces.shape
+    free = np.ones((height, width))
     for row in attribution.ranking(LABELS):
         shown = surfaces.shown([row.name])
         if shown.sum() < 0.002 * shown.size:
             continue
-        y, x = fullest_place(shown > 0.5)
-        y, x = np.clip((y, x), (0.07 * height, 0.08 * width), (0.93 * height, 0.92 * width))
         name = row.label.partition(":")[0].replace("_", " ")
-        style = {"ha": "center", "va": "center", "fontsize": 11, "fontweight": "bold"}
+        rows, columns = int(0.12 * height), int(0.022 * width * len(name))
+        y, x = fullest_place((shown > 0.5) * free, rows, columns)
+        free[y - rows : y + rows, x - columns : x + columns] = 0  # no other label overlaps this one
+        style = {"ha": "center", "va": "center", "fontsize": 11, "fontweight": "bold", "color": "black"}
         outline = [withStroke(linewidth=2.5, foreground="white")]
         ax.text(x, y, f"{name}\n{row.effect:+.1f}".replace("-", "−"), path_effects=outline, **style)
     ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
-def fullest_place(mask: np.ndarray) -> tuple[float, float]:
-    """Return row and column of the pixel of a mask with most of the mask around it."""
-    size = 2 * (mask.shape[1] // 12) + 1
+def fullest_place(mask: np.ndarray, rows: int, columns: int) -> tuple[int, int]:
+    """Return row and column of the centre of the rectangle, inside the picture, that covers most of a mask."""
     given = torch.from_numpy(mask).float()[None, None]
-    around = torch.nn.functional.avg_pool2d(given, size, stride=1, padding=size // 2)
-    row, column = divmod(int((around * given).argmax()), mask.shape[1])
-    return float(row), float(column)
+    covered = torch.nn.functional.avg_pool2d(given, (rows, columns), stride=1)[0, 0]
+    row, column = divmod(int(covered.argmax()), covered.shape[1])
+    return row + rows // 2, column + columns // 2
 
 
 if __name__ == "__main__":

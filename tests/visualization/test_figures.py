@@ -325,7 +325,7 @@ def test_sources_are_outlined_numbered_and_listed() -> None:
     assert placed["1"] == pytest.approx((29, 16.5), abs=0.3)
     assert placed["2"] == pytest.approx((9.5, 5.5), abs=0.3)
     text = all_text(figure)
-    assert f"UnifiedGlareRating = {float(rating(image)):.4g}" in text
+    assert f"UGR = {float(rating(image)):.4g}" in text
     assert "2 glare sources" in text
     assert f"1   10\u202f740 cd/m², {first.solid_angle:.3g} sr" in text
     assert f"2   3\u202f580 cd/m², {second.solid_angle:.3g} sr" in text
@@ -335,7 +335,7 @@ def test_sources_are_outlined_numbered_and_listed() -> None:
 def test_one_source_none_and_many() -> None:
     image, rating = glaring()
     image[16:18, 28:31] = 0.1
-    assert "1 glare source;" in all_text(metrics.plot_luminance(image, rating))
+    assert "1 glare source," in all_text(metrics.plot_luminance(image, rating))
     assert "no glare source" in all_text(metrics.plot_luminance(image / 1000, rating))
     pixels = metrics.UnifiedGlareRating(rating.camera, threshold=1000.0, grouping="pixel", relaxation=0.0)
     figure = metrics.plot_luminance(image, pixels)

@@ -94,7 +94,8 @@ def plot_luminance(
     heading = f"mean {'over pixels' if camera is None else 'luminance'} {rounded(mean, 4)} cd/m²"
     if rating is not None:
         count = pluralize(len(sources), "glare source") if sources else "no glare source"
-        heading = f"{type(rating).__name__} = {rounded(float(rating(image)), 4)}   ({count}; {heading})"
+        symbol = rating.measure.symbol or rating.measure.name
+        heading = f"{symbol} = {rounded(float(rating(image)), 4)}, {count}, {heading}"
         _outline(ax, sources, shown.shape, separate=rating.grouping != "pixel")
         _write_numbers(ax, listed)
         style: dict[str, Any] = {"va": "top", "fontsize": SMALL, "linespacing": 1.4}
