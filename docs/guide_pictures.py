@@ -30,7 +30,7 @@ PARTS = re.compile(
     r"^```python\n(?P<code>.*?)^```$|^!\[[^]]*\]\((?P<picture>pictures/guides/[\w-]+\.webp)\)$",
     re.DOTALL | re.MULTILINE,
 )
-PIXELS, SAMPLES = 6, 4  # times as many along each side, and in each pixel
+PIXELS, SAMPLES = 5, 2  # times as many along each side, and in each pixel
 QUALITY = 90
 
 

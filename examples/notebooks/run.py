@@ -17,6 +17,7 @@ import nbformat
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parent
+_STYLE = FOLDER.parents[1] / "docs" / "matplotlibrc"  # that of the documentation's figures
 _IGNORED_WARNING = (
     "ignore:IProgress not found"  # by tqdm, on importing Captum; no notebook has a progress bar
 )
@@ -51,7 +52,7 @@ def run(path: Path, **parameters: Any) -> nbformat.NotebookNode:
         record_timing=False,
         coalesce_streams=True,
         extra_arguments=["--log-level=ERROR"],
-    ).execute(env=os.environ | {"PYTHONWARNINGS": _IGNORED_WARNING})
+    ).execute(env=os.environ | {"PYTHONWARNINGS": _IGNORED_WARNING, "MATPLOTLIBRC": str(_STYLE)})
     # The kernel added its Python version.
     notebook.metadata.language_info = {"name": "python"}
     return notebook

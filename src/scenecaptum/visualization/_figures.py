@@ -12,7 +12,7 @@ from ..errors import whole_number
 from ..protocols import Attribution, RankedParameter, Scale
 from ._layout import wrapped_lines
 from ._numbers import rounded
-from ._text import METRIC_WIDTH, finding, metric_line, sign_labels
+from ._text import FINDING_WIDTH, finding, metric_line, sign_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,7 +93,7 @@ def characters_per_line(inches: float, size: float) -> int:
 
 def figure_title(attribution: Attribution, width: int, scale: Scale | None = None) -> str:
     """Return the finding, and below it the metric's value, in lines of at most ``width`` characters."""
-    lines = (finding(attribution, scale), metric_line(attribution, METRIC_WIDTH))
+    lines = (finding(attribution, scale), metric_line(attribution, FINDING_WIDTH))
     return "\n".join(part for line in lines for part in wrapped_lines(line, width))
 
 

@@ -13,7 +13,8 @@ from ._numbers import format_with_error, rounded, shorten, with_error
 _MAX_CAUTIONS = 5
 _LARGE_ERROR = 0.3  # of the norm of all effects
 _ROUNDING = 1e-6  # relative to the explained difference
-METRIC_WIDTH = 36  # maximum length of a metric's name in a figure
+METRIC_WIDTH = 36  # maximum length of a metric's name on an axis
+FINDING_WIDTH = 60  # and of a name in a figure's title
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
@@ -48,15 +49,12 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
     return attribution.info.get("measure") or {}
 
 
-def finding(attribution: Attribution, scale: Scale | None = None, width: int = METRIC_WIDTH) -> str:
-    """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
-
-    The names are shortened to ``width``.
-    """
-    metric, leaders = metric_name(attribution, width), attribution.ranking(2, scale=scale)
+def finding(attribution: Attribution, scale: Scale | None = None) -> str:
+    """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart."""
+    metric, leaders = metric_name(attribution, FINDING_WIDTH), attribution.ranking(2, scale=scale)
     if not leaders or not leaders[0].saliency:
         return f"{metric} depends on none of these parameters"
-    names = shorten([row.label for row in leaders], width)
+    names = shorten([row.label for row in leaders], FINDING_WIDTH)
     if len(leaders) == 1 or _are_apart(*leaders):
         return f"{metric} depends most on {names[0]}"
     return f"{metric} depends most on {names[0]} and {names[1]}"
