@@ -1,4 +1,4 @@
-"""Draw the concepts of docs/concepts.md as SVG: the adjoint, replicates, the effect scale, the denoised metric.
+"""Draw concepts as SVG: the adjoint, replicates, the effect scale, the denoised metric, checkpoints.
 
 The backgrounds are transparent and the colours of medium lightness, so that the drawings can be read on light and
 on dark pages. Curves and pixels are toy examples, computed here; nothing is rendered.
@@ -255,11 +255,53 @@ def draw_denoised_metric() -> Figure:
     return figure
 
 
+def draw_checkpoint() -> Figure:
+    """Draw a job that is killed, and how it is resumed from the files of its finished units."""
+    width, height = 8.6, 2.3
+    figure = Figure(figsize=(width, height))
+    axes = canvas(figure, width, height)
+    names = ["image", "backward"] * 4
+    side, start, finished = 0.86, 1.55, 5
+    for x, name in enumerate(names):
+        for y, stored in ((1.5, True), (0.35, x < finished)):
+            if y > 1 and x > finished:
+                continue
+            lost = y > 1 and x == finished
+            color = ORANGE if lost else GREEN if stored else BLUE
+            corner = (start + x * side, y - 0.25)
+            part = 0.55 if lost else 0.92
+            axes.add_patch(
+                FancyBboxPatch(
+                    corner,
+                    part * side,
+                    0.5,
+                    boxstyle="round,pad=0,rounding_size=0.06",
+                    facecolor=color,
+                    alpha=0.25,
+                    ec=color,
+                )
+            )
+            if not lost:
+                axes.text(corner[0] + 0.46 * side, y, name, ha="center", va="center", size=9)
+    axes.text(0.1, 1.5, "first run", va="center")
+    axes.text(0.1, 0.35, "started again", va="center")
+    killed = start + (finished + 0.6) * side
+    axes.text(killed + 0.05, 1.5, "killed: only this unit is lost", color=ORANGE, va="center")
+    middle, end = start + finished * side / 2, start + len(names) * side
+    axes.text(middle, 0.93, "in the folder: loaded, bit by bit", color=GREEN, ha="center", va="center")
+    axes.text(
+        (middle + finished * side / 2 + end) / 2, 0.93, "rendered", color=BLUE, ha="center", va="center"
+    )
+    axes.text(start, 2.05, "replicates, each an image and its backward pass", va="center", style="italic")
+    return figure
+
+
 DRAWINGS: dict[str, Callable[[], Figure]] = {
-    "adjoint": draw_adjoint,
-    "replicates": draw_replicates,
-    "effect-scale": draw_effect_scale,
-    "denoised-metric": draw_denoised_metric,
+    "concepts-adjoint": draw_adjoint,
+    "concepts-replicates": draw_replicates,
+    "concepts-effect-scale": draw_effect_scale,
+    "concepts-denoised-metric": draw_denoised_metric,
+    "long-jobs-checkpoint": draw_checkpoint,
 }
 
 
@@ -268,7 +310,7 @@ def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
         for name, draw in DRAWINGS.items():
-            path = folder / f"concepts-{name}.svg"
+            path = folder / f"{name}.svg"
             draw().savefig(path, transparent=True, metadata={"Date": None})
             print(path)
 

@@ -158,11 +158,23 @@ def test_pictures_have_alternative_text(page):
     assert all(len(text) > 10 for text in re.findall(r"!\[(.*?)\]\(", prose))
 
 
-def test_the_drawings_of_the_concepts_are_those_of_the_script(tmp_path):
+def test_drawings_are_those_of_the_script(tmp_path):
     subprocess.run([sys.executable, ROOT / "docs" / "drawings.py", tmp_path], check=True)
     drawn = {path.name for path in tmp_path.glob("*.svg")}
-    assert drawn == {path.name for path in (ROOT / "docs" / "pictures").glob("concepts-*.svg")}
-    assert drawn == set(re.findall(r"concepts-[\w-]+\.svg", (ROOT / "docs" / "concepts.md").read_text()))
+    assert drawn == {path.name for path in (ROOT / "docs" / "pictures").glob("*.svg")}
+    assert drawn == {
+        name for page in PAGES for name in re.findall(r"pictures/([\w-]+\.svg)\)", page.read_text())
+    }
+
+
+def test_every_picture_of_the_guides_follows_an_example_that_draws_it():
+    sys.path.insert(0, str(ROOT / "docs"))
+    from guide_pictures import steps
+
+    stored = {path.name for path in (ROOT / "docs" / "pictures" / "guides").iterdir()}
+    drawn = [Path(one).name for page in PAGES for _, one in steps(page) if one is not None]
+    shown = [name for page in PAGES for name in re.findall(r"pictures/guides/([\w.-]+)\)", page.read_text())]
+    assert sorted(drawn) == sorted(shown) == sorted(stored)
 
 
 def test_the_citation_names_the_version():
