@@ -217,7 +217,7 @@ def draw(found: list[Import], path: Path) -> None:
     ax.xaxis.tick_top()
     ax.set_ylim(len(rooms) - 0.5, -0.5)
     ax.set_xlim(-0.5, len(rooms) - 0.5)
-    ax.grid(color="#E5E5E5", linewidth=0.6)
+    ax.grid(color="#8C8C8C", alpha=0.25, linewidth=0.6)
     ax.tick_params(length=0)
     ax.set_axisbelow(True)
     ax.set_title("A dot: the room of the row imports the room of the column", fontsize=9)
