@@ -395,21 +395,24 @@ class Optimization:
 
     def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
         """Plot both scenes at the same exposure, and the metric at every step, into ``figure`` if given."""
-        part: Any = figure or new_figure(WIDTH, 2.9)
-        before, after, history = part.subplots(1, 3, width_ratios=[1.25, 1.25, 1])
+        height, width, _ = self.before.image.shape
+        renders, curve = WIDTH / 2 * height / width, 1.6
+        part: Any = figure or new_figure(WIDTH, renders + curve + 1)
+        axes = part.subplot_mosaic([["before", "after"], ["history"] * 2], height_ratios=[renders, curve])
+        before, after, history = axes.values()
         exposure = automatic_exposure(self.before.image)
         for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
             ax.imshow(display_image(measured.image, exposure).numpy(force=True))
             title = f"{name}: {self._format(measured)}"
             ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
             ax.set_axis_off()
-            ax.set_anchor("N")
         history.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
         history.axhline(self.below, color="0.4", linestyle="--", linewidth=1)
         write_at(
             history, "goal", (0, self.below), (3, -9), xycoords=("axes fraction", "data"), fontsize=SMALL
         )
         style_axes(history, self.metric, x="step", size=TEXT)
+        history.locator_params(axis="x", integer=True)
         part.suptitle(self.outcome, fontsize=TITLE, x=0.01, ha="left", parse_math=False)
         return figure_of(part)
 
