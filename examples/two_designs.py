@@ -55,7 +55,7 @@ def draw(before: SceneAttribution, after: SceneAttribution) -> Figure:
     figure = new_figure(9, 3)
     difference = after.metric_value - before.metric_value
     verb = "lower" if difference < 0 else "raise"
-    figure.suptitle(f"Lighter walls and a lighter floor {verb} the glare by {abs(difference):.1f} of UGR")
+    figure.suptitle(f"Lighter walls and a lighter floor {verb} UGR by {abs(difference):.1f}")
     exposure = automatic_exposure(before.image)
     names = ("as it is", "with lighter walls and floor")
     for ax, found, name in zip(figure.subplots(1, 2), (before, after), names, strict=True):
