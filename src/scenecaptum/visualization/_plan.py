@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Of the scale of illuminance in EN 12464-1, in lx: what a room may have to reach.
 LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 5000.0)
+# A label of a contour is horizontal, in a dark box: an outline alone is hard to read on cells of many colours.
+_LABEL = {"facecolor": "black", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
 _MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
 
 
@@ -111,7 +113,7 @@ def _draw_contours(
     shown: np.ma.MaskedArray[Any, Any],
     levels: Sequence[float],
 ) -> None:
-    """Draw contours at the levels within the range of the values, in white on black, visible on any colour."""
+    """Draw contours at the levels within the range of the values, in white on black, and label them."""
     from matplotlib.patheffects import withStroke
 
     within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
@@ -119,9 +121,9 @@ def _draw_contours(
         return
     lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0)
     lines.set(path_effects=[withStroke(linewidth=2.2, foreground="black")])
-    texts = ax.clabel(lines, fmt=lambda level: rounded(level, 4), fontsize=SMALL)
+    texts = ax.clabel(lines, fmt=lambda level: rounded(level, 4), fontsize=TEXT, colors="white")
     for text in texts:
-        text.set_path_effects([withStroke(linewidth=2.0, foreground="black")])
+        text.set(rotation=0, bbox=_LABEL)
 
 
 def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> tuple[float, float]:
