@@ -44,6 +44,7 @@ html_theme = "furo"
 html_title = f"scenecaptum {release}"
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
+html_js_files = [("live.js", {"loading_method": "defer"})]
 html_copy_source = False
 html_show_sphinx = False
 html_use_index = False

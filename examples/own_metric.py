@@ -1,12 +1,15 @@
 """Define a custom metric: the contrast of the desk with its surroundings.
 
 Any torch function of the image works. This one weights pixels by the object that they show, to measure the
-contrast of one object; the gradient includes all light that reaches it.
+contrast of one object; the gradient includes all light that reaches it. Prints the
+ranking, and draws the map beside the render.
 
-    python examples/own_metric.py [--resolution 160x90] [--spp 128]
+    python examples/own_metric.py [--out out/own-metric] [--resolution 160x90] [--spp 128]
 """
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import torch
 from _options import parser
@@ -36,14 +39,17 @@ class WeberContrast(torch.nn.Module):
         return (self.weight * y).sum() / self.weight.sum() / background - 1
 
 
-def main(resolution: tuple[int, int] = (160, 90), spp: int = 128) -> SceneAttribution:
+def main(folder: Path, resolution: tuple[int, int] = (160, 90), spp: int = 128) -> SceneAttribution:
     renderer = SceneRenderer("office", "all", resolution=resolution, spp=spp, max_depth=6)
     desk = torch.from_numpy(renderer.surfaces.shown(["desk.base_color.value"]))
     found = VanillaSceneGradient(renderer, WeberContrast(desk)).attribute(seed=0)
     print(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    found.plot_heatmap(signed=True).savefig(folder / "contrast.png")
+    print(f"\n{folder / 'contrast.png'}  the render and the map")
     return found
 
 
 if __name__ == "__main__":
-    options = parser(__doc__, resolution="160x90", spp=128).parse_args()
-    main(options.resolution, options.spp)
+    options = parser(__doc__, resolution="160x90", spp=128, out="out/own-metric").parse_args()
+    main(options.out, options.resolution, options.spp)

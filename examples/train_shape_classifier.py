@@ -13,12 +13,15 @@ import time
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import scenecaptum as sc
 from scenecaptum import metrics
+from scenecaptum.visualization import display_image
 
 Plugin = dict[str, Any]
 WEIGHTS = Path(metrics.__file__).with_name("shape_classifier.pt")
@@ -161,6 +164,21 @@ def dataset(first_seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.stack([image for image, _ in pairs]), torch.tensor([label for _, label in pairs])
 
 
+def draw_sheet(images: torch.Tensor, labels: torch.Tensor, columns: int = 8) -> Figure:
+    """Return a figure of the first images of each class, one class in each row."""
+    classes = metrics.ShapeClassifier.classes
+    figure, grid = plt.subplots(
+        len(classes), columns, figsize=(columns, 1.08 * len(classes)), layout="constrained"
+    )
+    for label, (name, row) in enumerate(zip(classes, grid, strict=True)):
+        row[0].set_ylabel(name)
+        for axes, image in zip(row, images[labels == label], strict=False):
+            axes.imshow(display_image(image))
+            axes.set(xticks=[], yticks=[])
+            axes.spines[:].set_visible(False)
+    return figure
+
+
 # --- Training -------------------------------------------------------------------------------------
 
 
@@ -221,11 +239,14 @@ def main() -> None:
         "--seed", type=int, default=0, help="seed of weights and order (default: %(default)s)"
     )
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="(default: %(default)s)")
+    parser.add_argument("--sheet", type=Path, metavar="FILE", help="also draw some of the training images")
     options = parser.parse_args()
 
     start = time.perf_counter()
     images, labels = dataset(0, options.images)
     print(f"rendered {len(images)} images in {time.perf_counter() - start:.0f} s", flush=True)
+    if options.sheet:
+        draw_sheet(images, labels).savefig(options.sheet)
     start = time.perf_counter()
     model = train(images, labels, epochs=options.epochs, seed=options.seed)
     parameters = sum(p.numel() for p in model.parameters())

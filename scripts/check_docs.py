@@ -2,8 +2,8 @@
 
 Each page of `docs/_build` (build it first: `make docs`) is opened at the width of a desktop and of a phone, light
 and dark. Errors are: a message of the console or a request that fails, a picture that is missing or has no
-alternative text, a link within the documentation that leads nowhere, and anything that is wider than the page and
-does not scroll by itself. The exit status is 1 if there is one. All pages take some minutes.
+alternative text, a link within the documentation that leads nowhere, and anything that is wider than the page, or
+the frame, and does not scroll by itself. The exit status is 1 if there is one. All pages take some minutes.
 
     python scripts/check_docs.py [--built docs/_build] [--only 'concepts*'] [--shots FOLDER]
 """
@@ -52,6 +52,16 @@ PICTURES = """() => [...document.querySelectorAll('[role=main] img')].flatMap(im
   ...(image.alt.trim().length > 10 ? [] : [`${image.src} has no alternative text`]),
 ])"""
 
+# Pages in frames are loaded once they come into view.
+FRAMES = """() => Promise.all([...document.querySelectorAll('iframe')].map(frame => new Promise(done => {
+  frame.addEventListener('load', done);
+  frame.loading = 'eager';
+  const inner = frame.contentDocument;
+  if (inner.readyState === 'complete' && inner.URL !== 'about:blank') done();
+})))"""
+WIDE = """() => document.scrollingElement.scrollWidth > document.documentElement.clientWidth + 1
+  ? [`${document.title} is ${document.scrollingElement.scrollWidth} pixels wide in its frame`] : []"""
+
 LINKS = """() => [...document.querySelectorAll('a[href]')].map(link => link.href.split('?')[0])"""
 ANCHORS = """() => [...document.querySelectorAll('[id], a[name]')].map(one => one.id || one.name)"""
 
@@ -85,13 +95,15 @@ def check_pages(browser: Any, address: str, names: list[str], shots: Path | None
             context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
             page = context.new_page()
             messages: list[str] = []
-            page.on("console", lambda one, to=messages: to.append(one.text) if one.type == "error" else None)
+            page.on("console", lambda one, to=messages: to.extend(errors(one)))
             page.on("pageerror", lambda error, to=messages: to.append(str(error)))
             page.on("requestfailed", lambda request, to=messages: to.append(f"{request.url} failed"))
             for name in names:
                 messages.clear()
                 page.goto(address + name, wait_until="load")
-                here = [*messages, *page.evaluate(PICTURES), *page.evaluate(CLIPPED)]
+                page.evaluate(FRAMES)
+                framed = [text for frame in page.frames[1:] for text in frame.evaluate(WIDE)]
+                here = [*messages, *page.evaluate(PICTURES), *page.evaluate(CLIPPED), *framed]
                 found += [f"{name} ({view}, {scheme}): {text}" for text in here]
                 if name not in links:
                     links[name] = {one for one in page.evaluate(LINKS) if one.startswith(address)}
@@ -102,6 +114,14 @@ def check_pages(browser: Any, address: str, names: list[str], shots: Path | None
                     page.screenshot(path=path, full_page=True)
             context.close()
     return found + broken(address, links, anchors)
+
+
+def errors(message: Any) -> list[str]:
+    """Return the text of a message of the console if it is an error; a browser asks for an icon by itself."""
+    address = message.location.get("url", "")
+    if message.type != "error" or address.endswith("/favicon.ico"):
+        return []
+    return [f"{message.text} ({address})"]
 
 
 def broken(address: str, links: dict[str, set[str]], anchors: dict[str, set[str]]) -> list[str]:

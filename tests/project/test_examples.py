@@ -29,12 +29,13 @@ def load(name: str) -> ModuleType:
     return load_script(EXAMPLES / f"{name}.py")
 
 
-def test_lamps_add_up_to_the_brightness(mi: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    lamps = load("which_lamp").main(SIZE, 16)["mean luminance"]
+def test_lamps_add_up_to_the_brightness(mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lamps = load("which_lamp").main(tmp_path / "new", SIZE, 16)["mean luminance"]
     whole = sum(sum(lamp.total) for lamp in lamps.ranking())
     error = sum(lamp.saliency_error**2 for lamp in lamps.ranking()) ** 0.5 + lamps.metric_standard_error
     assert abs(whole - lamps.metric_value) < allowed(8) * error
     assert "all of them" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"mean-luminance.png", "ugr.png"}
 
 
 def test_two_designs_are_compared(mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -44,9 +45,10 @@ def test_two_designs_are_compared(mi: Any, tmp_path: Path, capsys: pytest.Captur
     assert "lighter walls" in capsys.readouterr().out
 
 
-def test_a_metric_of_your_own_depends_most_on_its_object(mi: Any) -> None:
-    found = load("own_metric").main(SIZE, 32)
+def test_a_metric_of_your_own_depends_most_on_its_object(mi: Any, tmp_path: Path) -> None:
+    found = load("own_metric").main(tmp_path / "new", SIZE, 32)
     assert any("desk" in row.label for row in found.ranking(top=5)), found
+    assert (tmp_path / "new" / "contrast.png").is_file()
 
 
 def test_a_logit_depends_most_on_the_chair(mi: Any, torchvision: Any, tmp_path: Path) -> None:

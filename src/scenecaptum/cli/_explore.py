@@ -15,7 +15,7 @@ from ..explore import Exploration, section, serve
 from ..linearization import Designs
 from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
-from ..report import write_report
+from ..report import write_section
 from . import _arguments
 from ._design import add_design, designed_values
 from ._interrupt import leave
@@ -73,7 +73,8 @@ def run(options: argparse.Namespace) -> int:
         spp=_spp(options),
     )
     if options.to is not None:
-        write_report(exploration.linearize().attributions, options.to, sections=[section(exploration)])
+        exploration.linearize()
+        write_section(section(exploration), options.to, renderer.name)
         print(f"{options.to}  interactive page with predictions")
         return 0
     ended = serve(exploration, port=options.port, open_browser=not options.no_browser)

@@ -1,7 +1,7 @@
 """Results as files: one self-contained HTML page to explore in a browser, JSON and CSV."""
 
 # What users see; the other names are for the rooms above.
-__all__ = ["Section", "write_csv", "write_json", "write_report"]
+__all__ = ["Section", "write_csv", "write_json", "write_report", "write_section"]
 
 from ._data import describe_objects as describe_objects
 from ._numbers import json_text as json_text
@@ -11,3 +11,4 @@ from ._pixels import encode_figure as encode_figure
 from ._write import Section as Section
 from ._write import fill_template as fill_template
 from ._write import write_report as write_report
+from ._write import write_section as write_section

@@ -89,7 +89,35 @@ def write_report(
     drawn = [None] * len(results) if plans is None else list(plans)
     check(results, titles, drawn)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    page = _page(report_data(results, names, explanations, drawn), sections)
+    _write(path, _page(report_data(results, names, explanations, drawn), sections))
+
+
+def write_section(section: Section, path: str | os.PathLike[str], scene: str) -> None:
+    """Write a section as a page of its own: one self-contained HTML file, which needs no network.
+
+    Example
+    -------
+    >>> write_section(explore.section(exploration), "what-if.html", "office")  # doctest: +SKIP
+
+    Parameters
+    ----------
+    section
+        What the page shows, such as ``explore.section``.
+    path
+        The file to write, atomically.
+    scene
+        The name of the scene, for the title of the page.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the file cannot be written.
+    """
+    parts = {"title": html.escape(f"{scene} · {section.title}"), "section": _content(section)}
+    _write(path, fill_template(_resource("section.html"), parts, [section.style], [section.module]))
+
+
+def _write(path: str | os.PathLike[str], page: str) -> None:
     with atomic_write(path) as partial:
         partial.write_bytes(page.encode("utf-8", "replace"))
 
@@ -129,11 +157,16 @@ def fill_template(
 
 
 def _section(section: Section) -> str:
-    name, title = html.escape(section.name), html.escape(section.title)
+    title = html.escape(section.title)
+    return f'<section aria-label="{title}"><h2>{title}</h2>{_content(section)}</section>'
+
+
+def _content(section: Section) -> str:
+    name = html.escape(section.name)
     return (
-        f'<section aria-label="{title}"><h2>{title}</h2><div id="{name}" data-{name}="recorded"></div>\n'
+        f'<div id="{name}" data-{name}="recorded"></div>\n'
         f'<script type="application/json" id="{name}-data">{_escaped(section.data)}</script>\n'
-        f'<script type="module">{section.module}</script></section>'
+        f'<script type="module">{section.module}</script>'
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -14,10 +16,15 @@ from ._numbers import rounded
 if TYPE_CHECKING:
     import numpy as np
     from matplotlib.axes import Axes
+    from matplotlib.contour import ContourSet
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 # Of the scale of illuminance in EN 12464-1, in lx: what a room may have to reach.
 LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 5000.0)
+# A label of a contour is horizontal, in a dark box: an outline alone is hard to read on cells of many colours.
+_LABEL = {"facecolor": "black", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
+_APART = 0.06  # of the longer side, between two labels
 _MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
 
 
@@ -111,7 +118,7 @@ def _draw_contours(
     shown: np.ma.MaskedArray[Any, Any],
     levels: Sequence[float],
 ) -> None:
-    """Draw contours at the levels within the range of the values, in white on black, visible on any colour."""
+    """Draw contours at the levels within the range of the values, in white on black, and label them."""
     from matplotlib.patheffects import withStroke
 
     within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
@@ -119,9 +126,20 @@ def _draw_contours(
         return
     lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0)
     lines.set(path_effects=[withStroke(linewidth=2.2, foreground="black")])
-    texts = ax.clabel(lines, fmt=lambda level: rounded(level, 4), fontsize=SMALL)
-    for text in texts:
-        text.set_path_effects([withStroke(linewidth=2.0, foreground="black")])
+    apart = _APART * max(abs(float(side[-1] - side[0])) for side in (x, y))
+    _label(ax, lines, apart)
+
+
+def _label(ax: Axes, lines: ContourSet, apart: float) -> None:
+    """Write the value of each contour on it, unless another label is nearer than a distance."""
+    kept: list[Text] = []
+    write = partial(rounded, digits=4)
+    for text in ax.clabel(lines, fmt=write, fontsize=TEXT, colors="white", inline=False):
+        text.set(rotation=0, bbox=_LABEL)
+        if any(math.dist(text.get_position(), other.get_position()) < apart for other in kept):
+            text.remove()
+        else:
+            kept.append(text)
 
 
 def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> tuple[float, float]:
