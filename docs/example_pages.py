@@ -18,10 +18,10 @@ DOCS = Path(__file__).parent
 EXAMPLES = DOCS.parent / "examples"
 GENERATED = DOCS / "generated"
 
-# The pictures that each script drew; the pages that show them have their alternative texts.
+# The figures of each script; the pages that show them have their alternative texts.
 DRAWN = {
     "desk_lamp": ["desk-lamp.png"],
-    "figures": ["luminance.png", "specificity.png"],
+    "figures": [f"guides/seeing-{name}.webp" for name in ("specificity", "luminance", "ranks")],
     "gaussian_splats": ["thumbnails/gaussian-splats.jpg"],
     "lost_view": ["lost-view.png"],
     "planted_shortcut": ["shortcut-pictures.png", "shortcut-bars.png", "shortcut-trainings.png"],
@@ -109,7 +109,8 @@ def _guides(name: str) -> Iterator[tuple[str, str]]:
 def _alternative(picture: str) -> str:
     """Return the alternative text of a picture or of its thumbnail, from the first page that shows it."""
     pages = "\n".join(page.read_text() for page in sorted(DOCS.glob("*.md")))
-    return re.findall(rf"!\[([^]]+)\]\(pictures/(?:thumbnails/)?{Path(picture).stem}\.", pages)[0]
+    place = re.escape(picture.rpartition(".")[0].removeprefix("thumbnails/"))
+    return re.findall(rf"!\[([^]]+)\]\(pictures/(?:thumbnails/)?{place}\.", pages)[0]
 
 
 def _write(path: Path, text: str) -> None:
