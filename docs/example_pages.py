@@ -18,16 +18,34 @@ DOCS = Path(__file__).parent
 EXAMPLES = DOCS.parent / "examples"
 GENERATED = DOCS / "generated"
 
-# The figures of each script; the pages that show them have their alternative texts.
+# The figures of each script; the first page that shows one, or its thumbnail, has its alternative text.
 DRAWN = {
+    "chair_logit": ["chair-logit.png"],
     "desk_lamp": ["desk-lamp.png"],
     "figures": [f"guides/seeing-{name}.webp" for name in ("specificity", "luminance", "ranks")],
     "gaussian_splats": ["thumbnails/gaussian-splats.jpg"],
     "lost_view": ["lost-view.png"],
+    "office_glare": ["office-optimized.png"],
+    "own_metric": ["own-metric.png"],
+    "pixels_or_scene": ["pixels-or-scene.png"],
     "planted_shortcut": ["shortcut-pictures.png", "shortcut-bars.png", "shortcut-trainings.png"],
     "readme_picture": ["office.png"],
+    "rooms_study": ["rooms-ugr.png"],
+    "specificity": ["specificity-contrast.png"],
+    "train_shape_classifier": ["shape-images.webp"],
     "two_designs": ["two-designs.png"],
+    "which_lamp": ["lamps-luminance.png", "lamps-ugr.png"],
     "work_plane": ["work-plane.png"],
+}
+
+# Alternative texts of pictures that no other page shows.
+ALTERNATIVES = {
+    "luminance.png": "Luminance of the office in false colours, with the glare sources outlined",
+    "lamps-luminance.png": "Bars of what each lamp adds to the mean luminance: 375 cd/m² from the sky",
+    "lamps-ugr.png": "Bars of the effects of each lamp on UGR: the sky raises it by 3.8, others lower it by 0.2",
+    "office-optimized.png": "The office before and after the optimization, and the curve of UGR below its goal",
+    "shape-images.webp": "Rows of spheres, cubes and cylinders in front of walls, in random colours and lights",
+    "specificity-contrast.png": "Bars and maps of the effects on mean luminance, UGR, and the desk's contrast",
 }
 
 
@@ -107,7 +125,9 @@ def _guides(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _alternative(picture: str) -> str:
-    """Return the alternative text of a picture or of its thumbnail, from the first page that shows it."""
+    """Return the alternative text of a picture, or that of its thumbnail."""
+    if picture in ALTERNATIVES:
+        return ALTERNATIVES[picture]
     pages = "\n".join(page.read_text() for page in sorted(DOCS.glob("*.md")))
     place = re.escape(picture.rpartition(".")[0].removeprefix("thumbnails/"))
     return re.findall(rf"!\[([^]]+)\]\(pictures/(?:thumbnails/)?{place}\.", pages)[0]

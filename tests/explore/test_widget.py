@@ -1,4 +1,4 @@
-"""The page as a widget in a real Jupyter kernel, and as a section of a report."""
+"""The page as a widget in a real Jupyter kernel, as a file of its own, and as a section of a report."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ import pytest
 from chance import allowed, together
 from nbclient import NotebookClient
 from nbformat.v4 import new_code_cell, new_notebook
+from seeds import shifted
 
-from scenecaptum import cli, metrics
+from scenecaptum import SceneRenderer, cli, metrics
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.explore import Exploration, widget
+from scenecaptum.explore import Exploration, section, widget
+from scenecaptum.report import write_report
 
 from .windows import REPLICATES, number, run, wait_for
 
@@ -113,7 +115,7 @@ def test_anywidget_is_asked_for_where_it_is_missing(tiny, monkeypatch):
         widget(Exploration(tiny, metrics.MeanLuminance()))
 
 
-def test_a_report_predicts_without_a_server(browser, tmp_path, capsys):
+def test_a_file_predicts_without_a_server(browser, tmp_path, capsys):
     path, own = tmp_path / "explore.html", tmp_path / "own.py"
     own.write_text(OWN)
     words = (
@@ -149,4 +151,23 @@ def test_a_report_predicts_without_a_server(browser, tmp_path, capsys):
     assert not page.get_by_role("button", name="Take this as the new start").is_visible()
     assert complaints == []
     assert [url for url in requests if not url.startswith(("data:", "blob:"))] == [path.as_uri()]
+    page.close()
+
+
+def test_a_section_of_a_report_predicts(browser, tmp_path):
+    renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), max_depth=3)
+    exploration = Exploration(renderer, metrics.MeanLuminance(), seed=shifted(), spp=16)
+    path = tmp_path / "report.html"
+    write_report(exploration.linearize().attributions, path, sections=[section(exploration)])
+    page = browser.new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text))
+    page.goto(path.as_uri())
+    slider = page.locator(f'.explore-slider[data-name="{LAMP}"]:not([data-waiting]) input')
+    wait_for(slider.count)
+    slider.fill("0.5")
+    wait_for(lambda: page.locator(".explore-badge").inner_text() == "Predicted")
+    assert page.get_by_role("heading", name="What if").is_visible()
+    assert complaints == []
     page.close()
