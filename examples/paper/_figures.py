@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
 from scenecaptum import SceneAttribution
 from scenecaptum.denoising import denoise
-from scenecaptum.tradeoff import Tradeoff
 from scenecaptum.validation import AblationTest
 from scenecaptum.visualization import display_image, diverging, log_axis, new_figure
 
@@ -22,6 +21,7 @@ BLUE, ORANGE, GREY = "#2b84c6", "#dd6a1f", "#8c8c8c"  # raises, lowers, within t
 GREEN, PINK, INK = "#2f9e6e", "#c2649b", "#757f89"  # as predicted, not as predicted, the prediction
 LINE = 0.14  # inches, of small text
 GAP = 0.1  # inches
+NUMBER = 0.48  # inches, of an effect before a name
 ROOM_STYLES = (("#2f9e6e", "o"), ("#c2649b", "s"), ("#b8860b", "^"), ("#4f9fd0", "D"))
 OUTCOMES = {"as predicted": GREEN, "not as predicted": PINK, "below the noise": GREY}
 
@@ -36,12 +36,17 @@ class MapRow:
 
 
 def clean_render(renderer: Any, samples: int) -> torch.Tensor:
-    """Return a render at twice the resolution of the maps, denoised and tone-mapped."""
+    """Return a render at twice the resolution of the maps, denoised and tone-mapped.
+
+    It is the mean of 2×2 finer pixels: a wide pixel filter correlates the noise of neighbours, which a denoiser
+    does not remove.
+    """
     width, height = renderer.resolution
-    finer = renderer.replace(resolution=(2 * width, 2 * height))
+    twice, finer = (renderer.replace(resolution=(k * width, k * height)) for k in (2, 4))
     with torch.no_grad():
-        image = finer(seed=2, spp=samples)
-    return display_image(denoise(image, finer.guides))
+        image = finer(seed=2, spp=max(1, samples // 4))
+    mean = image.reshape(2 * height, 2, 2 * width, 2, 3).mean((1, 3))
+    return display_image(denoise(mean, twice.guides))
 
 
 def map_grid(rows: Sequence[MapRow], metrics: Sequence[str], title: str, leaders: int) -> Any:
@@ -76,7 +81,7 @@ def map_grid(rows: Sequence[MapRow], metrics: Sequence[str], title: str, leaders
 def _leaders(result: SceneAttribution, count: int, width: float) -> list[tuple[str, str, str]]:
     """Return effect, colour and name of each leading parameter."""
     visible = result.surfaces.visible_parameters()
-    characters = int((width - 0.45) * 72 / (0.56 * SMALL))
+    characters = int((width - NUMBER) * 72 / (0.56 * SMALL))
     lines = []
     for row in result.ranking(top=count):
         clear = abs(row.effect) > 2 * (row.effect_error or 0.0)
@@ -101,7 +106,7 @@ def _write_lines(ax: Any, lines: Sequence[tuple[str, str, str]], height: float) 
         style = {"transform": ax.transAxes, "va": "top", "fontsize": SMALL, "parse_math": False}
         ax.text(0, y, value, color=color, weight="bold", **style)
         inches = ax.get_position().width * WIDTH
-        ax.text(0.42 / inches if value else 0, y, text, **style)
+        ax.text(NUMBER / inches if value else 0, y, text, **style)
 
 
 def _draw_scale(figure: Any, whole: float) -> None:
@@ -166,29 +171,31 @@ def _draw_ablation(ax: Any, test: AblationTest) -> None:
     _make_logarithmic(ax, "y")
 
 
-def stability_grid(trades: Mapping[tuple[str, str], Tradeoff], title: str) -> Any:
-    """Draw the agreement of the rankings over samples, and the error over time, a column for each metric."""
-    rooms, metrics = (list(dict.fromkeys(key[k] for key in trades)) for k in (0, 1))
+class Accuracy(NamedTuple):
+    """How exact a ranking is: samples per pixel, Kendall's τ of the resolved pairs, and the gradient's error."""
+
+    samples: int
+    order: float
+    error: float  # relative
+
+
+def stability_grid(rooms: Mapping[tuple[str, str], Sequence[Accuracy]], title: str) -> Any:
+    """Draw the order of the ranking and the error of the gradient over samples, a column for each metric."""
+    names, metrics = (list(dict.fromkeys(key[k] for key in rooms)) for k in (0, 1))
     figure = new_figure(WIDTH, 4.6)
-    axes = figure.subplots(2, len(metrics), squeeze=False, sharey="row")
+    axes = figure.subplots(2, len(metrics), squeeze=False, sharey="row", sharex=True)
     for column, metric in enumerate(metrics):
         upper, lower = axes[0][column], axes[1][column]
-        for room, (color, marker) in zip(rooms, ROOM_STYLES, strict=False):
-            rows = trades[room, metric].rows
-            counts = [row.setting.primal_spp for row in rows]
-            orders = [row.kendall_resolved.value for row in rows]
-            errors = [100 * row.relative_error.value for row in rows]
-            style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.2, "label": room}
-            upper.plot(counts, orders, **style)
-            lower.plot([row.seconds for row in rows], errors, **style)
-        _style(upper, metric, x="samples per pixel", y="Kendall's τ, resolved pairs" if column == 0 else "")
-        upper.set_xscale("log")
-        upper.set_xticks(counts, [f"{count}" for count in counts])
-        upper.minorticks_off()
-        label = "error of the gradient in %" if column == 0 else ""
-        _style(lower, x=f"seconds, with {', '.join(map(str, counts))} samples", y=label)
+        for name, (color, marker) in zip(names, ROOM_STYLES, strict=False):
+            samples, orders, errors = zip(*rooms[name, metric], strict=True)
+            style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.2, "label": name}
+            upper.plot(samples, orders, **style)
+            lower.plot(samples, [100 * error for error in errors], **style)
+        _style(upper, metric, y="Kendall's τ, resolved pairs" if column == 0 else "")
+        _style(lower, x="samples per pixel", y="error of the gradient in %" if column == 0 else "")
         for which in ("x", "y"):
             _make_logarithmic(lower, which)
+        lower.set_xticks(samples, [f"{count}" for count in samples])
     handles, labels = axes[0][0].get_legend_handles_labels()
     _finish(figure, title, handles, labels)
     return figure
