@@ -10,25 +10,14 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import re
-import shutil
 import sys
 import time
 from pathlib import Path
 
 import torch
 from _claims import CLAIMS, chosen
+from _page import write
 from _rooms import FULL, QUICK, names
-from _section import Section
-
-HEAD = """# Reproducing the paper
-
-After this page you know which claims of "Scene Parameter Saliency via Differentiable Light Transport" (Beresna and
-Fiume) could be reproduced. The paper asks which parameters of a scene a metric of its image depends on. Each
-section compares a claim of the paper with the measurements of `python examples/paper --write docs/paper.md`. The
-paper's kitchen is not available here; the rooms are {rooms}.
-The network is {network}.
-"""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -51,35 +40,14 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(f"none of these rooms is available: {', '.join(options.room)}")
     options.out.mkdir(parents=True, exist_ok=True)
 
-    sections = []
+    sections = {}
     for name in chosen(options.claims):
         began = time.perf_counter()
-        sections.append(CLAIMS[name](rooms, size, options.out))
-        print(
-            f"{sections[-1].markdown(str(options.out))}\n\n{time.perf_counter() - began:.0f} s\n", flush=True
-        )
+        sections[name] = CLAIMS[name](rooms, size, options.out)
+        print(f"{sections[name].markdown()}\n\n{time.perf_counter() - began:.0f} s\n", flush=True)
     if options.write:
-        write(options.write, options.out, sections, rooms, resnet=size.resnet)
-
-
-def write(page: Path, folder: Path, sections: list[Section], rooms: list[str], *, resnet: bool) -> None:
-    """Write the page, with copies of its figures in ``pictures/paper`` beside it.
-
-    In an existing page, only these sections are replaced.
-    """
-    pictures = page.parent / "pictures" / "paper"
-    pictures.mkdir(parents=True, exist_ok=True)
-    for section in sections:
-        for name, _ in section.figures:
-            shutil.copy(folder / name, pictures / name)
-    network = (
-        "the paper's ResNet-50" if resnet else "the small classifier of shapes that ships with scenecaptum"
-    )
-    head = HEAD.format(rooms=", ".join(rooms), network=network)
-    existing = re.split(r"^(?=## )", page.read_text(), flags=re.MULTILINE)[1:] if page.is_file() else []
-    texts = {text[3 : text.index("\n")]: text for text in existing}
-    texts |= {section.title: section.markdown("pictures/paper") for section in sections}
-    page.write_text("\n\n".join(text.rstrip() for text in (head, *texts.values())) + "\n")
+        network = "the paper's ResNet-50" if options.resnet else "the classifier of shapes of scenecaptum"
+        write(options.write, options.out, sections, {"rooms": rooms, "network": network})
 
 
 if __name__ == "__main__":

@@ -5,113 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from _rooms import TURNED, Room, Size, load
-from _section import Section, table
+from _figures import Accuracy, ablation_grid, map_grid, stability_grid
+from _rooms import HEADINGS, LEADERS, TURNED, Room, Size, clear_sign, load, map_row, quick_rooms
+from _section import Section, table, verdict
+from _specificity import specificity
 
-from scenecaptum import SceneAttribution, VanillaSceneGradient, metrics, tradeoff
-from scenecaptum.ranks import spearman
+from scenecaptum import VanillaSceneGradient, metrics, tradeoff
 from scenecaptum.validation import ablation_test
-from scenecaptum.visualization import plot_specificity
 
-LEADERS = 5  # number of leading parameters
+STABLE = 0.9  # Kendall's τ of a stable ranking
 MIRRORS = {  # mirrors, and a wall for comparison
     "office": ["mirror.*", "wall_left.*"],
     "living-room": ["Mirror.*", "Walls.*"],
 }
-
-
-def specificity(rooms: list[str], size: Size, folder: Path) -> Section:
-    """Draw three metrics of one image, bars above maps, and compare their rankings."""
-    section = Section(
-        "Metric specificity",
-        "UGR isolates localised reflective surfaces and lights, mean luminance large areas; the maps differ "
-        "between metrics, so they are not a generic map of the scene. A network's logit can be attributed in the "
-        "same way.",
-    )
-    firsts, compared = [], []
-    for name in rooms:
-        room = load(name, "materials", size.width, size.spp, resnet=size.resnet)
-        found = attribute(room)
-        section.add_figure(
-            folder,
-            f"specificity-{name}",
-            plot_specificity(list(found.values()), top=size.top),
-            f"{name}: three metrics, their rankings above their maps",
-        )
-        firsts.append(
-            [name, *(", ".join(row.label for row in result.ranking(top=3)) for result in found.values())]
-        )
-        compared += [
-            Pair(room, names, (found[names[0]], found[names[1]]))
-            for names in itertools.combinations(found, 2)
-        ]
-    section.measured = [
-        *table(["room", *(f"first three, {metric}" for metric in room.metrics)], firsts),
-        "",
-        *table(
-            ["room", "metrics", "area", "common leaders", "opposite signs", "ρ"],
-            [pair.cells for pair in compared],
-        ),
-        "",
-        f"Leaders are the {LEADERS} most salient parameters of a metric, area is the fraction of the image that "
-        "shows them. Opposite signs counts the leaders of either metric that raise one and lower the other. ρ is "
-        "Spearman's correlation of the two rankings of all parameters, by magnitude.",
-    ]
-    pairs = [pair for pair in compared if pair.names == ("mean luminance", "UGR")]
-    larger = sum(pair.areas[0] > pair.areas[1] for pair in pairs)
-    section.difference = (
-        f"In {larger} of {len(pairs)} rooms the leaders of mean luminance cover more of the image than those of "
-        f"UGR. The two share {sum(pair.common for pair in pairs)} of {LEADERS * len(pairs)} leaders, because both "
-        "depend on the amount of light: by magnitude alone, maps of these two metrics are close to a generic map "
-        "of the scene. They differ in the sign, which the paper's magnitudes leave out: "
-        f"{sum(pair.opposite for pair in pairs)} of {sum(pair.either for pair in pairs)} leaders raise one and "
-        "lower the other, because brighter surroundings of a light reduce its glare."
-    )
-    return section
-
-
-def attribute(room: Room) -> dict[str, SceneAttribution]:
-    """Return the gradients of all metrics."""
-    return {
-        name: VanillaSceneGradient(room.renderer, metric).attribute(seed=0, show_progress=True)
-        for name, metric in room.metrics.items()
-    }
-
-
-@dataclass
-class Pair:
-    """Two metrics of a room, compared."""
-
-    room: Room
-    names: tuple[str, str]
-    found: tuple[SceneAttribution, SceneAttribution]
-
-    def __post_init__(self) -> None:
-        first, second = ({row.name: row for row in result.ranking()} for result in self.found)
-        leaders = [list(rows)[:LEADERS] for rows in (first, second)]
-        shown = self.room.renderer.surfaces.shown
-        self.areas = [float(shown(names).mean()) for names in leaders]
-        either = set(leaders[0]) | set(leaders[1])
-        self.either, self.common = len(either), len(set(leaders[0]) & set(leaders[1]))
-        self.opposite = sum(sum(first[name].total) * sum(second[name].total) < 0 for name in either)
-        saliencies = [torch.tensor([rows[name].saliency for name in first]) for rows in (first, second)]
-        self.correlation = spearman(*saliencies)
-
-    @property
-    def cells(self) -> list[str]:
-        """Return a row of the table."""
-        return [
-            self.room.name,
-            " and ".join(self.names),
-            " and ".join(f"{area:.0%}" for area in self.areas),
-            f"{self.common} of {LEADERS}",
-            f"{self.opposite} of {self.either}",
-            f"{self.correlation:.2f}",
-        ]
 
 
 def ablation(rooms: list[str], size: Size, folder: Path) -> Section:
@@ -122,23 +31,21 @@ def ablation(rooms: list[str], size: Size, folder: Path) -> Section:
         "strictly along the computed ranking; that of mean luminance does so until it is below the noise, about "
         "1e-4. Step sizes adapted to each parameter are future work.",
     )
-    rows, fixed = [], []
-    for name, metric in itertools.product(rooms, ("UGR", "mean luminance")):
+    rows, tests = [], {}
+    agreeing = above = kept = neighbours = 0
+    for name, metric in itertools.product(quick_rooms(rooms), ("UGR", "mean luminance")):
         room = load(name, "materials", size.small, size.reference // 4)
         test = ablation_test(room.renderer, room.metrics[metric], top=size.top, replicates=8)
-        section.add_figure(
-            folder,
-            f"ablation-{name}-{metric.replace(' ', '-')}",
-            test.plot(),
-            f"{name}: predicted and measured change of {metric}; crosses: the fixed step",
-        )
+        tests[name, metric] = test
         clear = [row for row in test.rows if row.above_noise]
+        agree = sum(row.agrees for row in clear)
         steps = [abs(row.fixed) for row in test.rows if row.fixed is not None]
-        fixed.append((sum(a >= b for a, b in itertools.pairwise(steps)), max(0, len(steps) - 1)))
-        agree = f"{sum(row.agrees for row in clear)} of {len(clear)}"
+        in_order, pairs = sum(a >= b for a, b in itertools.pairwise(steps)), max(0, len(steps) - 1)
+        agreeing, above = agreeing + agree, above + len(clear)
+        kept, neighbours = kept + in_order, neighbours + pairs
         tau = "–" if test.kendall_tau is None else f"{test.kendall_tau:.2f}"
-        in_order = "{} of {}".format(*fixed[-1])
-        rows.append([name, metric, agree, tau, f"{len(test.rows) - len(clear)}", in_order])
+        below = f"{len(test.rows) - len(clear)}"
+        rows.append([name, metric, f"{agree} of {len(clear)}", tau, below, f"{in_order} of {pairs}"])
     section.measured = table(
         [
             "room",
@@ -150,12 +57,34 @@ def ablation(rooms: list[str], size: Size, folder: Path) -> Section:
         ],
         rows,
     )
-    kept, all_pairs = (sum(pair[k] for pair in fixed) for k in (0, 1))
+    section.facts = {"agreeing": agreeing, "above": above, "predicted": verdict(agreeing, above)}
+    section.claims = [
+        (
+            "Gradients predict the effects of separate steps",
+            f"{agreeing} of {above} parameters above the noise change the metric as predicted, with adapted steps",
+            verdict(agreeing, above),
+        ),
+        (
+            "With a fixed step, the changes decrease along the ranking",
+            f"{kept} of {neighbours} neighbouring pairs keep their order",
+            verdict(kept, neighbours),
+        ),
+    ]
     section.difference = (
         "Steps are a tenth of each parameter's physical range, shortened where the metric is not linear, and "
-        f"every bar has an error. With the paper's fixed step {kept} of {all_pairs} neighbouring pairs keep their "
-        "order: the same step is large for one parameter and below the noise for another."
+        f"every change has an error. With the paper's fixed step {kept} of {neighbours} neighbouring pairs keep "
+        "their order: the same step is large for one parameter and below the noise for another."
     )
+    title = (
+        f"{agreeing} of {above} changes are as predicted; with a fixed step, {kept} of {neighbours} neighbouring "
+        "pairs are in order"
+    )
+    caption = (
+        "Change of the metric per unit of a step along the gradient, predicted and measured, for the leading "
+        "parameters of each room; crosses: with the paper's fixed step"
+    )
+    units = {"UGR": "", "mean luminance": "cd/m²"}
+    section.show(ablation_grid(tests, units, title), folder / "grid-ablation.webp", caption)
     return section
 
 
@@ -165,9 +94,9 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
         "Stability of the ranking",
         "64 to 256 samples per pixel give the same ranking as 1024.",
     )
-    rows, worst = [], math.inf
+    rows, orders, accuracies = [], [], {}
     counts = [max(2, size.reference // share) for share in (64, 16, 4)]
-    for name in rooms:
+    for name in quick_rooms(rooms):
         room = load(name, "materials", size.small, counts[0])
         for metric in ("UGR", "mean luminance"):
             trade = tradeoff.measure(
@@ -177,18 +106,18 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
                 reference_spp=size.reference,
                 runs=3,
             )
-            for row in trade.rows:
-                spp, order = row.setting.primal_spp, row.kendall_resolved.value
-                worst = worst if spp == counts[0] else min(worst, order)
-                cells = [f"{row.relative_error.value:.1%}", f"{row.spearman.value:.2f}", f"{order:.2f}"]
-                reference = f"{trade.reference.relative_error:.1%}"
-                rows.append([name, metric, f"{spp}", *cells, f"{row.top.value:.0%}", reference])
-            section.add_figure(
-                folder,
-                f"stability-{name}-{metric.replace(' ', '-')}",
-                trade.plot(),
-                f"{name}, {metric}: error and seconds",
-            )
+            found = accuracies[name, metric] = [
+                Accuracy(row.setting.primal_spp, row.kendall_resolved.value, row.relative_error.value)
+                for row in trade.rows
+            ]
+            orders += [row.order for row in found if row.samples > counts[0]]
+            rows += [
+                [
+                    *(name, metric, f"{one.samples}", f"{one.error:.1%}", f"{row.spearman.value:.2f}"),
+                    *(f"{one.order:.2f}", f"{row.top.value:.0%}", f"{trade.reference.relative_error:.1%}"),
+                ]
+                for one, row in zip(found, trade.rows, strict=True)
+            ]
     section.measured = table(
         [
             "room",
@@ -202,11 +131,24 @@ def stability(rooms: list[str], size: Size, folder: Path) -> Section:
         ],
         rows,
     )
+    stable, worst = sum(order >= STABLE for order in orders), min(orders)
+    section.facts = {"spp": counts[1], "worst": worst}
+    section.claims = [
+        (
+            f"{counts[1]} to {counts[2]} samples per pixel give the ranking of {size.reference}",
+            f"Pairs that the reference resolves keep their order, with a Kendall's τ of {worst:.2f} or more; "
+            f"{STABLE} or more in {stable} of {len(orders)} rankings",
+            verdict(stable, len(orders)),
+        )
+    ]
     section.difference = (
         f"Images are {size.small} pixels wide. Pairs that the reference of {size.reference} samples resolves keep "
         f"their order from {counts[1]} samples on, with a Kendall's τ of {worst:.2f} or more; the other pairs "
         "have no order to keep. [Speed and accuracy](speed.md) also covers a network's logit and the path depth."
     )
+    title = f"From {counts[1]} samples per pixel on, Kendall's τ of the resolved pairs is {worst:.2f} or more"
+    caption = "Agreement of the rankings with the reference, and error of the gradient, over the samples"
+    section.show(stability_grid(accuracies, title), folder / "grid-stability.webp", caption)
     return section
 
 
@@ -216,40 +158,58 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
         "Parameters outside the image",
         "Saliency is defined in parameter space: parameters that influence the metric need not be visible.",
     )
-    rows = []
+    rows, turned, places = [], {}, {}
     for name, metric in itertools.product([*rooms, TURNED], ("mean luminance", "UGR")):
-        room = load(name, "all", size.small, size.spp)
+        room = load(name, "all", size.small if name != TURNED else size.width, size.spp)
         found = VanillaSceneGradient(room.renderer, room.metrics[metric]).attribute(seed=0)
         ranking = found.ranking()
         hidden = [row for row in ranking if not room.renderer.surfaces.shown([row.name]).any()]
-        if not (hidden and hidden[0].saliency):
-            rows.append([name, metric, "nothing", "–", "–"])
+        if name == TURNED:
+            turned[metric] = found
+        if not (hidden and clear_sign(hidden[0])):
+            rows.append([name, metric, ranking[0].label, "nothing", "–", "–"])
             continue
         strongest = hidden[0]
         share = strongest.saliency / ranking[0].saliency
-        rows.append([name, metric, strongest.label, f"{strongest.rank} of {len(ranking)}", f"{share:.0%}"])
+        place = f"{strongest.rank} of {len(ranking)}"
+        rows.append([name, metric, ranking[0].label, strongest.label, place, f"{share:.0%}"])
         if strongest.rank <= LEADERS:
-            section.add_figure(
-                folder,
-                f"unseen-{name.replace(' ', '-')}-{metric.replace(' ', '-')}",
-                found.plot_heatmap(),
-                f"{name}: effects on {metric}; below the image, parameters that it does not show",
-            )
+            places.setdefault((name, strongest.label), []).append(f"number {place} for {metric}")
     section.measured = table(
         [
             "room",
             "metric",
-            "largest effect that no pixel shows",
+            "largest effect",
+            "largest that no pixel shows",
             "rank",
             "relative to the largest",
         ],
         rows,
     )
+    found = [
+        f"{room}: {label.replace(': ', chr(39) + 's ')}, outside the image, is {' and '.join(ranks)}"
+        for (room, label), ranks in places.items()
+    ]
+    section.claims = [
+        (
+            "Parameters that influence the metric need not be visible",
+            "; ".join(found) or f"No parameter outside the image is among the first {LEADERS}",
+            verdict(bool(places), 1),
+        )
+    ]
     section.difference = (
-        f"Effects are compared over the ranges of the parameters. In the view {TURNED} the sky is behind the "
-        "camera, and among the largest effects nevertheless. A map leaves out parameters that no pixel shows, and "
-        "states their effect; the ranking and the report include them."
+        "All parameters that have a derivative are compared, lamps and skies included, by their effects: the "
+        "change of the metric over the range of the parameter, for a radiance from off to its value. In the view "
+        f"{TURNED} the sky is behind the camera, and among the largest effects nevertheless. A map leaves out "
+        "parameters that no pixel shows; the ranking and the report include them."
     )
+    row = map_row(room, list(turned.values()), size)
+    headings = [HEADINGS[metric] for metric in turned]
+    figure = map_grid(
+        [row], headings, next((text for text in found if TURNED in text), TURNED), leaders=LEADERS
+    )
+    caption = f"{TURNED}: effects on mean luminance and UGR, with the leading parameters below the maps"
+    section.show(figure, folder / "grid-unseen.webp", caption)
     return section
 
 
@@ -279,6 +239,14 @@ def mirror(rooms: list[str], size: Size, folder: Path) -> Section:
             if "mirror" in name.lower() and abs(measured) > 3 * error:
                 count, lost = count + 1, lost + (not stock[name].any())
     section.measured = table(["room", "parameter", "finite difference", "scenecaptum", "`prb`"], rows)
+    section.facts = {"lost": lost, "mirrors": count}
+    section.claims = [
+        (
+            "Mitsuba's `prb` gives the derivatives that the maps need",
+            f"It has no derivative of {lost} of {count} parameters of smooth mirrors that change mean luminance",
+            verdict(count - lost, count),
+        )
+    ]
     section.difference = (
         f"Of {count} parameters of smooth mirrors with a significant finite difference, stock `prb` has no "
         f"derivative of {lost}: their saliency is 0 in any map computed with it, for any metric. The table of "

@@ -8,14 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from _figures import MapRow, clean_render
 
-from scenecaptum import SceneRenderer, activate, metrics
+from scenecaptum import SceneAttribution, SceneRenderer, activate, metrics
+from scenecaptum.protocols import RankedParameter
 from scenecaptum.scene import bundled
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[3] / "shared" / "scenes"))
 DEPTH = 6  # as in the paper
 FOLDING_CHAIR = 559
 TURNED = "office from the window"
+LEADERS = 5  # number of leading parameters
+HEADINGS = {
+    "mean luminance": "mean luminance, effects in cd/m²",
+    "UGR": "UGR",
+    "logit": "logit of the network",
+}
 
 
 @dataclass(frozen=True)
@@ -49,12 +57,17 @@ class Room:
 def names() -> list[str]:
     """Return the office and the other available rooms; print the missing ones."""
     found = ["office"]
-    for name in ("living-room", "dining-room"):
+    for name in ("living-room", "dining-room", "kitchen"):
         if (SCENES / name / "scene.xml").is_file():
             found.append(name)
         else:
             print(f"{name}: skipped, {SCENES / name / 'scene.xml'} does not exist")
     return found
+
+
+def quick_rooms(rooms: list[str]) -> list[str]:
+    """Return the rooms for claims that render each of them hundreds of times."""
+    return [room for room in rooms if room != "kitchen"]
 
 
 def load(name: str, inputs: Any, width: int, spp: int, *, resnet: bool = False) -> Room:
@@ -80,3 +93,19 @@ def turned() -> dict[str, Any]:
     pose = mi.ScalarTransform4f().look_at(origin=(0.3, 4.2, 1.5), target=(-0.4, -0.9, 1.2), up=(0, 0, 1))
     scene["sensor"] |= {"to_world": pose}
     return scene
+
+
+def map_row(room: Room, results: list[SceneAttribution], size: Size) -> MapRow:
+    """Return a room's row of the grid of maps."""
+    luminance, glare = (result.metric_value for result in results[:2])
+    lines = [
+        f"{room.name}: {len(room.renderer.inputs)} parameters",
+        f"mean luminance {luminance:.3g} cd/m²",
+        f"UGR {glare:.3g}",
+    ]
+    return MapRow(clean_render(room.renderer, 2 * size.spp), lines, results)
+
+
+def clear_sign(row: RankedParameter) -> int:
+    """Return the sign of an effect that exceeds two standard errors, otherwise 0."""
+    return 0 if abs(row.effect) <= 2 * (row.effect_error or 0.0) else 1 if row.effect > 0 else -1

@@ -7,33 +7,56 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+HOLDS, IN_PART = 0.95, 0.5  # fractions of the cases in which a claim holds, or holds in part
+
 
 @dataclass
 class Section:
-    """A claim of the paper, with the measurement of this run."""
+    """A claim of the paper, with the measurement of this run.
+
+    ``claims`` and ``facts`` are for the top of the page: lines of its table, and what its sentences state.
+    """
 
     title: str
     paper: str
     measured: list[str] = field(default_factory=list)
     difference: str = ""
-    figures: list[tuple[str, str]] = field(default_factory=list)  # files and captions
+    claims: list[tuple[str, str, str]] = field(default_factory=list)  # claim, measured, verdict
+    facts: dict[str, Any] = field(default_factory=dict)
+    pictures: list[str] = field(default_factory=list)  # the files
+    figure: str = ""  # what the section shows below its text
 
-    def add_figure(self, folder: Path, name: str, figure: Any, caption: str) -> None:
-        """Write a figure and add it to the section."""
-        figure.savefig(folder / f"{name}.png")
-        self.figures.append((f"{name}.png", caption))
+    def save(self, figure: Any, path: Path) -> None:
+        """Write a figure, fine enough for its small text."""
+        figure.savefig(path, dpi=160, pil_kwargs={"quality": 90, "method": 6})
+        self.pictures.append(path.name)
 
-    def markdown(self, pictures: str) -> str:
-        """Return the section in Markdown, with its figures in the folder ``pictures``."""
-        figures = [f"![{caption}]({pictures}/{name})\n\n*{caption}*" for name, caption in self.figures]
+    def show(self, figure: Any, path: Path, caption: str) -> None:
+        """Write a figure, and show it in the section."""
+        self.save(figure, path)
+        self.figure = picture(path.name, caption)
+
+    def markdown(self) -> str:
+        """Return the section in Markdown."""
         parts = [
             f"## {self.title}",
             f"**The paper:** {self.paper}",
             "**Measured:**\n\n" + "\n".join(self.measured),
             f"**The difference:** {self.difference}",
-            *figures,
+            self.figure,
         ]
-        return "\n\n".join(parts)
+        return "\n\n".join(filter(None, parts))
+
+
+def picture(name: str, caption: str) -> str:
+    """Return a picture with its caption in Markdown."""
+    return f"![{caption}](pictures/paper/{name})\n\n*{caption}*"
+
+
+def verdict(count: int, total: int) -> str:
+    """Return whether a claim holds, from the number of cases in which it does."""
+    share = count / total if total else 0.0
+    return "holds" if share >= HOLDS else "holds in part" if share >= IN_PART else "does not hold"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
