@@ -40,7 +40,6 @@ DRAWN = {
 
 # Alternative texts of pictures that no other page shows.
 ALTERNATIVES = {
-    "luminance.png": "Luminance of the office in false colours, with the glare sources outlined",
     "lamps-luminance.png": "Bars of what each lamp adds to the mean luminance: 375 cd/m² from the sky",
     "lamps-ugr.png": "Bars of the effects of each lamp on UGR: the sky raises it by 3.8, others lower it by 0.2",
     "office-optimized.png": "The office before and after the optimization, and the curve of UGR below its goal",

@@ -126,9 +126,10 @@ def plot(path: list[View], random: list[float], classes: tuple[str, ...]) -> Fig
     """Draw the first and the last view, and the margin on the way between them."""
     figure = new_figure(10, 3.8)
     lost = sum(value < 0 for value in random)
+    outcome = "loses" if path[-1].margin < 0 else "does not lose"
     figure.suptitle(
-        f"Turned by {degrees(path[-1].turn):.1f}°, the classifier takes the {classes[0]} for a {classes[1]}; "
-        f"of {len(random)} random turns as large, {lost} do that",
+        f"A turn of {degrees(path[-1].turn):.1f}° {outcome} the sphere; of {len(random)} random turns as large, "
+        f"{lost} lose it",
         fontsize=12,
     )
     before, after, way = figure.subplots(1, 3, width_ratios=[1, 1, 1.2])
@@ -145,7 +146,7 @@ def plot(path: list[View], random: list[float], classes: tuple[str, ...]) -> Fig
     way.set_title("below 0, the sphere is lost", fontsize=11)
     way.set_xlabel("turn of the camera (degrees)")
     way.set_ylabel("margin of the sphere (logits)")
-    way.legend(frameon=False, fontsize=9)
+    way.legend(frameon=False, fontsize=9, loc="upper center")
     return figure
 
 
