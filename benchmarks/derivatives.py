@@ -526,9 +526,9 @@ reflects a lamp into the camera. Measured by `python benchmarks/derivatives.py -
 - *prb* is Mitsuba's own `prb` or `prbvolpath` on the same scene; *raises*: it refuses the scene; *not tracked*:
   the parameter has no derivative there.
 - *right*: |z| < 4 between any two of ours, replay and difference, and all errors are at most {good:.0%} of
-  their values. *wrong*: any |z| ≥ 4. *unresolved*: the errors are larger, after the given samples per pixel.
-  *unsupported*: followed by the error message. Parameters that only control the sampling, and poses, have only
-  this message.
+  their values; or both are 0 up to rounding, below 1e-5 for a metric of about 1. *wrong*: any |z| ≥ 4.
+  *unresolved*: the errors are larger, after the given samples per pixel. *unsupported*: followed by the error
+  message. Parameters that only control the sampling, and poses, have only this message.
 """
 
 

@@ -26,6 +26,7 @@ class WeberContrast(torch.nn.Module):
         ``(H, W)``, the fraction of each pixel that shows the object.
     """
 
+    measure = metrics.Measure("contrast of the desk with the rest")  # its name in tables and figures
     weight: torch.Tensor
 
     def __init__(self, weight: torch.Tensor) -> None:

@@ -62,6 +62,7 @@ from ._position_index import position_index as position_index
 from ._preprocessing import ResizeCropNormalize as ResizeCropNormalize
 from ._segmentation import SegmentationScore as SegmentationScore
 from ._shape_classifier import ShapeClassifier as ShapeClassifier
+from ._shape_logit import shape_logit
 from ._smoothed import Smoothed as Smoothed
 from ._sources import GlareSource as GlareSource
 from ._ugr import UnifiedGlareRating as UnifiedGlareRating
@@ -79,7 +80,7 @@ BY_NAME = {
     "dgp": NamedMetric(DaylightGlareProbability, "daylight glare probability"),
     "dgi": NamedMetric(DaylightGlareIndex, "daylight glare index"),
     "shape-logit": NamedMetric(
-        lambda: ClassLogit(ShapeClassifier.pretrained()),
+        shape_logit,
         "logits of the bundled classifier, --target 0 for a sphere, 1 for a cube, 2 for a cylinder",
     ),
 }

@@ -129,7 +129,7 @@ def make_plan(
     if 0 < depth <= FULL_PATH_DEPTH:
         rr_depth = depth + 1
         reasons["no Russian roulette"] = (
-            f"paths of at most {FULL_PATH_DEPTH} segments are traced to their end"
+            f"all paths are traced to their end; only beyond {FULL_PATH_DEPTH} segments would they end at random"
         )
     else:
         rr_depth = _setting(own, "rr_depth") or 5
@@ -140,7 +140,8 @@ def make_plan(
     reasons |= _unused_integrator(own)
 
     left_out = sum(not p.problem and not p.moves for n, p in parameters.items() if n not in inputs)
-    reasons[f"{len(inputs)} inputs tracked"] = f"{left_out} other differentiable parameters are not tracked"
+    others = "1 other differentiable parameter is" if left_out == 1 else f"{left_out} others are"
+    reasons[f"{len(inputs)} inputs tracked"] = f"{others} not tracked"
     routes = derivative_routes(parameters, values, inputs)
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
     if differences:

@@ -18,7 +18,15 @@ from ._naming import area_emitter_id
 from ._objects import camera_object, find_objects
 from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
 from ._poses import camera_parameters, pose_parameters
-from ._roles import EMITTER_BOUNDS, EMITTER_POSES, MATERIAL_ROLES, MEDIUM_BOUNDS, NON_NEGATIVE, MaterialRole
+from ._roles import (
+    CAMERA_INPUTS,
+    EMITTER_BOUNDS,
+    EMITTER_POSES,
+    MATERIAL_ROLES,
+    MEDIUM_BOUNDS,
+    NON_NEGATIVE,
+    MaterialRole,
+)
 
 # Parts of a parameter's name that its label leaves out.
 _OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
@@ -128,21 +136,21 @@ def _problem(
 ) -> str | None:
     """Return the reason why the parameter cannot be differentiated, or None."""
     type_name = type(value).__name__
+    if role.endswith(("sampling_weight", "_sampling_rate")):
+        return "it changes how samples are drawn, not what is rendered"
     if kind == "geometry" and ("position" in role or "to_world" in role):
         return "it changes visibility; move its object instead, such as by NAME.pose.translation"
     if kind == "geometry":
-        return "it belongs to the geometry, which cannot be differentiated yet"
+        return "it belongs to the geometry, whose entries are not differentiated"
     if kind == "camera":
-        return 'it belongs to the camera; inputs="camera" can be differentiated'
+        return CAMERA_INPUTS.get(role, "it is a setting of the camera, not a continuous part of the scene")
     if type_name == "TensorXu8":
         return (
             "its texels are stored in 8 bits and have no derivatives; load the scene from its file or dict, or "
             'give the bitmap format="variant"'
         )
-    if role == "sampling_weight" or role.endswith("_sampling_rate"):
-        return "it changes how samples are drawn, not what is rendered"
     if "Transform" in type_name:
-        return "it is a transformation; only materials, lights and media are differentiated"
+        return "it is a transformation, whose entries are not differentiated"
     if kind == "emitters" and role in EMITTER_POSES:
         return "it positions a light; move the light instead, such as by NAME.pose.translation"
     if not (_is_array(value) or isinstance(value, float)):

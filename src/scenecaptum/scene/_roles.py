@@ -76,5 +76,10 @@ EMITTER_BOUNDS = {"cutoff_angle": Bounds(0.0, 180.0), "beam_width": Bounds(0.0, 
 MEDIUM_BOUNDS = {"albedo": UNIT, "g": Bounds(-1.0, 1.0)}
 
 # Position of an emitter in space or time: changing it moves shadows.
+# What is differentiated in place of a parameter of the camera.
+CAMERA_INPUTS = {
+    "x_fov": "it moves everything in the image; select camera.fov instead",
+    "to_world": "it moves the camera; select camera.pose.translation or camera.pose.rotation instead",
+}
 EMITTER_POSES = {"position", "direction", "sun_direction", "latitude", "longitude", "timezone"}
 EMITTER_POSES |= {"year", "month", "day", "hour", "minute", "second"}

@@ -353,7 +353,9 @@ class AblationTest:
             )
             for name, row in zip(names, self.rows, strict=True)
         ]
-        lines = grid(("moved along its gradient", "predicted", "measured", "step"), cells, right=True)
+        lines = grid(
+            ("moved along its gradient", "predicted slope", "measured slope", "step"), cells, right=True
+        )
         remarks = ["", *(_remark(row) for row in self.rows)]
         return "\n".join([*map(str.__add__, lines, remarks), "", self.verdict])
 
