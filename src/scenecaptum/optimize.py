@@ -11,6 +11,7 @@ import torch
 from tqdm import tqdm
 
 from .attr import VanillaSceneGradient, range_lengths, summarize
+from .denoising import denoise
 from .errors import SceneCaptumError, near_misses, whole_number
 from .estimation import (
     DEFAULT_REPLICATES,
@@ -394,7 +395,7 @@ class Optimization:
         return self.after.is_below(self.below)
 
     def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
-        """Plot both scenes at the same exposure, and the metric at every step, into ``figure`` if given."""
+        """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given."""
         height, width, _ = self.before.image.shape
         renders, curve = WIDTH / 2 * height / width, 1.6
         part: Any = figure or new_figure(WIDTH, renders + curve + 1)
@@ -402,7 +403,7 @@ class Optimization:
         before, after, history = axes.values()
         exposure = automatic_exposure(self.before.image)
         for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
-            ax.imshow(display_image(measured.image, exposure).numpy(force=True))
+            ax.imshow(display_image(denoise(measured.image), exposure).numpy(force=True))
             title = f"{name}: {self._format(measured)}"
             ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
             ax.set_axis_off()
