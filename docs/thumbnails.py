@@ -42,7 +42,7 @@ CUTS = {
     "own-metric": Cut("own-metric.png", (0.461, 0.326, 0.89, 0.911)),
     "paper": Cut("paper/specificity-living-room.png", (0.006, 0.635, 0.302, 0.98)),
     "pixels-or-scene": Cut("pixels-or-scene.png", (0.0, 0.0, 1.0, 0.87), whole=True),
-    "rooms-ugr": Cut("rooms-ugr.png", (0.0, 0.0, 1.0, 1.0), whole=True),
+    "rooms-ugr": Cut("rooms-ugr.png", (0.0, 0.16, 1.0, 0.92), whole=True),
     "shortcut": Cut("shortcut-pictures.png", (0.0, 0.09, 0.56, 1.0), whole=True),
     "specificity": Cut("metric_specificity 0", (0.311, 0.687, 0.608, 0.98)),
     "speed": Cut("paper/stability-office-UGR.png", (0.0, 0.09, 1.0, 0.93), whole=True),
