@@ -31,15 +31,18 @@ class Cut(NamedTuple):
 
 
 CUTS = {
+    "chair-logit": Cut("chair-logit.png", (0.013, 0.22, 0.892, 0.942), whole=True),
     "classroom-daylight": Cut("classroom-daylight.png", (0.113, 0.05, 0.895, 0.909)),
-    "desk-contrast": Cut("metric_specificity 0", (0.617, 0.687, 0.912, 0.98)),
     "desk-lamp": Cut("desk-lamp.png", (0.01, 0.145, 0.489, 0.98)),
     "explore": Cut("explore.png", (0.0, 0.0, 1.0, 1.0)),
     "figures": Cut("guides/seeing-luminance.webp", (0.0, 0.0, 1.0, 1.0), whole=True),
     "first-attribution": Cut("guides/getting-started-map.webp", (0.015, 0.13, 0.88, 0.95)),
     "lost-view": Cut("lost-view.png", (0.006, 0.07, 0.588, 0.88), whole=True),
     "office-glare": Cut("office.png", (0.505, 0.19, 0.996, 0.965)),
+    "own-metric": Cut("own-metric.png", (0.461, 0.326, 0.89, 0.911)),
     "paper": Cut("paper/specificity-living-room.png", (0.006, 0.635, 0.302, 0.98)),
+    "pixels-or-scene": Cut("pixels-or-scene.png", (0.0, 0.0, 1.0, 0.87), whole=True),
+    "rooms-ugr": Cut("rooms-ugr.png", (0.0, 0.16, 1.0, 0.92), whole=True),
     "shortcut": Cut("shortcut-pictures.png", (0.0, 0.09, 0.56, 1.0), whole=True),
     "specificity": Cut("metric_specificity 0", (0.311, 0.687, 0.608, 0.98)),
     "speed": Cut("paper/stability-office-UGR.png", (0.0, 0.09, 1.0, 0.93), whole=True),
@@ -47,7 +50,7 @@ CUTS = {
     "two-designs": Cut("two-designs.png", (0.0, 0.105, 0.62, 0.65)),
     "what-a-network-sees": Cut("what_a_network_sees 0", (0.016, 0.21, 0.89, 0.915), whole=True),
     "which-lamp": Cut("office.png", (0.004, 0.19, 0.495, 0.965)),
-    "work-plane": Cut("work-plane.png", (0.155, 0.045, 0.84, 0.6)),
+    "work-plane": Cut("work-plane.png", (0.18, 0.075, 0.845, 0.44)),
 }
 
 
