@@ -47,7 +47,7 @@ CUTS = {
     "specificity": Cut("metric_specificity 0", (0.311, 0.687, 0.608, 0.98)),
     "speed": Cut("paper/stability-office-UGR.png", (0.0, 0.09, 1.0, 0.93), whole=True),
     "texels": Cut("what_a_network_sees 0", (0.462, 0.43, 0.89, 0.91)),
-    "two-designs": Cut("two-designs.png", (0.0, 0.105, 0.62, 0.65)),
+    "two-designs": Cut("two-designs.png", (0.503, 0.19, 0.995, 0.98)),
     "what-a-network-sees": Cut("what_a_network_sees 0", (0.016, 0.21, 0.89, 0.915), whole=True),
     "which-lamp": Cut("office.png", (0.004, 0.19, 0.495, 0.965)),
     "work-plane": Cut("work-plane.png", (0.18, 0.075, 0.845, 0.44)),
