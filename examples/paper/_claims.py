@@ -174,7 +174,7 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
         place = f"{strongest.rank} of {len(ranking)}"
         rows.append([name, metric, ranking[0].label, strongest.label, place, f"{share:.0%}"])
         if strongest.rank <= LEADERS:
-            places.setdefault((name, strongest.label), []).append(f"number {place} for {metric}")
+            places.setdefault((name, strongest.label), []).append(f"{place} for {metric}")
     section.measured = table(
         [
             "room",
@@ -187,7 +187,7 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
         rows,
     )
     found = [
-        f"{room}: {label.replace(': ', chr(39) + 's ')}, outside the image, is {' and '.join(ranks)}"
+        f"{room}: {label}, outside the image, is number {' and '.join(ranks)}"
         for (room, label), ranks in places.items()
     ]
     section.claims = [
@@ -205,9 +205,8 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
     )
     row = map_row(room, list(turned.values()), size)
     headings = [HEADINGS[metric] for metric in turned]
-    figure = map_grid(
-        [row], headings, next((text for text in found if TURNED in text), TURNED), leaders=LEADERS
-    )
+    titles = [text.removeprefix(f"{TURNED}: ") for text in found if text.startswith(TURNED)]
+    figure = map_grid([row], headings, " ".join(titles), leaders=LEADERS)
     caption = f"{TURNED}: effects on mean luminance and UGR, with the leading parameters below the maps"
     section.show(figure, folder / "grid-unseen.webp", caption)
     return section
