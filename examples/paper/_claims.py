@@ -174,7 +174,8 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
         place = f"{strongest.rank} of {len(ranking)}"
         rows.append([name, metric, ranking[0].label, strongest.label, place, f"{share:.0%}"])
         if strongest.rank <= LEADERS:
-            places.setdefault((name, strongest.label), []).append(f"{place} for {metric}")
+            owner, _, kind = strongest.label.partition(": ")
+            places.setdefault((name, owner, kind), []).append(f"{place} for {metric}")
     section.measured = table(
         [
             "room",
@@ -187,8 +188,8 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
         rows,
     )
     found = [
-        f"{room}: {label}, outside the image, is number {' and '.join(ranks)}"
-        for (room, label), ranks in places.items()
+        f"{room}: the {owner}'s {kind}, outside the image, is number {' and '.join(ranks)}"
+        for (room, owner, kind), ranks in places.items()
     ]
     section.claims = [
         (
@@ -206,7 +207,8 @@ def unseen(rooms: list[str], size: Size, folder: Path) -> Section:
     row = map_row(room, list(turned.values()), size)
     headings = [HEADINGS[metric] for metric in turned]
     titles = [text.removeprefix(f"{TURNED}: ") for text in found if text.startswith(TURNED)]
-    figure = map_grid([row], headings, " ".join(titles), leaders=LEADERS)
+    title = " ".join(text[0].upper() + text[1:] for text in titles)
+    figure = map_grid([row], headings, title, leaders=LEADERS)
     caption = f"{TURNED}: effects on mean luminance and UGR, with the leading parameters below the maps"
     section.show(figure, folder / "grid-unseen.webp", caption)
     return section
