@@ -879,7 +879,7 @@ class SceneRenderer(torch.nn.Module):
         likely to miss them and still agree with each other, so a low number means that the standard error is
         unreliable. Contributions ``c`` have an effective number of ``(Σc²)² / Σc⁴``, the inverse of the excess
         kurtosis of their sum. It is estimated from a pilot render of the light that each parameter acts on, at
-        the scene's own values.
+        the scene's own values; black surfaces and lamps that are off have small values instead.
 
         Parameters
         ----------
