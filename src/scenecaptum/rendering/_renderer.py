@@ -496,7 +496,10 @@ class SceneRenderer(torch.nn.Module):
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """The interval over which the effect of each input is compared; infinite: from 0 to its value."""
+        """The interval over which the effect of each input is compared.
+
+        An infinite one stands for 0 to the value of the input, or 0 to 1 if that is 0.
+        """
         return dict(self._ranges)
 
     @property
