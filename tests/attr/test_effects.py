@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum import (
@@ -107,6 +108,35 @@ def test_ranges_come_from_the_parameters_and_from_the_user():
     ):
         with pytest.raises(SceneCaptumError, match=message):
             SceneRenderer(scene, "all", spp=1, ranges=ranges)
+
+
+def test_the_range_of_what_is_zero_is_one_unit(mi):
+    """A lamp that is off, and a conductor without a material, whose index is 0."""
+    view = mi.ScalarTransform4f().look_at([0, -4, 2], [0, 0, 0], [0, 0, 1])
+    scene = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "to_world": view,
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+        "sky": {"type": "constant"},
+        "lamp": {"type": "point", "position": [0, 0, 2], "intensity": 0.0},
+        "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(2)},
+        "chrome": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "conductor"}},
+    }
+    lamp, eta = "lamp.intensity.value", "chrome.bsdf.eta.value"
+    renderer = SceneRenderer(scene, [lamp, eta, "sky.radiance.value"], spp=64, max_depth=3)
+    assert renderer.ranges[eta] == renderer.ranges[lamp] == (0.0, math.inf)
+    assert not renderer.inputs[eta].any()
+    metric = metrics.MeanLuminance()
+    found = VanillaSceneGradient(renderer, metric).attribute(seed=shifted(1))
+    assert found.extents[eta].tolist() == [1]
+    assert found.extents[lamp].tolist() == [1, 1, 1]
+    assert found.effects()[eta] == pytest.approx(found[eta].item())
+    on = {lamp: torch.ones(3)}
+    rise = metric(renderer(on, seed=shifted(2), spp=1024)) - metric(renderer(seed=shifted(2), spp=1024))
+    assert found.effects()[lamp] == pytest.approx(rise.item(), abs=6 * found.effects_error()[lamp])
 
 
 def test_groups_add_effects_not_gradients_of_different_units():

@@ -490,7 +490,7 @@ def test_unreachable_goal_is_reported(monkeypatch):
     assert not found.is_reached(found.assessments[0])
 
 
-def test_first_round_is_never_the_last(monkeypatch):
+def test_first_round_is_not_the_last_without_a_pilot(monkeypatch):
     found = search(monkeypatch, calm_paths, shifted())
     assert found.stopped(interrupted=False) == "goal"
     assert len(found.round_seconds) == 2

@@ -76,6 +76,42 @@ def test_the_brightness_of_light_does_not_matter(mi: Any) -> None:
     assert counted(1e30) == pytest.approx(counted(1.0), rel=1e-4)
 
 
+@pytest.mark.parametrize("reflectance", [0.5, None])
+def test_a_lamp_that_also_reflects_is_counted(mi: Any, reflectance: float | None) -> None:
+    """Without a material, Mitsuba gives a lamp a black one, whose derivative is that of any other."""
+    scene = cornell_box()
+    del scene["light"]["bsdf"]
+    if reflectance is not None:
+        scene["light"]["bsdf"] = {"type": "diffuse", "reflectance": reflectance}
+    name = "light.bsdf.reflectance.value"
+    renderer = SceneRenderer(scene, name, resolution=(32, 32), spp=64, max_depth=4)
+    assert renderer.inputs[name].unique().tolist() == [reflectance or 0.0]
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute()
+    assert found[name].sum() > 5 * found.standard_error[name].sum() > 0
+    assert found.info["effective_samples"][name] > 0
+    assert not found.untrusted_errors()
+
+
+@pytest.mark.parametrize("others", [True, False])
+def test_a_lamp_that_is_off_is_counted_like_one_that_shines(mi: Any, others: bool) -> None:
+    def counted(radiance: float) -> dict[str, float]:
+        scene = bulb(mi, **({"sky": {"type": "constant", "radiance": 2.0}} if others else {}))
+        scene["bulb"]["emitter"]["radiance"] = radiance
+        renderer = SceneRenderer(scene, "emitters")
+        return renderer.effective_samples(renderer.inputs, torch.ones(SIDE, SIDE, 3), spp=SPP)
+
+    assert counted(0.0) == pytest.approx(counted(5.0), rel=1e-4)
+
+
+def test_the_values_of_the_pilot_are_not_left_in_the_scene(mi: Any) -> None:
+    scene = bulb(mi)
+    scene["bulb"]["emitter"]["radiance"] = 0.0
+    renderer = SceneRenderer(scene, BULB)
+    assert renderer.effective_samples(renderer.inputs, torch.ones(SIDE, SIDE, 3), spp=SPP)[BULB] > 0
+    assert not renderer.inputs[BULB].any()
+    assert not renderer(seed=1).any()
+
+
 def test_parameters_without_any_path_are_marked(mi: Any, tmp_path: Path) -> None:
     scene = cornell_box()
     scene["hidden"] = {"type": "sphere", "center": [0.335, -0.38, -0.7], "radius": 0.1}

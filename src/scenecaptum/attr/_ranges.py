@@ -23,7 +23,7 @@ def extents(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the change of each parameter over its range, a ``(C,)`` tensor by channel; none without ranges.
 
     For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the value, for a
-    texture the mean of its texels, or 1 if that is 0: the change from off to its value.
+    texture the mean of its texels: the change from off to its value. If all channels are 0, it is 1.
     """
     ranges = _ranges(renderer)
     if ranges is None:

@@ -60,8 +60,9 @@ class Planner:
 
     Stopping when the estimated errors are small favours errors that are underestimated. To keep this effect small,
     there are few rounds. Each test uses the degrees of freedom of all replicates so far, or fewer if one replicate
-    dominates the variance or a pilot found few paths. The search does not end after the first round, because rare
-    paths that it has missed are missing in its errors as well; the second round has at least half as many samples.
+    dominates the variance or a pilot found few paths. Rare paths that the first round has missed are missing in
+    its errors as well, so the search goes on, unless the metric is linear and a pilot has found many paths, or
+    there is no noise. The second round has at least half as many samples.
 
     The ``sampling`` is that of the first round, by default few samples that cost nearly nothing; ``compared`` is
     what the goal refers to. With ``against``, another renderer, the gradients are compared at the end.
@@ -295,7 +296,7 @@ class Planner:
     def is_reached(self, assessment: Assessment) -> bool:
         """Whether the goal is reached, based on more than the first round's estimate of its own noise.
 
-        One round suffices for a linear metric if a pilot has found no rare paths.
+        One round suffices if there is no noise, or for a linear metric if a pilot has found many paths.
         """
         linear = all(total.adjoints is not None and total.adjoints.is_linear for total in self.sums)
         is_reliable = (

@@ -31,6 +31,10 @@ from ._registry import emitter_index, index_table, shape_index
 # Samples of a pilot: relative to those of the estimate, and in all at most.
 PILOT_FACTOR, MAX_PILOT_SAMPLES = 4, 2**17
 
+# A lamp that is off gets this fraction of the largest brightness, which hardly adds to the light of the others.
+BRIGHTNESS = {"radiance", "intensity", "irradiance", "scale"}
+OFF_FACTOR = 1e-6
+
 # Maximum number of accumulated values of each moment; in larger images blocks of pixels share theirs.
 MAX_VALUES = 2**22
 
@@ -169,8 +173,9 @@ class Pilots:
     ) -> dict[str, tuple[float, float]]:
         """Return variance and fourth cumulant of the mean over replicates of importance-sampled gradients.
 
-        They are those of the light that each tracked parameter acts on, at the scene's own values. Parameters
-        without such light are left out, and so are low roughnesses that are differentiated by light tracing.
+        They are those of the light that each tracked parameter acts on, at the scene's own values; what is black
+        there or switched off has a small value instead. Parameters without such light are left out, and so are
+        low roughnesses that are differentiated by light tracing.
         """
         adjoint = adjoint.detach().float()
         width, height = self.live.resolution
@@ -205,9 +210,31 @@ class Pilots:
             self._originals = self.live.original
             self._pilots.clear()
         if spp not in self._pilots:
-            with self.live.with_values({}):
+            with self.live.with_values(self._nonzero_values()):
                 self._pilots[spp] = self._trace(spp)
         return self._pilots[spp]
+
+    def _nonzero_values(self) -> Values:
+        """Return small values for black surfaces and lamps that are off.
+
+        Their light is 0, but its derivative is not. How many paths contribute hardly depends on the value.
+        """
+        original = self.live.original
+        names = sorted(frozenset().union(*self._groups.parameters))
+        dark = [name for name in names if not original[name].any()]
+        black = [name for name in dark if self.parameters[name].kind == "reflectance"]
+        lamps = [name for name in names if self._is_brightness(name)]
+        brightest = max((float(original[name].max()) for name in lamps), default=0.0)
+        off = OFF_FACTOR * brightest if brightest > 0 else 1.0
+        routes = derivative_routes(self.parameters, original, black)
+        return {name: route.replay_value for name, route in routes.items()} | {
+            name: torch.full_like(original[name], off) for name in lamps if name in dark
+        }
+
+    def _is_brightness(self, name: str) -> bool:
+        """Whether a parameter is the brightness of a lamp, without texels."""
+        parameter = self.parameters[name]
+        return parameter.kind == "emitters" and parameter.role in BRIGHTNESS and len(parameter.shape) < 2
 
     @cached_property
     def _groups(self) -> ParameterGroups:

@@ -496,7 +496,10 @@ class SceneRenderer(torch.nn.Module):
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """The interval over which the effect of each input is compared; infinite: from 0 to its value."""
+        """The interval over which the effect of each input is compared.
+
+        An infinite one stands for 0 to the value of the input, or 0 to 1 if that is 0.
+        """
         return dict(self._ranges)
 
     @property
@@ -879,7 +882,7 @@ class SceneRenderer(torch.nn.Module):
         likely to miss them and still agree with each other, so a low number means that the standard error is
         unreliable. Contributions ``c`` have an effective number of ``(Σc²)² / Σc⁴``, the inverse of the excess
         kurtosis of their sum. It is estimated from a pilot render of the light that each parameter acts on, at
-        the scene's own values.
+        the scene's own values; black surfaces and lamps that are off have small values instead.
 
         Parameters
         ----------

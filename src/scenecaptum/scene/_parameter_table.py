@@ -59,7 +59,8 @@ class Parameter:
         The physically meaningful interval.
     range
         The interval over which effects are compared: the bounds where they are finite, and that of real glass for
-        an index of refraction. Unbounded (a radiance, a metal's index, a density) means from 0 to its value.
+        an index of refraction. Unbounded (a radiance, a metal's index, a density) means from 0 to its
+        value, or to 1 if that is 0.
     owners
         The materials, emitters or media that it belongs to.
     tracked
