@@ -432,3 +432,9 @@ def test_the_shape_classifier_is_a_metric_with_named_classes():
     torch.testing.assert_close(metrics.ClassLogit(model, target=0)(image), logits[0])
     assert torch.isfinite(gradient(metrics.ClassLogit(model, "cube"), image)).all()
     assert metrics.PerceptualDistance(image, model, layers=["features"])(image.flip(1)) >= 0
+
+
+def test_the_named_logit_takes_a_class_and_smoothing() -> None:
+    logit = metrics.BY_NAME["shape-logit"].create(target="cube", against="cylinder", smoothing=0.3)
+    assert logit.measure.name == "smoothed logit of cube minus that of cylinder"
+    assert metrics.BY_NAME["shape-logit"].create()(torch.ones(16, 16, 3)).shape == (3,)

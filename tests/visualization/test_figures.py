@@ -179,8 +179,11 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     apart = {name: 0 * value for name, value in make().items()}
     assert "depends on none of these" in all_text(plot_bars(dataclasses.replace(make(), attributions=apart)))
     noisy = {name: 1e6 * value for name, value in make().covariance.items()}
-    text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
+    one_noisy = {**make().covariance, second.name: noisy[second.name]}
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=one_noisy)))
     assert f"depends most on {first.label} and {second.label}\n" in text
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
+    assert "the largest effect is within the noise\n" in text
 
 
 def test_a_render_is_denoised_where_the_metric_image_was() -> None:

@@ -257,11 +257,8 @@ def _panels(
         *noise_notes(attribution),
     ]
     line_length = characters_per_line(width - 0.2, SMALL)
-    caption = [
-        line
-        for note in pack([*filter(None, notes)], line_length)
-        for line in wrapped_lines(note, line_length)
-    ]
+    packed = pack([note for note in notes if note], line_length)
+    caption = [line for note in packed for line in wrapped_lines(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
     top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines())
     height = bottom + h + top
