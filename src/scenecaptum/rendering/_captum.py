@@ -51,7 +51,7 @@ def as_captum(
             outputs.append(_evaluate(metric, image))
         return torch.stack(outputs)
 
-    return forward, tuple(value[None].clone().requires_grad_() for value in own.values())
+    return forward, tuple(value[None].clone() for value in own.values())
 
 
 def _bounding(renderer: Renderer, own: Values, bounds: str) -> Callable[[Values], Values]:
