@@ -311,9 +311,12 @@ class _BoundedAdam:
 
     def summary(self, labels: Mapping[str, str]) -> tuple[Moved, ...]:
         """Return the initial and current value of every parameter."""
-        before, after = summarize(self.start), summarize(self.values())
+        values = {name: value.detach() for name, value in self.values().items()}
+        before, after = summarize(self.start), summarize(values)
+        # Not of the offsets, which go on where a value has reached its bound.
+        changes = {name: (values[name] - start).abs().max().item() for name, start in self.start.items()}
         return tuple(
-            Moved(name, labels[name], before[name], after[name], self._offsets[name].abs().max().item())
+            Moved(name, labels[name], before[name], after[name], changes[name] / self._ranges[name])
             for name in self.start
         )
 

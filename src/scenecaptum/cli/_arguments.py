@@ -75,7 +75,7 @@ def add_inputs(parser: argparse.ArgumentParser, default: str) -> None:
         action="append",
         metavar="SELECTION",
         help="parameters to differentiate: materials, reflectance, roughness, ior, opacity, textures, emitters, "
-        f"media, all, a glob or a name; may be repeated (default: {default})",
+        f"media, poses, camera, all (except the last two), a glob or a name; may be repeated (default: {default})",
     )
     parser.add_argument(
         "--checkpoint",
