@@ -67,6 +67,10 @@ def test_physical_bounds_are_kept_with_a_margin():
     found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=1.0, steps=40)
     torch.testing.assert_close(found.values["strong"], torch.full((3,), 0.01))
     torch.testing.assert_close(found.values["weak"], torch.tensor(0.02))
+    # The fractions are those of the values that were reached; the range of "weak" is 2.
+    for moved in found.moved:
+        change = (found.values[moved.name] - Lamps().inputs[moved.name]).abs().max().item()
+        assert moved.fraction == pytest.approx(change / (2.0 if moved.name == "weak" else 1.0))
     at_its_bound = Lamps()
     at_its_bound.inputs["faint"] = torch.zeros(4, 4, 3)
     found = optimize.minimize(at_its_bound, torch.mean, -1.0, top=3, steps=3)
