@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -223,18 +223,36 @@ def test_an_executor_that_ends_leaves_what_is_finished(run: Run, tmp_path: Path)
     assert len(run(value_study(seeds=seeds(3)), tmp_path)) == 3
 
 
-def test_a_full_disk_stops_the_study_with_one_error(run: Run, tmp_path: Path) -> None:
+def test_a_full_disk_stops_the_study_with_one_error(run: Run, thread: Executor, tmp_path: Path) -> None:
     study = value_study(seeds=seeds(3))
     run(study, tmp_path)
     for path in (tmp_path / "cells").iterdir():
         path.unlink()
     with file_size_limit(0):
         text = message(lambda: run(study, tmp_path))
+        thread.submit(int).result()  # the cell that was under way when the study stopped
     assert "The study stopped" in text
     assert "cannot be written" in text
     assert "\n" not in text
     assert not list((tmp_path / "cells").iterdir())
     assert len(run(study, tmp_path)) == 3
+
+
+def test_a_study_that_stops_cancels_the_cells_that_have_not_begun(run: Run, tmp_path: Path) -> None:
+    futures = []
+
+    class Recording(ThreadPoolExecutor):
+        def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+            futures.append(super().submit(*args, **kwargs))
+            return futures[-1]
+
+    study = value_study(seeds=seeds(40))
+    run(study, tmp_path)
+    for path in (tmp_path / "cells").iterdir():
+        path.unlink()
+    with Recording(1) as executor, file_size_limit(0):
+        message(lambda: run(study, tmp_path, executor=executor))
+        assert futures[-1].cancelled()
 
 
 def test_folders_that_cannot_be_written(run: Run, tmp_path: Path) -> None:

@@ -76,25 +76,30 @@ def _finished(
 ) -> Iterator[tuple[Recipe, Outcome | BaseException]]:
     """Yield cells with their outcomes, or with the exception of an executor that has ended.
 
-    It submits no more cells after that, but yields all that are under way.
+    It submits no more cells after that, but yields all that are under way. If it is closed, those that have not
+    begun are canceled.
     """
     running: dict[Future[Outcome], Recipe] = {}
     ended = False
-    while True:
-        while not ended and len(running) < window and (recipe := next(recipes, None)) is not None:
-            try:
-                running[submit(executor, recipe)] = recipe
-            except (BrokenExecutor, RuntimeError) as error:  # RuntimeError: it was shut down
-                ended = True
-                yield recipe, error
-        if not running:
-            return
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            recipe = running.pop(future)
-            try:
-                yield recipe, future.result()
-            except (BrokenExecutor, CancelledError) as error:
-                ended = True
-                yield recipe, error
-            except Exception as error:  # of the executor: the cell catches its own
-                yield recipe, Outcome(recipe.key, 0.0, f"{type(error).__name__}: {error}")
+    try:
+        while True:
+            while not ended and len(running) < window and (recipe := next(recipes, None)) is not None:
+                try:
+                    running[submit(executor, recipe)] = recipe
+                except (BrokenExecutor, RuntimeError) as error:  # RuntimeError: it was shut down
+                    ended = True
+                    yield recipe, error
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                recipe = running.pop(future)
+                try:
+                    yield recipe, future.result()
+                except (BrokenExecutor, CancelledError) as error:
+                    ended = True
+                    yield recipe, error
+                except Exception as error:  # of the executor: the cell catches its own
+                    yield recipe, Outcome(recipe.key, 0.0, f"{type(error).__name__}: {error}")
+    finally:
+        for future in running:
+            future.cancel()

@@ -8,8 +8,9 @@ import itertools
 import json
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -235,11 +236,13 @@ class Study:
         done = opened.finished() | (set() if retry_failed else opened.failed())
         left = [recipe for recipe in recipes if recipe.key not in done]
         names = {recipe.key: recipe for recipe in left}
-        with tqdm(
+        progress = tqdm(
             total=len(recipes), initial=len(recipes) - len(left), disable=not show_progress, unit="cell"
-        ) as bar:
+        )
+        # Closed at once if the study stops: the traceback would keep the workers computing.
+        with progress as bar, closing(self._outcomes(left, opened, executor, workers, threads)) as outcomes:
             failures = 0 if retry_failed else len(opened.failed())
-            for outcome in self._outcomes(left, opened, executor, workers, threads):
+            for outcome in outcomes:
                 if outcome.error:
                     failures += 1
                     _write_failure(opened, names[outcome.key], outcome.error)
@@ -254,7 +257,7 @@ class Study:
         executor: Executor | None,
         workers: int | None,
         threads: int | None,
-    ) -> Iterator[Any]:
+    ) -> Generator[Any, None, None]:
         arguments = str(folder.path.resolve()), folder.manifest()["study"], threads
         submit = partial(_submit, arguments)
         if not recipes:
