@@ -44,7 +44,7 @@ def test_the_verdict_names_its_source_and_a_limit_that_is_too_close():
 def test_a_change_has_values_effects_and_errors():
     (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.68),)))["What would change it"]
     assert line == (
-        "wall_left reflectance 0.62 → 0.72: UGR 24.800 → 24.120 "
+        "wall_left reflectance 0.62 → 0.72: UGR 24.80 → 24.12 "
         "(−0.680 ± 0.020 rendered, −0.700 ± 0.010 predicted)"
     )
 
@@ -65,7 +65,7 @@ def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
 def test_effects_and_shares_within_their_noise_are_not_said():
     sources = (Source("window", "top", 0.8, 0.01, 3000.0), Source("lamp", "left", 0.03, 0.02, 5000.0))
     said = lines(Explanation(rated(24.8, 0.05), sources=sources, count=20))
-    assert said["Where the glare comes from"] == ["window, top: 80.0 ± 1.0 % of it, up to 3000 cd/m²"]
+    assert said["Where the glare comes from"] == ["window, top: 80.0 ± 1.0 % of it, at 3000 cd/m²"]
     (effects,) = (value for heading, value in said.items() if heading.startswith("What it depends on"))
     assert not any(line.startswith(("noisy", results.NASTY)) for line in effects)
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
@@ -110,12 +110,12 @@ def test_the_value_by_the_definition_decides_and_the_relaxed_one_stands_beside_i
     (headline, notes), *_ = of_daylight(56.8, 0.5, definition=exact, premises=("weather: Oslo",)).sections()
     # 55 lies between the two.
     assert headline == (
-        "spatial daylight autonomy = 47 % (56.8 ± 0.5 % relaxed): below 55 %, the limit; too close to 55 to be "
-        "sure"
+        "spatial daylight autonomy = 47 %: below 55 %, the limit; too close to 55 to be sure; relaxed, for its "
+        "derivatives: 56.8 ± 0.5 %"
     )
     assert notes[0] == "weather: Oslo"
     said = lines(of_daylight(46.0, 0.5, definition=exact, changes=(change(2.0, 0.1, predicted=2.1),)))
-    assert "sDA 46.00 → 48.00 %" in said["What would change it, in relaxed values"][0]
+    assert "sDA 46.0 → 48.0 %" in said["What would change it, in relaxed values"][0]
 
 
 def test_the_fewest_rows_with_most_of_the_effect_decide():

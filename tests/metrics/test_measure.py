@@ -32,7 +32,11 @@ OFFICE = "within 19, the limit for reading, writing and work at screens"
             19.0,
             OFFICE,
         ),
-        (metrics.UnifiedGlareRating.measure, 31.0, "above 28, the highest limit"),
+        (
+            metrics.UnifiedGlareRating.measure,
+            31.0,
+            "above 19, the limit for offices, and above 28, the highest limit",
+        ),
         (metrics.DaylightGlareProbability.measure, 0.41, "disturbing glare"),
     ],
 )

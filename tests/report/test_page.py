@@ -19,7 +19,7 @@ from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient
-from scenecaptum.attr import Change, Explanation, Source
+from scenecaptum.attr import Change, Definition, Explanation, Source
 from scenecaptum.metrics import ClassLogit
 from scenecaptum.report import write_report
 from scenecaptum.visualization import plot_heatmap
@@ -121,8 +121,20 @@ def test_unit_verdict_and_metric_are_at_the_headline(browser, tmp_path):
     page = Page(browser, path)
     bare, explanation, plain = (one.inner_text().splitlines() for one in page.page.locator(".result").all())
     assert bare == ["as it is · unified glare rating", "2.3369 ± 0.0005 cd/m²", VERDICT]
-    assert explanation[2] == f"{VERDICT}; too close to 2.337 to be sure (EN 12464-1)"
+    assert explanation[2] == f"{VERDICT} (EN 12464-1); too close to 2.337 to be sure"
     assert plain == ["Glare", "2.3369 ± 0.0005"]
+    page.check(path)
+    page.context.close()
+
+
+def test_the_headline_is_the_value_by_the_definition_with_the_weather(browser, tmp_path):
+    exact = Explanation(ranged(), definition=Definition(2.0, "low"), premises=("weather: Oslo",))
+    path = written(tmp_path, exact)
+    page = Page(browser, path)
+    _, value, meaning, weather = page.page.locator(".result").inner_text().splitlines()
+    assert value == "2"
+    assert meaning == "low; relaxed, for its derivatives: 2.337 ± 0.001"
+    assert weather == "weather: Oslo"
     page.check(path)
     page.context.close()
 

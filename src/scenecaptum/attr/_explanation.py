@@ -12,15 +12,13 @@ from ..protocols import Attribution
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
-    format_with_error,
-    metric_line,
     metric_name,
     metric_symbol,
     metric_unit,
     noise_notes,
     pluralize,
     rounded,
-    signed_with_error,
+    sentence_number,
     terminal_width,
     verdict,
     with_error,
@@ -48,7 +46,7 @@ class Source:
         Its share of the whole picture's part in the metric, from 0 to 1, and the standard error: of glare sources
         the share of the sum of ``L² ω / P²``, of other metrics that of ``|∂M/∂I · I|``.
     luminance
-        The largest luminance of its glare sources in cd/m²; None for other metrics.
+        The mean luminance of its part of the glare sources in cd/m²; None for other metrics.
     """
 
     name: str
@@ -177,7 +175,10 @@ class Explanation:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
         is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
-            (self._verdict(), [*self.premises, *noise_notes(self.attribution)]),
+            (
+                ": ".join(filter(None, [self.headline(), self.meaning()])),
+                [*self.premises, *noise_notes(self.attribution)],
+            ),
             (
                 "Where the glare comes from" if is_glare else "What it sees in the picture",
                 self._source_lines(),
@@ -216,35 +217,47 @@ class Explanation:
 
     __repr__ = __str__
 
-    def _verdict(self) -> str:
-        line, means = metric_line(self.attribution), verdict(self.attribution)
-        measure = self.attribution.info.get("measure") or {}
+    def headline(self) -> str:
+        """Return the value of the metric: by its definition, if the attribution is that of a relaxed one."""
+        return f"{metric_name(self.attribution)} = {self._in_unit(self._value())}"
+
+    def meaning(self) -> str:
+        """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error or 0.0
-        low = high = value
+        measure = self.attribution.info.get("measure") or {}
+        low, high, means, relaxed = value, value, verdict(self.attribution), ""
         if self.definition is not None:
-            exact, means = self.definition.value, self.definition.verdict
-            relaxed = self._in_unit(format_with_error(value, error))
-            line = f"{metric_name(self.attribution)} = {self._in_unit(rounded(exact))} ({relaxed} relaxed)"
-            low, high = min(value, exact), max(value, exact)
-        if not means:
-            return line
-        limits = measure.get("limits", [])
-        near = [limit for limit in limits if low - SIGNIFICANT * error <= limit <= high + SIGNIFICANT * error]
-        doubt = f"; too close to {near[0]:g} to be sure" if near else ""
-        source = f" ({measure['source']})" if measure.get("source") else ""
-        return f"{line}: {means}{doubt}{source}"
+            low, high = min(value, self.definition.value), max(value, self.definition.value)
+            means = self.definition.verdict
+            relaxed = (
+                f"relaxed, for its derivatives: {self._in_unit(sentence_number(value, error, digits=4))}"
+            )
+        near = [
+            limit
+            for limit in measure.get("limits", [])
+            if low - SIGNIFICANT * error <= limit <= high + SIGNIFICANT * error
+        ]
+        doubt = f"too close to {near[0]:g} to be sure" if near and means else ""
+        source = f" ({measure['source']})" if measure.get("source") and means else ""
+        return "; ".join(filter(None, [f"{means}{source}", doubt, relaxed]))
+
+    def _value(self) -> str:
+        if self.definition is not None:
+            return rounded(self.definition.value)
+        value, error = self.attribution.metric_value, self.attribution.metric_standard_error
+        return sentence_number(value, error, digits=4)
 
     def _source_lines(self) -> list[str]:
         return [
             f"{source.name}, {source.place}: {_percent(source.share, source.share_error)}"
-            + ("" if source.luminance is None else f" of it, up to {rounded(source.luminance)} cd/m²")
+            + ("" if source.luminance is None else f" of it, at {rounded(source.luminance)} cd/m²")
             for source in self.sources
             if source.share > SIGNIFICANT * source.share_error
         ]
 
     def _effect_lines(self) -> list[str]:
         return [
-            f"{_in_words(row.label)}: {self._in_unit(signed_with_error(row.effect, row.effect_error))}"
+            f"{_in_words(row.label)}: {self._in_unit(_signed(row.effect, row.effect_error))}"
             f"{self._along(row.name)}"
             for row in self.attribution.ranking()
             if _is_clear(row.effect, row.effect_error)
@@ -272,20 +285,20 @@ class Explanation:
 
     def _row_line(self, row: Row) -> str:
         symbol = metric_symbol(self.attribution)
-        effect = self._in_unit(signed_with_error(row.effect, row.effect_error))
+        effect = self._in_unit(_signed(row.effect, row.effect_error))
         there = "" if row.value is None else f"{symbol} {self._in_unit(rounded(row.value))} there; "
         return f"{row.name}, {pluralize(row.count, 'point')}: {there}with 10 % more light {symbol} {effect}"
 
     def _change_line(self, change: Change) -> str:
-        predicted = signed_with_error(change.predicted, change.predicted_error)
+        predicted = _signed(change.predicted, change.predicted_error)
         what = f"{_step(change)}: {metric_symbol(self.attribution)}"
         if change.measured is None:
             return f"{what} {self._in_unit(predicted)}, predicted"
         value = self.attribution.metric_value
         before, after = (
-            with_error(number, change.measured_error)[0] for number in (value, value + change.measured)
+            with_error(number, change.measured, digits=2)[0] for number in (value, value + change.measured)
         )
-        measured = signed_with_error(change.measured, change.measured_error)
+        measured = _signed(change.measured, change.measured_error)
         bent = "" if change.is_linear else ", not linear"
         return f"{what} {before} → {self._in_unit(after)} ({measured} rendered, {predicted} predicted{bent})"
 
@@ -312,7 +325,7 @@ class Explanation:
             return ["which effects are due to noise: there are no error bars"]
         lines = [
             f"{_step(change)}: rendered again, the effect of "
-            f"{signed_with_error(change.measured or 0.0, change.measured_error)} is within its noise"
+            f"{_signed(change.measured or 0.0, change.measured_error)} is within its noise"
             for change in self.changes
             if not change.is_clear
         ]
@@ -379,7 +392,11 @@ def _is_clear(effect: float, error: float | None) -> bool:
 
 
 def _percent(share: float, error: float) -> str:
-    return f"{format_with_error(100 * share, 100 * error)} %"
+    return f"{sentence_number(100 * share, 100 * error)} %"
+
+
+def _signed(effect: float, error: float | None) -> str:
+    return sentence_number(effect, error, signed=True)
 
 
 def _format(value: torch.Tensor) -> str:

@@ -105,7 +105,7 @@ def explained(
         seed=options.seed,
         show_progress=_arguments.shows_progress(options),
     )
-    return dataclasses.replace(explanation, premises=premises(metric, options))
+    return dataclasses.replace(explanation, premises=explanation.premises + premises(metric, options))
 
 
 def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputFormat[Explanation]]:

@@ -96,9 +96,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
         definition=definition_of(metric, attribution),
-        sources=find_sources(
-            scenes.metric, scenes.images, _surfaces(renderer, attribution), attribution.labels
-        ),
+        premises=_premises(metric),
+        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, change) for change in proposed),
         goal=None
         if below is None
@@ -112,6 +111,14 @@ def definition_of(metric: Metric, attribution: SceneAttribution) -> Definition |
         return None
     value = metric.hard(attribution.image).item()
     return Definition(value, metric.measure.verdict(value))
+
+
+def _premises(metric: Metric) -> tuple[str, ...]:
+    """Return what a photometric metric of a picture takes for granted of the scene."""
+    efficacy = getattr(metric, "efficacy", 1)
+    if efficacy == 1 or isinstance(metric, DaylightMetric):
+        return ()
+    return (f"valid if the scene's lights are in W/(m² sr); {efficacy:g} lm/W make them luminances",)
 
 
 def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:

@@ -2,102 +2,145 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..attr import Source
 from ..estimation import TargetedMetric, delete_one_jackknife
 from ..metrics import GlareRating
+from ..metrics import luminance as relative_luminance
 from ..projection import SurfaceMap
 
 MIN_SHARE = 0.02
+PURITY = 8  # exponent of the coverage of the pixels that tell the luminance of an object
+
+Floats = NDArray[np.float64]
 
 
 def find_sources(
-    metric: TargetedMetric, images: torch.Tensor, surfaces: SurfaceMap | None, labels: Mapping[str, str]
+    metric: TargetedMetric, images: torch.Tensor, surfaces: SurfaceMap | None
 ) -> tuple[Source, ...]:
     """Return the objects that cause at least 2 % of a metric, the largest share first, with the errors.
 
-    ``images`` are independent pictures, ``(replicates, H, W, 3)``; ``labels`` are those of the parameters. Without
-    a map of the objects there are no sources.
+    ``images`` are independent pictures, ``(replicates, H, W, 3)``. Without a map of the objects there are no
+    sources.
     """
     if surfaces is None:
         return ()
-    coverage = _coverage(surfaces, labels)
-    names = list(coverage)
-    covered = torch.stack([coverage[name] for name in names]).flatten(1)
+    parts = _Parts.of(surfaces)
 
     def shares(kept: torch.Tensor) -> torch.Tensor:
-        parts = covered @ _weights(metric, images[kept].mean(0)).flatten()
-        return parts / parts.sum().clamp_min(torch.finfo(parts.dtype).tiny)
+        weights = parts.weights(metric, images[kept].mean(0))
+        return torch.from_numpy(parts.by_name(weights) / max(weights.sum(), np.finfo(weights.dtype).tiny))
 
     means, errors = delete_one_jackknife(shares, len(images))
     mean = images.mean(0)
-    weights, luminance = _weights(metric, mean), _source_luminance(metric, mean)
+    weights, luminance = parts.weights(metric, mean), _source_luminance(metric, mean)
     return tuple(
         Source(
-            names[index],
-            _place(weights * coverage[names[index]]),
+            parts.names[index],
+            _place(weights[parts.name == index], parts.pixel[parts.name == index], surfaces.shape),
             means[index].item(),
             errors[index].item(),
-            None if luminance is None else (luminance * (coverage[names[index]] > 0)).max().item(),
+            None if luminance is None else parts.mean_of(luminance, weights, index),
         )
         for index in means.argsort(descending=True).tolist()
         if means[index] >= MIN_SHARE
     )
 
 
-def _coverage(surfaces: SurfaceMap, labels: Mapping[str, str]) -> dict[str, torch.Tensor]:
-    """Return the fraction of each pixel, ``(H, W)``, that the objects of each name cover."""
-    shape, coverage = surfaces.shape, dict[str, torch.Tensor]()
-    for index in np.unique(surfaces.object_index):
-        fraction = surfaces.fraction * (surfaces.object_index == index)
-        covered = np.bincount(surfaces.pixel, weights=fraction, minlength=shape[0] * shape[1])
-        name = _name(surfaces, int(index), labels)
-        coverage[name] = coverage.get(name, 0.0) + torch.from_numpy(covered.reshape(shape))
-    return coverage
+@dataclass(frozen=True)
+class _Parts:
+    """The parts of pixels that objects cover: the object ``name[k]`` covers ``fraction[k]`` of ``pixel[k]``."""
+
+    names: list[str]
+    name: NDArray[np.int64]
+    pixel: NDArray[np.int64]
+    fraction: Floats
+
+    @classmethod
+    def of(cls, surfaces: SurfaceMap) -> _Parts:
+        """Return the parts of a map; those of objects of the same name are one."""
+        of_objects = [_name(surfaces, index) for index in range(len(surfaces.objects))]
+        names = sorted(set(of_objects))
+        number = np.array([names.index(name) for name in of_objects], np.int64)
+        size = surfaces.shape[0] * surfaces.shape[1]
+        keys, entries = np.unique(number[surfaces.object_index] * size + surfaces.pixel, return_inverse=True)
+        return cls(
+            names,
+            keys // size,
+            keys % size,
+            np.bincount(entries, surfaces.fraction.astype(float)).astype(float),
+        )
+
+    def by_name(self, weights: Floats) -> Floats:
+        """Return the sum of the weights of each object's parts."""
+        return np.bincount(self.name, weights=weights, minlength=len(self.names)).astype(np.float64)
+
+    def weights(self, metric: TargetedMetric, image: torch.Tensor) -> Floats:
+        """Return how much of the metric each part causes.
+
+        A pixel at the edge of a window shows its frame as well, but the light is that of the sky. The objects of a
+        pixel have shares in it in proportion to the light that each sends: its fraction times its luminance, which
+        is the mean over its pixels, mostly of those that show nothing else.
+        """
+        luminance = relative_luminance(image).double().clamp_min(0).flatten().cpu().numpy()[self.pixel]
+        purity = self.fraction**PURITY
+        own = self.by_name(purity * luminance) / np.maximum(self.by_name(purity), np.finfo(np.float64).tiny)
+        light = self.fraction * own[self.name]
+        of_pixel = np.bincount(self.pixel, weights=light)[self.pixel]
+        share = light / np.maximum(of_pixel, np.finfo(np.float64).tiny)
+        of_metric: Floats = _weights(metric, image).flatten().cpu().numpy()[self.pixel]
+        return share * of_metric
+
+    def mean_of(self, values: torch.Tensor, weights: Floats, index: int) -> float:
+        """Return the mean of pixels, ``(H, W)``, over the parts of an object, mostly those that show only it."""
+        weights = weights * self.fraction**PURITY * (self.name == index)
+        return float((weights * values.flatten().cpu().numpy()[self.pixel]).sum() / weights.sum())
 
 
-def _name(surfaces: SurfaceMap, index: int, labels: Mapping[str, str]) -> str:
-    """Return the owner of all of an object's parameters, such as its material, or else the object's own name."""
-    owners = {labels[name].rpartition(": ")[0] for name in surfaces.parameters[index] if name in labels}
-    return owners.pop() if len(owners) == 1 else surfaces.objects[index]
+def _name(surfaces: SurfaceMap, index: int) -> str:
+    """Return the material of an object, if it has one and emits no light, or else its own name."""
+    own = surfaces.objects[index]
+    used = surfaces.parameters[index]
+    if any(name.startswith(f"{own}.emitter.") for name in used):
+        return own
+    materials = {name.split(".")[0] for name in used if not name.startswith(f"{own}.")}
+    return materials.pop() if len(materials) == 1 else own
 
 
 def _weights(metric: TargetedMetric, image: torch.Tensor) -> torch.Tensor:
     """Return how much of the metric each pixel causes, ``(H, W)``, of at least 0 and in any unit.
 
-    A glare source contributes ``L² ω / P²`` to the sum of the rating; it is spread evenly over its pixels.
+    A glare source contributes ``L² ω / P²`` to the sum of the rating, its pixels in proportion to their light.
     """
     if not isinstance(metric.metric, GlareRating):
         _, adjoint = metric.value_and_adjoint(image)
         return (adjoint.double() * image.double()).sum(-1).abs()
     weights = torch.zeros(image.shape[:2], dtype=torch.float64)
+    light = (relative_luminance(metric.transform(image)) * metric.metric.camera.solid_angles).double().cpu()
     for source in metric.metric.sources(metric.transform(image)):
         rows, columns = source.pixels.cpu().unbind(-1)
         part = source.luminance**2 * source.solid_angle / source.position_index**2
-        weights[rows, columns] += part / len(rows)
+        weights[rows, columns] += part * light[rows, columns] / light[rows, columns].sum()
     return weights
 
 
 def _source_luminance(metric: TargetedMetric, image: torch.Tensor) -> torch.Tensor | None:
-    """Return the luminance of the glare source at each pixel, ``(H, W)``; None for other metrics."""
+    """Return the luminance of each pixel in cd/m², ``(H, W)``; None for metrics without glare sources."""
     if not isinstance(metric.metric, GlareRating):
         return None
-    luminance = torch.zeros(image.shape[:2], dtype=torch.float64)
-    for source in metric.metric.sources(metric.transform(image)):
-        rows, columns = source.pixels.cpu().unbind(-1)
-        luminance[rows, columns] = source.luminance
-    return luminance
+    return metric.metric.efficacy * relative_luminance(metric.transform(image)).double()
 
 
-def _place(weights: torch.Tensor) -> str:
-    """Return the ninth of the picture that holds the centre of some weights."""
-    (height, width), total = weights.shape, weights.sum()
-    row = (weights.sum(1) @ torch.arange(height).double() / total + 0.5) / height
-    column = (weights.sum(0) @ torch.arange(width).double() / total + 0.5) / width
+def _place(weights: Floats, pixels: NDArray[np.int64], shape: tuple[int, int]) -> str:
+    """Return the ninth of the picture that holds the centre of the weights of some pixels."""
+    rows, columns = np.divmod(pixels, shape[1])
+    row = (np.average(rows, weights=weights) + 0.5) / shape[0]
+    column = (np.average(columns, weights=weights) + 0.5) / shape[1]
     vertical = ("top", "", "bottom")[min(int(3 * row), 2)]
     horizontal = ("left", "", "right")[min(int(3 * column), 2)]
     return " ".join(filter(None, (vertical, horizontal))) or "centre"

@@ -78,10 +78,10 @@ UGR = Measure(
         Band(16.0, "within 16, the limit for technical drawing"),
         Band(19.0, "within 19, the limit for reading, writing and work at screens"),
         Band(22.0, "above 19, the limit for offices; within 22, for crafts, industry and reception desks"),
-        Band(25.0, "above 22; within 25, the limit for heavy industry"),
-        Band(28.0, "above 25; within 28, the limit for corridors"),
+        Band(25.0, "above 19, the limit for offices; within 25, for heavy industry"),
+        Band(28.0, "above 19, the limit for offices; within 28, for corridors"),
     ),
-    above="above 28, the highest limit",
+    above="above 19, the limit for offices, and above 28, the highest limit",
     source="CIE 117; limits of EN 12464-1",
 )
 DGP = Measure(

@@ -24,7 +24,6 @@ from ..visualization import (
     color_of,
     convergence_notes,
     method_name,
-    metric_line,
     metric_name,
     metric_symbol,
     metric_unit,
@@ -129,12 +128,12 @@ def _result(
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
     saliencies = [_object_effect(ranking, rows) for rows in object_rows]
-    value, error = with_error(attribution.metric_value, attribution.metric_standard_error)
     return {
         "title": title,
         "metric": metric_name(attribution),
         "unit": metric_unit(attribution),
-        "verdict": _meaning(attribution, explanation),
+        "verdict": verdict(attribution) if explanation is None else explanation.meaning(),
+        "premises": [] if explanation is None else list(explanation.premises),
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
         # The first section is the headline, which stands on top anyway.
         "explanation": [] if explanation is None else explanation.sections()[1:],
@@ -143,7 +142,7 @@ def _result(
         "signs": sign_labels(attribution),
         "value": _number(attribution.metric_value),
         "error": _number(attribution.metric_standard_error),
-        "written": [value, error],
+        "written": _headline(attribution, explanation),
         "method": method_name(attribution),
         "sampling": sampling_notes(attribution),
         "convergence": convergence_notes(attribution),
@@ -174,12 +173,11 @@ def _result(
     }
 
 
-def _meaning(attribution: Attribution, explanation: Explanation | None) -> str:
-    """Return what the metric's value means; an explanation also says by which source, and if it is in doubt."""
-    if explanation is None:
-        return verdict(attribution)
-    headline, _ = explanation.sections()[0]
-    return headline.removeprefix(metric_line(attribution)).removeprefix(": ")
+def _headline(attribution: Attribution, explanation: Explanation | None) -> tuple[str, str]:
+    """Return the value of the metric and its error, or the value by the definition, of a relaxed metric."""
+    if explanation is not None and explanation.definition is not None:
+        return rounded(explanation.definition.value), ""
+    return with_error(attribution.metric_value, attribution.metric_standard_error)
 
 
 def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | None:

@@ -369,7 +369,7 @@ function drawResults() {
     return make("label", { class: "result" }, input, make("span", { class: "result-face" },
       make("span", {}, make("span", { class: "result-title" }, one.title), one.title.includes(one.metric) ? null : make("span", { class: "result-metric" }, ` · ${one.metric}`)),
       make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
-      one.verdict ? make("span", { class: "result-verdict" }, one.verdict) : null));
+      ...[one.verdict, ...one.premises].filter(Boolean).map((text) => make("span", { class: "result-verdict" }, text))));
   });
   byId("results").replaceChildren(...choices);
   byId("results").classList.toggle("single", results.length === 1);

@@ -1,0 +1,72 @@
+"""The objects that cause a metric, on pictures and maps made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from scenecaptum import Camera, metrics
+from scenecaptum.estimation import TargetedMetric
+from scenecaptum.explanation._sources import find_sources
+from scenecaptum.projection import SurfaceMap
+
+SIZE = 16
+WINDOW = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+WINDOW[2:8, 4:12] = True
+FRAME = WINDOW.clone()  # half of the outermost pixels of the window
+FRAME[3:7, 5:11] = False
+NAMES = ("sky", "window_frame", "lamp", "wall")
+PARAMETERS = (
+    ("window_pane.reflectance.value", "sky.emitter.radiance.value"),
+    ("wood.reflectance.value", "window_frame.pose.translation"),
+    ("diffuser.reflectance.value", "lamp.emitter.radiance.value"),
+    ("paint.reflectance.value", "wall.pose.translation"),
+)
+
+
+def fractions() -> torch.Tensor:
+    """Return the fraction of each pixel that each object covers, ``(4, H, W)``."""
+    sky = WINDOW.double() - 0.5 * FRAME
+    frame = 0.5 * FRAME
+    frame[2, 2] = 1.0  # a pixel that shows nothing but the frame
+    lamp = torch.zeros(SIZE, SIZE, dtype=torch.float64)
+    lamp[4:6, 13] = 1.0
+    return torch.stack([sky, frame, lamp, 1 - sky - frame - lamp])
+
+
+def surface_map(covered: torch.Tensor) -> SurfaceMap:
+    entries = covered.flatten(1).nonzero().T.numpy().astype(np.int32)
+    of_entries = covered.flatten(1)[tuple(entries)].numpy().astype(np.float32)
+    return SurfaceMap((SIZE, SIZE), entries[1], entries[0], of_entries, NAMES, PARAMETERS)
+
+
+@pytest.fixture
+def found() -> dict[str, object]:
+    """The sources of a window of 3000 cd/m² in a dark frame, merged with those of a lamp of 5000 cd/m²."""
+    metric = metrics.UnifiedGlareRating(Camera.perspective(SIZE, SIZE, fov_x=30))
+    covered = fractions()
+    radiance = torch.tensor([3000.0, 10.0, 5000.0, 50.0]).double() / metric.efficacy
+    image = torch.einsum("o,ohw->hw", radiance, covered)[..., None].expand(-1, -1, 3)
+    assert len(metric.sources(image)) == 1
+    return {
+        source.name: source
+        for source in find_sources(
+            TargetedMetric(metric, None), torch.stack([image] * 3), surface_map(covered)
+        )
+    }
+
+
+def test_each_object_of_a_merged_source_has_its_own_luminance(found):
+    assert found["sky"].luminance == pytest.approx(3000, rel=0.01)
+    assert found["lamp"].luminance == pytest.approx(5000, rel=0.01)
+
+
+def test_the_light_in_the_pixels_of_an_edge_is_that_of_the_sky(found):
+    assert set(found) == {"sky", "lamp"}
+    assert found["sky"].share + found["lamp"].share > 0.98
+
+
+def test_the_names_do_not_depend_on_what_is_selected(found):
+    assert "window_pane" not in found
+    assert "diffuser" not in found
