@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -60,6 +61,7 @@ Limit: TypeAlias = "float | Sequence[float]"
 # Properties of emitters that are part of their construction.
 CONSTRUCTION = ("cutoff_angle", "beam_width")
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range or limits
+BISECTIONS = 3  # of the last step
 BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 _NAME_WIDTH = 36
@@ -84,8 +86,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
     Parameters are ranked by their effects over their ranges; all but the top ones, and the cones of spots, are
-    kept constant. A colour changes per channel, a texture by one offset per channel for all texels. Every step
-    renders with a new seed. The goal counts as reached once a measurement with independent samples confirms it.
+    kept constant. A colour changes per channel, a texture by one offset per channel for all texels; a lamp or a
+    sky is dimmed, and keeps its colour. Every step renders with a new seed. The goal counts as reached once a
+    measurement with independent samples confirms it; the last step is then shortened as far as the goal allows.
 
     Example
     -------
@@ -113,8 +116,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         infinite.
     limits
         Intervals ``(low, high)`` of values by name or glob, in place of ``change``; numbers, or one for each
-        channel: ``{"desk.pose.translation": ((-0.3, -0.5, 0), (0.3, 0, 0))}`` keeps a desk on the floor. Objects
-        are not moved into others whose bounds they did not overlap before.
+        channel, within which a lamp may also change its colour:
+        ``{"desk.pose.translation": ((-0.3, -0.5, 0), (0.3, 0, 0))}`` keeps a desk on the floor. Objects are not
+        moved into others whose bounds they did not overlap before.
     steps
         Maximum number of steps.
     seed, show_progress
@@ -186,6 +190,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         if value < below:
             after = measure(optimized())
             if after.is_below(below):
+                after = _shortened(optimizer, lambda: measure(optimized()), after, below)
                 break
         optimizer.step(image, adjoint)
     else:
@@ -202,12 +207,39 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     )
 
 
+def _shortened(
+    optimizer: _BoundedAdam, measure: Callable[[], Measured], reached: Measured, below: float
+) -> Measured:
+    """Shorten the last step as far as the goal allows, by bisection, and return what was measured there."""
+    enough, too_short = 1.0, 0.0
+    for _ in range(BISECTIONS):
+        fraction = (enough + too_short) / 2
+        optimizer.shorten_last_step(fraction)
+        measured = measure()
+        if measured.is_below(below):
+            enough, reached = fraction, measured
+        else:
+            too_short = fraction
+    optimizer.shorten_last_step(enough)
+    return reached
+
+
 def _construction(renderer: Renderer) -> set[str]:
     """Return the parameters that a design does not change: the cone of a spot belongs to the lamp."""
     describe = Capabilities(renderer).parameters_table
     if describe is None:
         return set()
     return {name for name, parameter in describe().items() if parameter.role in CONSTRUCTION}
+
+
+def _lamps(renderer: Renderer) -> set[str]:
+    """Return the emitted light of lamps and skies, which a dimmer scales as a whole."""
+    describe = Capabilities(renderer).parameters_table
+    if describe is None:
+        return set()
+    return {
+        name for name, one in describe().items() if one.kind == "emitters" and math.isinf(one.bounds.high)
+    }
 
 
 def _chosen_limits(
@@ -257,10 +289,17 @@ class _BoundedAdam:
         }
         bounds = Capabilities(renderer).bounds or {}
         self._bounds = {name: bounds[name] for name in start}
-        self._offsets = {
-            name: value.new_zeros(channel_totals(value).shape).requires_grad_()
+        lamps = _lamps(renderer) - limits.keys()
+        self._directions = {
+            name: value / self._ranges[name] if name in lamps and value.any() else torch.ones_like(value)
             for name, value in start.items()
         }
+        self._offsets = {
+            name: value.new_zeros(1 if name in lamps else channel_totals(value).shape).requires_grad_()
+            for name, value in start.items()
+        }
+        self._before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
+        self._after = self._before
         self._limits = {
             name: [(limit - value) / self._ranges[name] for limit in limits[name]]
             if name in limits
@@ -273,8 +312,8 @@ class _BoundedAdam:
         """Return the current values as functions of the offsets."""
         current = {}
         for name, value in self.start.items():
-            offset = self._offsets[name].reshape(value.shape if value.ndim < 2 else (-1,))
-            moved = value + self._ranges[name] * offset
+            change = self._ranges[name] * self._directions[name] * self._offsets[name]
+            moved = value + change.reshape(value.shape)
             margin = BOUND_MARGIN * self._ranges[name]
             current[name] = clamp_inside(moved, value, *self._bounds[name], margin)
         return current
@@ -283,14 +322,21 @@ class _BoundedAdam:
         """Take one descent step, given the gradient of the metric with respect to the image."""
         self._adam.zero_grad()
         image.backward(adjoint)
-        before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
+        self._before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
         self._adam.step()
         with torch.no_grad():
             for name, offset in self._offsets.items():
                 low, high = (limit.reshape(-1).expand_as(offset) for limit in self._limits[name])
                 offset.copy_(offset.clamp(low, high))
             for name in self._colliding():
-                self._offsets[name].copy_(before[name])
+                self._offsets[name].copy_(self._before[name])
+        self._after = {name: offset.detach().clone() for name, offset in self._offsets.items()}
+
+    def shorten_last_step(self, fraction: float) -> None:
+        """Go back to a fraction of the last step."""
+        with torch.no_grad():
+            for name, offset in self._offsets.items():
+                offset.copy_(torch.lerp(self._before[name], self._after[name], fraction))
 
     def _pairs(self, values: Mapping[str, torch.Tensor]) -> set[tuple[str, str]]:
         """Return the inputs that move objects into others, each with the name of the other."""
@@ -316,9 +362,13 @@ class _BoundedAdam:
         # Not of the offsets, which go on where a value has reached its bound.
         changes = {name: (values[name] - start).abs().max().item() for name, start in self.start.items()}
         return tuple(
-            Moved(name, labels[name], before[name], after[name], changes[name] / self._ranges[name])
+            Moved(name, labels[name], before[name], after[name], changes[name] / self._longest(name))
             for name in self.start
         )
+
+    def _longest(self, name: str) -> float:
+        """Return the change of a value by an offset of 1."""
+        return self._ranges[name] * (self._directions[name].abs().max().item() or 1.0)
 
 
 @dataclass(frozen=True)

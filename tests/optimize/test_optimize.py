@@ -130,6 +130,28 @@ def test_glare_of_the_office_falls(mi):
     assert found.after.value < found.before.value
 
 
+def test_a_lamp_is_dimmed_and_keeps_its_color(mi: Any) -> None:
+    name = "sky.emitter.radiance.value"
+    renderer = SceneRenderer("office", name, resolution=(16, 9), spp=64, max_depth=3)
+    before = renderer.inputs[name]
+    dim = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, steps=3, seed=shifted())
+    torch.testing.assert_close(dim.values[name] / before, (dim.values[name] / before)[0].expand(3))
+    (moved,) = dim.moved
+    assert moved.fraction == pytest.approx(1 - (dim.values[name] / before)[0].item(), rel=1e-4)
+    assert moved.fraction > 0.1
+    limits = {name: (5.0, 25.0)}
+    tinted = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, steps=3, limits=limits, seed=shifted())
+    assert (tinted.values[name] - before).diff().abs().max() < 1e-4  # by steps of the same length
+
+
+def test_the_last_step_is_shortened_as_far_as_the_goal_allows():
+    goals = [0.7, 0.65, 0.6, 0.55]
+    for goal in goals:
+        found = optimize.minimize(Lamps(noise=0.0), torch.mean, goal, top=1)
+        whole = found.history[0] - found.history[1]  # a step lowers the mean by as much
+        assert goal - 1.01 * whole / 8 <= found.after.value < goal
+
+
 def test_a_goal_that_is_not_clear_of_the_noise_asks_for_more_samples():
     found = optimize.minimize(Lamps(), torch.mean, 0.6, top=2)
     barely = dataclasses.replace(found, below=found.after.value + found.after.error)
