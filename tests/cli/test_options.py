@@ -25,12 +25,14 @@ from scenecaptum.cli import _demo
 VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
 FILE_WALL = "wall_shape.bsdf.reflectance.value"
 FILE = f"scene.xml -D level=0.25 {VIEW}"
-SCENE = f"cornell-box {VIEW} --inputs reflectance --inputs emitters --sensor 0 --checkpoint kept"
+BOXES = "--object boxes=short_box_shape,tall_box_shape"
+SCENE = f"cornell-box {VIEW} {BOXES} --inputs reflectance --inputs emitters --sensor 0 --checkpoint kept"
 WALL = "left_wall.reflectance.value"
 
 # Four points under a pane.
 DAYLIGHT = (
     "room.xml -D level=0.4 --inputs reflectance --spp 8 --max-depth 3 --spacing 1 --height 0.5 --margin 0.4 "
+    "--object floor=floor_shape "
     "--floor floor_shape --weather year.epw.gz --north 90 --subdivision 1"
 )
 
@@ -75,7 +77,7 @@ CASES: dict[str, Case] = {
         ["explanation.json", "explanation.md"],
     ),
     "explore": (
-        f"explore cornell-box {VIEW} --inputs reflectance --sensor 0 --metric luminance --metric ugr "
+        f"explore cornell-box {VIEW} {BOXES} --inputs reflectance --sensor 0 --metric luminance --metric ugr "
         f"--threshold-factor 2 --set {WALL}=0.5 --set {WALL}*=0.5 --design design.json --top 2 --port 0 "
         "--no-browser --checkpoint kept --to explore.html",
         0,
@@ -110,7 +112,7 @@ CASES: dict[str, Case] = {
         f"daylight {DAYLIGHT} --metric sda --metric daylight-factor --changes 1 --checkpoint kept --seed 1 "
         "--set roof.bsdf.specular_transmittance.value=0.5 --design empty.json --report --no-progress --out out",
         0,
-        ["% relaxed)", "SYNTHETIC", "CIE overcast", "roof specular transmittance"],
+        ["relaxed,", "SYNTHETIC", "CIE overcast", "roof specular transmittance"],
         ["daylight-factor", "report.html", "sda"],
     ),
     "daylight as numbers": (
@@ -248,7 +250,8 @@ CASES: dict[str, Case] = {
         [],
     ),
     "render": (
-        f"render cornell-box {VIEW} --sensor 0 --set {WALL}=0.5 --design design.json --denoise --to out.png",
+        f"render cornell-box {VIEW} {BOXES} --sensor 0 --set {WALL}=0.5 --set boxes.pose.translation=0.1,0,0 "
+        "--design design.json --denoise --to out.png",
         0,
         ["out.png"],
         [],
@@ -344,6 +347,23 @@ def test_a_command_prints_exits_and_leaves_what_it_says(
     assert found == files
     if "--json" not in text:
         assert [file for file in files if file not in printed.out] == []
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("--set chair.pose.translation=0.1,0,0", "'chair.pose.translation' matches no parameter"),
+        ("--object boxes", "'boxes' is not NAME=SHAPE,SHAPE"),
+        ("--object boxes=box_*", "box_*"),
+    ],
+)
+def test_objects_that_are_not_there_are_named(
+    option: str, words: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):  # as the parser ends it, too
+        sys.exit(cli.main(shlex.split(f"render cornell-box {VIEW} {option} --to out.png")))
+    assert words in capsys.readouterr().err
+    assert not (folder / "out.png").exists()
 
 
 @pytest.mark.parametrize("name", subparsers())

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..rendering import SceneRenderer, named_sensors
 from ..scene import BUNDLED
+from ._design import designed_poses
 from ._points import Coefficients, chosen_sensor
 
 MAX_DEPTH = 6
@@ -44,7 +45,22 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resolution", type=resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
     )
+    add_objects(parser)
     add_samples(parser)
+
+
+def add_objects(parser: argparse.ArgumentParser) -> None:
+    """Add the objects that move as one."""
+    parser.add_argument(
+        "--object",
+        action="append",
+        type=moving_object,
+        dest="objects",
+        metavar="NAME=SHAPES",
+        help="move these shapes together, such as --object 'desk=desk_*,screen_*'; NAME.pose.translation, "
+        "NAME.pose.rotation and NAME.pose.scale are then parameters for --inputs and --set; may be repeated "
+        "(default: the shapes whose names begin with the same word)",
+    )
 
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
@@ -120,9 +136,22 @@ def definition(text: str) -> tuple[str, str]:
     return name, value
 
 
+def moving_object(text: str) -> tuple[str, list[str]]:
+    """Parse ``desk=desk_*,screen_*``."""
+    name, separator, shapes = text.partition("=")
+    if not (name and separator and all(shapes.split(","))):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=SHAPE,SHAPE, such as 'desk=desk_*,screen_*'")
+    return name, shapes.split(",")
+
+
 def shows_progress(options: argparse.Namespace) -> bool:
     """Whether to show a progress bar: on a terminal, unless disabled."""
     return sys.stderr.isatty() and not options.no_progress
+
+
+def selection(options: argparse.Namespace) -> list[str]:
+    """Return the parameters to differentiate, with the poses that the design sets."""
+    return [*(getattr(options, "inputs", None) or ["all"]), *designed_poses(options)]
 
 
 def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None = None) -> SceneRenderer:
@@ -130,7 +159,8 @@ def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None
     default_depth = MAX_DEPTH if coefficients is None else DAYLIGHT_DEPTH
     return SceneRenderer(
         options.scene,
-        getattr(options, "inputs", None) or "all",
+        selection(options),
+        objects=dict(options.objects or ()) or None,
         resolution=getattr(options, "resolution", None),
         spp=options.spp,
         max_depth=default_depth if options.max_depth is None else options.max_depth,

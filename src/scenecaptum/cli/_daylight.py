@@ -42,6 +42,7 @@ def add(commands: Any) -> None:
         epilog="example: scenecaptum daylight classroom --metric sda --metric daylight-factor --spp 64",
     )
     _arguments.add_file(parser)
+    _arguments.add_objects(parser)
     _arguments.add_samples(parser)
     _arguments.add_inputs(
         parser, "what a designer chooses: reflectances, of panes transmittances, and opacities"

@@ -10,6 +10,7 @@ import torch
 
 from ..designs import design_of, read_design
 from ..rendering import SceneRenderer
+from ..scene import pose_component
 
 
 def add_design(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +23,8 @@ def add_design(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="give a parameter another value, a number or one for each channel, such as "
         "--set desk.base_color.value=0.2,0.2,0.2; a texture gets it in every texel; NAME+=VALUE adds to the "
-        "value, NAME*=VALUE multiplies it, within the physical bounds; may be repeated",
+        "value, NAME*=VALUE multiplies it, within the physical bounds; desk.pose.translation=0.3,0,0 moves an "
+        "object; may be repeated",
     )
     parser.add_argument(
         "--design",
@@ -48,6 +50,18 @@ def assignment(text: str) -> tuple[str, list[float]]:
 
 def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, torch.Tensor] | None:
     """Return the renderer's inputs with the values of the design, or None without one."""
-    settings: dict[str, Any] = dict(read_design(options.design)) if options.design else {}
-    settings |= dict(options.settings or ())
+    settings = _settings(options)
     return design_of(renderer, settings) if settings else None
+
+
+def designed_poses(options: argparse.Namespace) -> list[str]:
+    """Return the poses that a design sets, which are inputs only if they are named."""
+    names = [name.rstrip("+*") for name in _settings(options)]
+    return [name for name in names if pose_component(name)]
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the values of the design by name; none if the command has no options for them."""
+    design = getattr(options, "design", None)
+    settings: dict[str, Any] = dict(read_design(design)) if design else {}
+    return settings | dict(getattr(options, "settings", None) or ())

@@ -108,6 +108,7 @@ def _recipe(
         "max_depth": renderer.plan.max_depth,
         "sensor": chosen_sensor(options, None),
         "parameters": dict(options.parameters or ()),
+        "objects": dict(options.objects or ()),
     }
     arguments = "".join(f", {name}={value!r}" for name, value in renderer_options.items() if value)
     own = [name.rpartition(":")[0] for name in metrics if name not in BY_NAME]
@@ -135,6 +136,9 @@ def _recipe(
     words += [word for name in metrics for word in ("--metric", name)]
     words += [word for name, value in flags.items() if value is not None for word in (name, str(value))]
     words += [word for pair in options.parameters or () for word in ("-D", "=".join(pair))]
+    words += [
+        word for name, shapes in options.objects or () for word in ("--object", f"{name}={','.join(shapes)}")
+    ]
     words += [word for key, value in options.settings or () for word in ("--set", f"{key}={_joined(value)}")]
     return {
         "python": "\n".join(python),
@@ -142,7 +146,7 @@ def _recipe(
         "attribute": f"values, target={options.target}" if options.target is not None else "values",
         "command": shlex.join(words),
         "changed": [key.rstrip("".join(CHANGES)) for key in settings],
-        "inputs": options.inputs or ["all"],
+        "inputs": _arguments.selection(options),
     }
 
 
