@@ -68,7 +68,8 @@ def add(commands: Any) -> None:
 class Comparison:
     """Two results of one metric, their titles, and the change of the metric with its standard error.
 
-    Of metrics of daylight, also the values by the definition, under which light, and the plans.
+    ``measured`` says how, where the change is not the difference of the two values. Of metrics of daylight, also
+    the values by the definition, under which light, and the plans.
     """
 
     before: SceneAttribution
@@ -77,6 +78,7 @@ class Comparison:
     change: float
     error: float | None
     sides: Sequence[Side]
+    measured: str = ""
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
     ]
     change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
     sides = [_side(one, renderer, metric, options) for one in (before, after)]
-    return Comparison(before, after, titles, *change, sides)
+    return Comparison(before, after, titles, *change, sides, " (from other renders, with common random numbers)")
 
 
 def _side(
@@ -203,7 +205,7 @@ def _lines(found: Comparison) -> list[str]:
             f"{title}: {metric_line(one)}{f' relaxed, {side.exact}' if side.exact else ''}"
             for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
         ),
-        f"change: {signed_with_error(found.change, found.error)}{suffix}",
+        f"change: {signed_with_error(found.change, found.error)}{suffix}{found.measured}",
         *found.sides[0].premises,
     ]
     moved = [
