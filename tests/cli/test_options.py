@@ -243,6 +243,13 @@ CASES: dict[str, Case] = {
         ["tradeoff.csv", "tradeoff.png"],
     ),
     "parameters": ("parameters cornell-box left_* --kind reflectance", 0, [WALL], []),
+    "all parameters": ("parameters cornell-box --all", 0, [WALL, "setting of the camera"], []),
+    "parameters that can be inputs": (
+        "parameters cornell-box",
+        0,
+        [WALL, "others cannot be inputs: --all lists them"],
+        [],
+    ),
     "parameters of a file": (
         "parameters scene.xml -D level=0.25 --json",
         0,
@@ -477,6 +484,19 @@ def test_only_pictures_that_can_be_written_are_rendered(
 ) -> None:
     assert cli.main(["render", "cornell-box", "--to", "out.jpg"]) == 2
     assert ".png or .exr" in capsys.readouterr().err
+
+
+def test_a_reader_that_ends_is_no_error(folder: Path) -> None:
+    command = f"{shlex.quote(sys.executable)} -m scenecaptum.cli parameters office --all"
+    found = subprocess.run(
+        ["bash", "-c", f"{command} | head -n 1; echo ${{PIPESTATUS[0]}}"],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert found.stdout.splitlines()[0].startswith("name")
+    assert found.stdout.splitlines()[-1] in ("0", "141")
+    assert found.stderr == ""
 
 
 def test_filters_select_parameters(capsys: pytest.CaptureFixture[str]) -> None:

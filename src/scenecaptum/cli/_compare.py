@@ -139,7 +139,9 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
     ]
     change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
     sides = [_side(one, renderer, metric, options) for one in (before, after)]
-    return Comparison(before, after, titles, *change, sides, " (from other renders, with common random numbers)")
+    return Comparison(
+        before, after, titles, *change, sides, " (from other renders, with common random numbers)"
+    )
 
 
 def _side(

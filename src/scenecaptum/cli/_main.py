@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 import warnings
@@ -46,21 +47,29 @@ COMMANDS = (
 )
 
 BAD_INPUT = 2
+UNREAD = 128 + 13  # as a shell says of a process that SIGPIPE ended
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 success, 1 not confirmed, 2 bad input, 130 interrupted."""
+    """Run a command and return its exit status.
+
+    0 is success, 1 not confirmed, 2 bad input, 130 interrupted, and 141 that nobody reads its output.
+    """
     options = parser().parse_args(arguments)
     say = partial(_say_interrupted, options, time.time())
     try:
         with prompt_exit(say):
             status: int = options.run(options)
+            sys.stdout.flush()
     except SceneCaptumError as error:
         print(f"scenecaptum: error: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         say()
         return INTERRUPTED
+    except BrokenPipeError:  # whoever reads what is printed has ended, such as ``head``
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains at its exit
+        return UNREAD
     return status
 
 

@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from ..scene import Parameter, SceneParameters, discover_in
+from ..visualization import pluralize
 from . import _arguments
 
 
@@ -16,13 +17,16 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "parameters",
         help="list the parameters of a scene",
-        description="List every parameter of a scene with its kind, shape, bounds and owner, and whether it can "
-        "be differentiated.",
+        description="List the parameters of a scene that can be inputs, with kind, shape, bounds and owner. Those "
+        "that a GLOB matches, or all with --all, are also listed where they cannot, with the reason.",
         epilog="example: scenecaptum parameters office 'desk.*'",
     )
     _arguments.add_file(parser)
     parser.add_argument("filters", nargs="*", metavar="GLOB", help="only names that match one of these")
     parser.add_argument("--kind", metavar="KIND", help="only this kind, such as reflectance or emitters")
+    parser.add_argument(
+        "--all", action="store_true", help="also those that cannot be inputs, with the reasons"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.set_defaults(run=run)
 
@@ -38,8 +42,13 @@ def run(options: argparse.Namespace) -> int:
     ]
     if options.json:
         print(json.dumps([_row(parameter) for parameter in chosen], indent=1))
-    else:
-        print(SceneParameters(chosen))
+        return 0
+    shown = [one for one in chosen if options.all or options.filters or one.moves or not one.problem]
+    print(SceneParameters(shown))
+    if len(shown) < len(chosen):
+        print(
+            f"\n{pluralize(len(chosen) - len(shown), 'other')} cannot be inputs: --all lists them with the reasons"
+        )
     return 0
 
 
