@@ -33,14 +33,16 @@ function scaleNow() {
 function drawOverlay() {
   const scale = scaleNow();
   paintOverlay(byId("overlay"), view(), result(), scale);
+  const other = otherResult();
+  if (other) paintOverlay(byId("other-overlay"), views[other.view], other, scale);
   drawScale(result(), scale);
 }
 
 function drawOpacity() {
   const opacity = byId("opacity").value / 100;
-  byId("overlay").style.opacity = opacity;
+  for (const map of ["overlay", "other-overlay"]) byId(map).style.opacity = opacity;
   // Below a map in colour, colours of the render would be read as part of it.
-  byId("render").style.filter = `grayscale(${opacity})`;
+  for (const picture of ["render", "other"]) byId(picture).style.filter = `grayscale(${opacity})`;
   byId("opacity-value").textContent = `${byId("opacity").value} %`;
 }
 
@@ -50,15 +52,19 @@ function otherResult() {
   return ahead.find((one) => one.picture !== result().picture && views[one.view].width === view().width && views[one.view].height === view().height);
 }
 
-/** Show the other picture on the left of the split. */
+/** Show the other picture, with the map of its result, on the left of the split. */
 function drawSplit() {
   const other = otherResult();
   const share = other ? Number(byId("split").value) : 0;
   byId("split-choice").hidden = !other;
-  byId("other").hidden = share === 0;
   if (other) byId("other").src = data.pictures[other.picture];
-  byId("other").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
+  for (const part of ["other", "other-overlay"]) {
+    byId(part).hidden = share === 0;
+    byId(part).style.clipPath = `inset(0 ${100 - share}% 0 0)`;
+  }
   byId("overlay").style.clipPath = `inset(0 0 0 ${share}%)`;
+  byId("picture").classList.toggle("split", share > 0 && share < 100);
+  byId("picture").style.setProperty("--split", `${share}%`);
   byId("split-value").textContent = other ? `left: ${other.title}` : "";
 }
 
