@@ -13,7 +13,7 @@ import torch
 from disks import file_size_limit
 from refusals import message
 from seeds import seeds, shifted
-from study_metrics import brightness
+from study_metrics import brightness, broken
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, View, cli
 from scenecaptum.studies import Cell, Study, StudyResult
@@ -253,6 +253,12 @@ def test_a_study_that_stops_cancels_the_cells_that_have_not_begun(run: Run, tmp_
     with Recording(1) as executor, file_size_limit(0):
         message(lambda: run(study, tmp_path, executor=executor))
         assert futures[-1].cancelled()
+
+
+def test_cells_that_fail_alike_are_one_line(run: Run, tmp_path: Path) -> None:
+    result = run(value_study(metrics=[broken], seeds=seeds(7)), tmp_path)
+    (line,) = [line for line in str(result).splitlines() if line.startswith("failed: ")]
+    assert "and 6 more cells: " in line
 
 
 def test_folders_that_cannot_be_written(run: Run, tmp_path: Path) -> None:

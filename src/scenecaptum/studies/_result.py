@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
 from ..files import atomic_write
-from ..visualization import DEFAULT_TOP, pluralize
+from ..visualization import DEFAULT_TOP, group_by_text, pluralize
 from . import _extras as extras
 from ._cell_effects import Group
 from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
@@ -301,12 +301,18 @@ class StudyResult:
             for axis in AXES
             if len(names := {getattr(cell, axis) for cell in self.cells}) > 1
         ]
-        errors = [f"failed: {cell}: {error}" for cell, error in list(self.failures.items())[:5]]
+        failed = group_by_text((str(cell), error) for cell, error in self.failures.items())
+        errors = [f"failed: {_first(cells)}: {error}" for error, cells in failed.items()]
         return "\n".join(
             [f"{', '.join(counts)} in {self.folder} ({', '.join(axes) or 'one of each'})", *errors]
         )
 
     __repr__ = __str__
+
+
+def _first(cells: Sequence[str]) -> str:
+    """Return the first of some cells, and how many more there are."""
+    return cells[0] if len(cells) == 1 else f"{cells[0]} and {pluralize(len(cells) - 1, 'more cell')}"
 
 
 def _without_rows(numbers: dict[str, Any]) -> dict[str, Any]:
