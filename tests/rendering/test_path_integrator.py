@@ -101,3 +101,14 @@ def test_pictures_are_those_of_mitsubas_path_tracer(
     )
     z = (ours.mean(0) - theirs.mean(0)) / ((ours.var(0) + theirs.var(0)) / 8).sqrt()
     assert z.abs().max() < allowed(15, 3), f"mean radiance {ours.mean(0)} against {theirs.mean(0)}, z = {z}"
+
+
+def test_the_derivatives_of_the_stock_integrator_have_a_caution(mi: Any) -> None:
+    inputs = ["mirror.*", "sky.emitter.*"]
+    renderer = SceneRenderer("office", inputs, resolution=(8, 8), spp=4)
+    assert not renderer.plan.cautions
+    cautions = dict(renderer.replace(integrator="prb").plan.cautions)
+    assert {name for name in renderer.inputs if name.startswith("mirror.")} == set(cautions)
+    assert all("mirrors" in text for text in cautions.values())
+    own = renderer.replace(integrator="prb").replace(integrator=renderer.plan.integrator)
+    assert own.plan == renderer.plan

@@ -172,6 +172,10 @@ def make_plan(
     )
 
 
+STOCK_DERIVATIVES = (
+    "derivatives of Mitsuba's own integrator: 0 or wrong for mirrors, glass, plastics and masks"
+)
+
 # Integrators of scenes that estimate something other than path replay does, or in another way, by class name.
 _OTHER_INTEGRATORS = {
     "AOVIntegrator": ("aov", "only radiance is rendered, not its other channels"),
@@ -202,8 +206,11 @@ def _unused_integrator(own: Any) -> dict[str, str]:
     return {f"the scene's integrator {plugin!r} is not used": reason}
 
 
-def with_integrator(plan: RenderPlan, plugin: str) -> RenderPlan:
-    """Return the same plan with another integrator; raise if there is none, or it does not render the media."""
+def with_integrator(plan: RenderPlan, plugin: str, surfaces: Sequence[str]) -> RenderPlan:
+    """Return the same plan with another integrator; raise if there is none, or it does not render the media.
+
+    ``surfaces`` are the inputs of materials: the derivatives of Mitsuba's own integrators are not right for all.
+    """
     if plugin not in INTEGRATORS:
         raise SceneCaptumError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {plugin!r}.")
     kind = INTEGRATORS[plugin]
@@ -217,6 +224,7 @@ def with_integrator(plan: RenderPlan, plugin: str) -> RenderPlan:
         integrator=kind.plugin,
         reasons=((f"integrator {kind.plugin}", kind.reason), *plan.reasons[1 : 4 if kind.is_stock else None]),
         differences=() if kind.is_stock else plan.differences,
+        cautions=tuple((name, STOCK_DERIVATIVES) for name in surfaces) if kind.is_stock else plan.cautions,
     )
 
 

@@ -403,13 +403,18 @@ class SceneRenderer(torch.nn.Module):
             if resolution is not None and not self.shows_a_view:
                 raise SceneCaptumError(GRID_SIZE)
             size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
-            plan = self.plan if max_depth is None else self._plan_for(max_depth)
+            given = {"resolution": resolution, "max_depth": max_depth, "integrator": integrator}
+            replaced = {**self._replaced, **{k: v for k, v in given.items() if v is not None}}
+            depth = replaced.get("max_depth", self._arguments["max_depth"])
+            # From the start: a plan for another integrator lacks what that does not need.
+            unchanged = max_depth is None and integrator is None
+            plan = self.plan if unchanged else self._plan_for(depth)
             wanted = self.plan.integrator if integrator is None else integrator
             if wanted != plan.integrator:
-                plan = with_integrator(plan, wanted)
+                surfaces = [name for name in self._names if self._table[name].is_of_surface]
+                plan = with_integrator(plan, wanted, surfaces)
             other = self._shallow_copy()
-            given = {"resolution": resolution, "max_depth": max_depth, "integrator": integrator}
-            other._replaced = {**self._replaced, **{k: v for k, v in given.items() if v is not None}}
+            other._replaced = replaced
             other._prepare(size, plan)
         return other
 

@@ -105,9 +105,14 @@ class Parameter:
         return self.kind in MOVING_KINDS and self.plugin == "Pose"
 
     @property
+    def is_of_surface(self) -> bool:
+        """Whether it belongs to the material of a surface."""
+        return self.kind in SURFACE_KINDS
+
+    @property
     def is_texture(self) -> bool:
         """Whether its value varies over a surface."""
-        return len(self.shape) in (2, 3) and self.kind in SURFACE_KINDS
+        return len(self.shape) in (2, 3) and self.is_of_surface
 
     @property
     def status(self) -> str:

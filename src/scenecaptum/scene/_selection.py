@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from typing import TypeAlias
 
 from ..errors import SceneCaptumError, near_misses
-from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
+from ._parameter_table import Parameter, SceneParameters
 
 Selection: TypeAlias = "str | Sequence[str]"
 
@@ -80,7 +80,7 @@ def is_of_kind(parameter: Parameter, kind: str) -> bool:
         # Each number of a pose takes renders of its own, so poses are only differentiated on request.
         return not parameter.moves
     if kind == "materials":
-        return parameter.kind in SURFACE_KINDS
+        return parameter.is_of_surface
     return parameter.is_texture if kind == "textures" else parameter.kind == kind
 
 
