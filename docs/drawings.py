@@ -1,4 +1,4 @@
-"""Draw concepts as SVG: the adjoint, replicates, the effect scale, the denoised metric, checkpoints.
+"""Draw concepts as SVG: the way to an answer, the adjoint, replicates, the effect scale, significance, and so on.
 
 The backgrounds are transparent and the colours of medium lightness, so that the drawings can be read on light and
 on dark pages. Curves and pixels are toy examples, computed here; nothing is rendered.
@@ -48,6 +48,20 @@ def toy_picture() -> np.ndarray[Any, Any]:
     return picture
 
 
+def toy_objects() -> dict[str, Any]:
+    """Return the parts of the room in the toy picture, each as the pixels that show it."""
+    window, lamp, desk = (np.zeros((8, 12), bool) for _ in range(3))
+    window[1:4, 2:6] = lamp[1, 9] = desk[4:6, 7:11] = True
+    floor = ~desk & (np.arange(8) >= 5)[:, None]
+    return {
+        "window": window,
+        "lamp": lamp,
+        "floor": floor,
+        "desk": desk,
+        "wall": ~(window | lamp | floor | desk),
+    }
+
+
 def contrast(picture: np.ndarray[Any, Any]) -> float:
     """Return the metric of the drawing: standard deviation over mean."""
     return float(picture.std() / picture.mean())
@@ -57,6 +71,17 @@ def contrast_adjoint(picture: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Return the derivative of ``contrast`` with respect to each pixel."""
     mean, deviation, count = picture.mean(), picture.std(), picture.size
     return (picture - mean) / (count * deviation * mean) - deviation / (count * mean**2)
+
+
+def toy_effects(replicates: int = 8) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the effect of each object on the contrast, over its range from black, and its standard error."""
+    rng = np.random.default_rng(3)
+    noisy = [toy_picture() * rng.lognormal(0, 0.35, (8, 12)) for _ in range(replicates)]
+    shares = np.array(
+        [[(contrast_adjoint(one) * one)[at].sum() for at in toy_objects().values()] for one in noisy]
+    )
+    names, errors = list(toy_objects()), shares.std(axis=0, ddof=1) / np.sqrt(replicates)
+    return dict(zip(names, shares.mean(axis=0), strict=True)), dict(zip(names, errors, strict=True))
 
 
 # ------------------------------------------------------------------------------------------------ parts
@@ -96,6 +121,91 @@ def pixels(axes: Axes, values: np.ndarray[Any, Any], corner: tuple[float, float]
 
 
 # ------------------------------------------------------------------------------------------------ drawings
+
+
+def draw_overview() -> Figure:
+    """Draw the way from a scene to a number, back to a ranking and a map, and to a change of the scene."""
+    width, height = 8.6, 4.1
+    figure = Figure(figsize=(width, height))
+    axes = canvas(figure, width, height)
+    effects, errors = toy_effects()
+    limit = max(map(abs, effects.values()))
+    top, bottom = 3.3, 0.85
+
+    box(axes, (1.1, top), "scene\nlamps, materials,\ntextures, positions", (2.0, 1.1))
+    arrow(axes, (2.15, top), (3.2, top))
+    axes.text(2.66, top + 0.15, "render", ha="center")
+    pixels(axes, toy_picture(), (3.3, top - 0.44), cmap=GREYS, vmin=0, vmax=1)
+    axes.text(3.96, top + 0.58, "image", ha="center")
+    arrow(axes, (4.72, top), (6.2, top))
+    axes.text(5.45, top + 0.15, "metric", ha="center")
+    box(axes, (7.4, top), "one number\nglare, daylight, a logit,\nyour torch function", (2.3, 1.1))
+
+    arrow(axes, (7.4, top - 0.62), (7.4, bottom + 0.95), BLUE)
+    axes.text(7.27, (top + bottom) / 2 + 0.17, "one backward pass", ha="right", va="center")
+    ranking(axes, effects, errors, (7.3, bottom), limit)
+    arrow(axes, (5.75, bottom), (4.75, bottom), BLUE)
+    painted = sum(value * toy_objects()[name] for name, value in effects.items())
+    pixels(axes, painted, (3.3, bottom - 0.44), cmap=SIGNED, vmin=-limit, vmax=limit)
+    axes.text(3.96, bottom + 0.58, "map", ha="center")
+    arrow(axes, (3.2, bottom), (2.15, bottom), BLUE)
+    box(axes, (1.1, bottom), "change\nsuggested, found,\nand rendered", (2.0, 1.1))
+    arrow(axes, (1.1, bottom + 0.6), (1.1, top - 0.6), BLUE)
+    axes.text(3.91, bottom - 0.68, "raises it", color=BLUE, ha="right")
+    axes.text(4.01, bottom - 0.68, "lowers it", color=ORANGE, ha="left")
+    return figure
+
+
+def ranking(
+    axes: Axes, effects: dict[str, float], errors: dict[str, float], centre: tuple[float, float], limit: float
+) -> None:
+    """Draw bars with error bars, the largest first; zero is at the centre."""
+    x, y = centre
+    names = sorted(effects, key=lambda name: -abs(effects[name]))
+    axes.text(x, y + 0.72, "ranking, with error bars", ha="center")
+    for place, name in enumerate(names):
+        at, bar, half = y + 0.45 - 0.25 * place, 0.85 * effects[name] / limit, 0.85 * errors[name] / limit
+        axes.barh(at, bar, 0.17, left=x, color=BLUE if bar > 0 else ORANGE)
+        axes.errorbar(x + bar, at, xerr=half, color=INK, capsize=2.5, lw=1.2)
+        axes.text(
+            x + (-0.08 if bar > 0 else 0.08),
+            at,
+            name,
+            ha="right" if bar > 0 else "left",
+            va="center",
+            size=10,
+        )
+    axes.plot([x, x], [y - 0.68, y + 0.58], color=INK, lw=1)
+
+
+def draw_significance() -> Figure:
+    """Draw confidence intervals of effects: apart from zero or not, apart from each other or not."""
+    figure = Figure(figsize=(8.6, 2.7))
+    axes = figure.add_axes((0.1, 0.2, 0.36, 0.74))
+    rows = (
+        ("window", 2.1, 0.3, BLUE, "significant: the interval excludes 0"),
+        (
+            "floor",
+            -1.2,
+            0.45,
+            ORANGE,
+            "both are significant, but not which of\nthem is larger: test their difference",
+        ),
+        ("wall", -1.0, 0.4, ORANGE, ""),
+        ("lamp", 0.25, 0.55, FAINT, "not significant: the interval contains 0"),
+    )
+    for y, (name, effect, half, color, text) in enumerate(rows):
+        axes.errorbar(effect, y, xerr=half, fmt="o", color=color, capsize=5, lw=2)
+        axes.text(3.25, y + (0.5 if name == "floor" else 0), text, va="center")
+    axes.plot([3.1, 3.1], [0.7, 2.3], color=FAINT, lw=1)  # groups two rows
+    axes.axvline(0, color=INK, lw=1)
+    axes.set(ylim=(3.5, -0.5), xlim=(-2, 3.2), xticks=[0], xlabel="effect, with its 95 % interval")
+    axes.set_yticks(range(len(rows)), [row[0] for row in rows])
+    axes.tick_params(left=False)
+    axes.spines["left"].set_visible(False)
+    for artist in (*axes.lines, *axes.texts):
+        artist.set_clip_on(False)
+    return figure
 
 
 def draw_adjoint() -> Figure:
@@ -297,6 +407,8 @@ def draw_checkpoint() -> Figure:
 
 
 DRAWINGS: dict[str, Callable[[], Figure]] = {
+    "overview-answer": draw_overview,
+    "questions-significance": draw_significance,
     "concepts-adjoint": draw_adjoint,
     "concepts-replicates": draw_replicates,
     "concepts-effect-scale": draw_effect_scale,
