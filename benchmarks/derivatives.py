@@ -21,7 +21,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -527,8 +526,8 @@ reflects a lamp into the camera. Measured by `python benchmarks/derivatives.py -
   the parameter has no derivative there.
 - *right*: |z| < 4 between any two of ours, replay and difference, and all errors are at most {good:.0%} of
   their values; or both are 0 up to rounding, below 1e-5 for a metric of about 1. *wrong*: any |z| ≥ 4.
-  *unresolved*: the errors are larger, after the given samples per pixel. *unsupported*: followed by the error
-  message. Parameters that only control the sampling, and poses, have only this message.
+  *unresolved*: the errors are larger, after the samples per pixel in the last column. *unsupported*: the last
+  column has the error message. Parameters that only control the sampling, and poses, have only this message.
 """
 
 
@@ -548,8 +547,9 @@ def document(outcomes: Sequence[Outcome]) -> str:
         + "; ".join(f"`{plugin}` ({why})" for plugin, why in WITHOUT_PARAMETERS.items())
         + ".\n",
     ]
-    for plugin, group in groupby(outcomes, key=lambda outcome: outcome.plugin):
-        parts += ["\n".join((f"## {plugin}\n", *_table(list(group)))) + "\n"]
+    for plugin in dict.fromkeys(outcome.plugin for outcome in outcomes):  # the cases of some are apart
+        group = [outcome for outcome in outcomes if outcome.plugin == plugin]
+        parts += ["\n".join((f"## {plugin}\n", *_table(group))) + "\n"]
     return "\n".join(parts)
 
 
@@ -582,19 +582,23 @@ def stock_verdict(outcome: Outcome) -> str:
 
 
 def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    yield "| scene | parameter | value | ours | difference | step | z | prb | verdict |"
-    yield "|---|---|--:|--:|--:|--:|--:|--:|---|"
+    """Yield the lines of a table; the verdict is in the second column, which is also in view on a phone."""
+    notes = ["note"] if any(map(_note, outcomes)) else []
+    heads = ["parameter", "verdict", "scene", "value", "ours", "difference", "step", "z", "prb", *notes]
+    yield f"| {' | '.join(heads)} |"
+    yield f"|---|---|---|--:|--:|--:|--:|--:|--:|{'---|' * len(notes)}"
     for outcome in outcomes:
         cells = (
-            outcome.case.split("/", 1)[1],
             f"`{_short(outcome.parameter)}`",
+            outcome.verdict,
+            outcome.case.split("/", 1)[1],
             "" if outcome.value is None else f"{outcome.value:.4g}",
             str(outcome.ours or "–"),
             str(outcome.difference or "–"),
             outcome.step,
             "" if outcome.z is None else f"{outcome.z:+.1f}",
             str(outcome.stock or "–"),
-            _verdict_text(outcome),
+            *([_note(outcome)] if notes else []),
         )
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
@@ -606,19 +610,12 @@ def _short(parameter: str) -> str:
     return ".".join(part for part in rest if part not in dropped) or parameter
 
 
-def _verdict_text(outcome: Outcome) -> str:
+def _note(outcome: Outcome) -> str:
+    """Return the samples of an unresolved row, and the message or the reason of an unsupported or wrong one."""
     if outcome.verdict == "unresolved":
-        samples = ", ".join(
-            f"{side} {estimate.spp} spp"
-            for side, estimate in (
-                ("ours", outcome.ours),
-                ("replay", outcome.replay),
-                ("difference", outcome.difference),
-            )
-            if estimate is not None
-        )
-        return f"unresolved ({samples})"
-    return outcome.verdict + (f": {outcome.note}" if outcome.verdict in ("unsupported", "wrong") else "")
+        sides = (("ours", outcome.ours), ("replay", outcome.replay), ("difference", outcome.difference))
+        return ", ".join(f"{side} {estimate.spp} spp" for side, estimate in sides if estimate is not None)
+    return outcome.note if outcome.verdict in ("unsupported", "wrong") else ""
 
 
 def main() -> None:
