@@ -2,8 +2,9 @@
 
 Each page of `docs/_build` (build it first: `make docs`) is opened at the width of a desktop and of a phone, light
 and dark. Errors are: a message of the console or a request that fails, a picture that is missing or has no
-alternative text, a link within the documentation that leads nowhere, and anything that is wider than the page, or
-the frame, and does not scroll by itself. The exit status is 1 if there is one. All pages take some minutes.
+alternative text, a link within the documentation that leads nowhere, anything that is wider than the page, or
+the frame, and does not scroll by itself, and a picture that is shown smaller than it is and that Enter does not
+open in its full size, or Escape does not close. The exit status is 1 if there is one. All pages take some minutes.
 
     python scripts/check_docs.py [--built docs/_build] [--only 'concepts*'] [--shots FOLDER]
 """
@@ -51,6 +52,8 @@ PICTURES = """() => [...document.querySelectorAll('[role=main] img')].flatMap(im
   ...(image.complete && image.naturalWidth ? [] : [`${image.src} is missing`]),
   ...(image.alt.trim().length > 10 ? [] : [`${image.src} has no alternative text`]),
 ])"""
+
+ENLARGED = "document.querySelector('dialog.enlarged[open] img')?.clientWidth ?? 0"
 
 # Pages in frames are loaded once they come into view.
 FRAMES = """() => Promise.all([...document.querySelectorAll('iframe')].map(frame => new Promise(done => {
@@ -103,7 +106,13 @@ def check_pages(browser: Any, address: str, names: list[str], shots: Path | None
                 page.goto(address + name, wait_until="load")
                 page.evaluate(FRAMES)
                 framed = [text for frame in page.frames[1:] for text in frame.evaluate(WIDE)]
-                here = [*messages, *page.evaluate(PICTURES), *page.evaluate(CLIPPED), *framed]
+                here = [
+                    *page.evaluate(PICTURES),
+                    *page.evaluate(CLIPPED),
+                    *framed,
+                    *not_enlarged(page),
+                    *messages,
+                ]
                 found += [f"{name} ({view}, {scheme}): {text}" for text in here]
                 if name not in links:
                     links[name] = {one for one in page.evaluate(LINKS) if one.startswith(address)}
@@ -114,6 +123,21 @@ def check_pages(browser: Any, address: str, names: list[str], shots: Path | None
                     page.screenshot(path=path, full_page=True)
             context.close()
     return found + broken(address, links, anchors)
+
+
+def not_enlarged(page: Any) -> list[str]:
+    """Return a line if the first picture shown smaller than it is does not open and close by the keyboard."""
+    picture = page.locator("img.enlarges").first
+    if not page.locator("img.enlarges").count():
+        return []
+    width = picture.evaluate("picture => picture.clientWidth")
+    picture.press("Enter")
+    opened = page.evaluate(ENLARGED)
+    page.keyboard.press("Escape")
+    if opened > width and not page.evaluate(ENLARGED):
+        picture.evaluate("picture => { picture.blur(); scrollTo(0, 0); }")  # as before, for the screenshot
+        return []
+    return [f"{picture.get_attribute('src')} is {width} pixels wide, opened {opened}, or does not close"]
 
 
 def errors(message: Any) -> list[str]:
