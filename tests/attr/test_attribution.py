@@ -116,6 +116,13 @@ def test_a_metric_that_cannot_be_attributed_is_refused_with_the_reason(metric, m
         VanillaSceneGradient(ToyRenderer(), metric).attribute()
 
 
+def test_a_target_that_is_no_index_is_refused():
+    renderer = ToyRenderer()
+    for target in ("cube", 0.5, ("cube",)):
+        with pytest.raises(SceneCaptumError, match="must be the index of an element"):
+            VanillaSceneGradient(renderer, torch.mean).attribute(renderer.inputs, target=target)
+
+
 def test_target_chooses_an_element_of_a_vector():
     renderer = ToyRenderer(noise=0.0)
 

@@ -36,7 +36,8 @@ DAYLIGHT = (
     "--floor floor_shape --weather year.epw.gz --north 90 --subdivision 1"
 )
 
-ELSEWHERE = {"--dask"}  # needs a scheduler: test_study.py
+# The first needs a scheduler: test_study.py; the second is the same for all commands: below.
+ELSEWHERE = {"--dask", "--smoothing"}
 
 STUDY = """scenes = ["cornell-box"]
 inputs = "reflectance"
@@ -354,6 +355,17 @@ def test_a_command_prints_exits_and_leaves_what_it_says(
     assert found == files
     if "--json" not in text:
         assert [file for file in files if file not in printed.out] == []
+
+
+def test_a_logit_is_smoothed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logit = "--metric shape-logit --target 1 --smoothing 0.3"
+    assert cli.main(shlex.split(f"attribute cornell-box {VIEW} --inputs emitters {logit} --out out")) == 0
+    assert "smoothed logit of cube = " in capsys.readouterr().out
+    assert (
+        cli.main(shlex.split(f"attribute cornell-box {VIEW} --metric luminance --smoothing 0.3 --out out"))
+        == 2
+    )
+    assert "--smoothing has no effect on luminance: add --metric shape-logit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

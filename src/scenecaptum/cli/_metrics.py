@@ -17,7 +17,7 @@ from ._arguments import describe
 from ._points import add_points, read_weather
 
 DEFAULT = "luminance"
-OPTIONS = ("threshold_factor",)  # passed to the metrics that have a parameter of this name
+OPTIONS = ("threshold_factor", "smoothing")  # passed to the metrics that have a parameter of this name
 OWN = "your own function as FILE.py:NAME or MODULE:NAME"
 
 
@@ -39,6 +39,13 @@ def add_metric(parser: argparse.ArgumentParser, *, several: bool = False, of_day
         metavar="X",
         help=f"for {_list_taking('threshold_factor', ' and ')}: glare sources are brighter than X times the mean "
         "luminance (default: 2000 cd/m²)",
+    )
+    parser.add_argument(
+        "--smoothing",
+        type=float,
+        metavar="SIGMA",
+        help=f"for {_list_taking('smoothing', ' and ')}: average over noise of the picture, whose gradient has "
+        "smaller errors; 0.3 is usual (default: none)",
     )
     parser.add_argument(
         "--target",

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any, TypeAlias, cast
 
 import torch
@@ -45,6 +46,14 @@ class TargetedMetric:
     metric: Metric
     target: Target = None
     transform: ImageTransform = IDENTITY
+
+    def __post_init__(self) -> None:
+        indices = self.target if isinstance(self.target, tuple) else (self.target,)
+        if self.target is not None and not all(isinstance(index, Integral) for index in indices):
+            raise SceneCaptumError(
+                f"target must be the index of an element of the metric, such as 0, not {self.target!r}. The "
+                "metrics of classifiers take a class by its name, as in ClassLogit(model, 'cube')."
+            )
 
     @property
     def name(self) -> str:

@@ -305,7 +305,8 @@ def _axis(name: str, given: Axis) -> dict[str, Any]:
         entries = {_name(one): one for one in given}
         if len(entries) < len(given):
             raise SceneCaptumError(
-                f"Two of the {name} have the same name ({', '.join(map(_name, given))}): give a dict by name."
+                f"Two of the {name} have the same name ({', '.join(map(_name, given))}): give a dict by name, "
+                f'or in TOML a table: [{name}], then name = "path".'
             )
     if not entries:
         raise SceneCaptumError(f"{name} is empty: a study needs at least one.")
