@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from statsmodels.stats.meta_analysis import combine_effects
 
 from scenecaptum import SceneCaptumError
 from scenecaptum.estimation import student_t
+from scenecaptum.studies import StudyResult
 from scenecaptum.studies._random_effects import Observation, _variance_between_cameras, _views, combine
 
 from . import made
@@ -205,6 +208,24 @@ def test_what_cannot_be_estimated_is_said(tmp_path: Path) -> None:
     assert "! 1 cell failed or missing, and left out" in str(two)
     unknown = combine([Observation("office", "front", 1.0, None), Observation("attic", "front", 2.0, None)])
     assert (unknown.noise, unknown.rooms[0].low, unknown.rooms[0].sign) == (None, None, 0)
+
+
+def test_effects_whose_errors_may_be_too_small_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = made.study(tmp_path, made.random_effects(made.cells(["office", "kitchen"]), 0))
+    assert not result.summary().doubts
+    rare = {"desk.alpha": 0}  # samples behind its variance
+    original = StudyResult.attribution
+
+    def with_few_samples(self: StudyResult, cell: Any) -> Any:
+        found = original(self, cell)
+        info = {**found.info, "effective_samples": rare if cell.scene == "office" else {}}
+        return dataclasses.replace(found, info=info)
+
+    monkeypatch.setattr(StudyResult, "attribution", with_few_samples)
+    (note,) = [line for line in result.summary(None).notes() if line.startswith("?")]
+    assert note.startswith("? the error of 1 effect may be too small (desk.alpha in office, ")
 
 
 def test_no_effect_at_all_is_zero(tmp_path: Path) -> None:

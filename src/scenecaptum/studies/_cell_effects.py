@@ -16,6 +16,7 @@ from ._recipe import Cell
 Group: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
 
 KIND = "kind"
+MOST = 0.7  # of a standard error: half of its variance
 _GROUPED = "group"  # the kind of what a method with groups= has attributed
 
 
@@ -49,7 +50,10 @@ class Quantity(NamedTuple):
 
 
 class CellEffect(NamedTuple):
-    """The effect of a group of parameters in a cell, with its standard error, None with a single replicate."""
+    """The effect of a group of parameters in a cell, with its standard error, None with a single replicate.
+
+    ``doubt`` is the reason why the error may be too small, or None.
+    """
 
     cell: Cell
     group: str
@@ -57,6 +61,7 @@ class CellEffect(NamedTuple):
     error: float | None
     degrees: int  # of freedom of the error
     quantity: Quantity
+    doubt: str | None = None
 
 
 def selected_cells(
@@ -129,8 +134,29 @@ def _effects_of(
     summed = sum_groups(attribution, members)
     errors, degrees = summed.effects_error(), max(1, int(attribution.info.get("degrees_of_freedom", 1)))
     quantity = Quantity(axis_label(summed), sign_labels(summed))
+    doubts = _doubts(attribution, summed, members)
     for name, effect in summed.effects().items():
-        yield CellEffect(cell, name, effect, None if errors is None else errors[name], degrees, quantity)
+        error = None if errors is None else errors[name]
+        yield CellEffect(cell, name, effect, error, degrees, quantity, doubts.get(name))
+
+
+def _doubts(
+    attribution: SceneAttribution, summed: SceneAttribution, members: Mapping[str, tuple[str, ...]]
+) -> dict[str, str]:
+    """Return the groups whose error may be too small: their own, or that of a member with most of it."""
+    alone, own, of_groups = (
+        attribution.untrusted_errors(),
+        attribution.effects_error(),
+        summed.effects_error(),
+    )
+    doubts = summed.untrusted_errors()
+    if own is None or of_groups is None:
+        return doubts
+    for group, names in members.items():
+        for name in names:
+            if name in alone and own[name] > MOST * of_groups[group]:
+                doubts.setdefault(group, alone[name])
+    return doubts
 
 
 def _members(group: Group, rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:

@@ -116,11 +116,14 @@ class Summary:
         Number of cells that it is about.
     left_out
         Number of cells that failed or have not been computed.
+    doubts
+        For each effect of a cell whose error may be too small: scene, camera and group, and the reason.
     """
 
     rows: tuple[GroupEffect, ...]
     cells: int
     left_out: int
+    doubts: tuple[tuple[str, str], ...] = ()
 
     def text(self) -> str:
         """Return the tables that ``print`` shows, one for each metric, design and method."""
@@ -216,6 +219,11 @@ class Summary:
             which = list(dict.fromkeys(names))
             where = "" if len(which) == len(groups) else f" ({', '.join(which)})"
             notes.append(f"{_UNKNOWN} {note}{where}")
+        for reason, names in group_by_text(self.doubts).items():
+            some = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+            notes.append(
+                f"? the error of {pluralize(len(names), 'effect')} may be too small ({some}): {reason}"
+            )
         if self.left_out:
             notes.append(f"! {pluralize(self.left_out, 'cell')} failed or missing, and left out")
         width = terminal_width() or _NOTE_WIDTH
@@ -238,12 +246,16 @@ def summarize_effects(
     """Return the mean effects of groups of parameters over rooms; see ``StudyResult.summary``."""
     cells = selected_cells(result, metric=metric, design=design, method=method)
     questions: dict[tuple[str, ...], list[CellEffect]] = {}
-    for one in cell_effects(result, cells, group):
+    effects = cell_effects(result, cells, group)
+    for one in effects:
         questions.setdefault((one.cell.metric, one.cell.design, one.cell.method, one.group), []).append(one)
     rows = [_row(result, names, effects) for names, effects in questions.items()]
     order = list(dict.fromkeys(names[:3] for names in questions))
     rows.sort(key=lambda row: (order.index((row.metric, row.design, row.method)), -abs(row.mean)))
-    return Summary(tuple(rows), len(cells), len(result.failures) + len(result.missing))
+    doubts = tuple(
+        (f"{one.group} in {one.cell.scene}, {one.cell.camera}", one.doubt) for one in effects if one.doubt
+    )
+    return Summary(tuple(rows), len(cells), len(result.failures) + len(result.missing), doubts)
 
 
 def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffect]) -> GroupEffect:
