@@ -498,6 +498,9 @@ compared with finite differences: **{summary}**.
 
 {overview}
 
+Not in the table, and known to be wrong: the texture that blends a perfectly specular material with another.
+Results mark it with `!`.
+
 *Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
 and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly
 specular reflections, and plugins that Mitsuba itself does not render or sample correctly; selecting one raises an

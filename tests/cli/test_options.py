@@ -20,7 +20,7 @@ import torch
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneRenderer, cli
-from scenecaptum.cli import _demo
+from scenecaptum.cli import _demo, _main
 
 VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
 FILE_WALL = "wall_shape.bsdf.reflectance.value"
@@ -355,6 +355,20 @@ def test_a_command_prints_exits_and_leaves_what_it_says(
     assert found == files
     if "--json" not in text:
         assert [file for file in files if file not in printed.out] == []
+
+
+def test_an_empty_checkpoint_promises_no_resume(tmp_path: Path) -> None:
+    options = argparse.Namespace(checkpoint=tmp_path, out=None)
+    assert "no render was finished" in _main._kept(options, 0.0)
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "file").touch()
+    assert f"resume from {tmp_path}" in _main._kept(options, 0.0)
+
+
+def test_the_samples_of_the_first_round_can_be_given(folder: Path) -> None:
+    goal = "--inputs emitters --tolerance 50 --format json --out out"
+    assert cli.main(shlex.split(f"attribute cornell-box {VIEW} {goal}")) == 0
+    assert json.loads((folder / "out" / "attribution.json").read_text())["info"]["spp"] == 16
 
 
 def test_a_logit_is_smoothed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

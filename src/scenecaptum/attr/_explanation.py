@@ -350,9 +350,14 @@ class Explanation:
             return lines
         largest = max(row.effect_error or 0.0 for row in hiding)
         factor = math.ceil((SIGNIFICANT * largest / smallest) ** 2)
+        which = (
+            f"{_in_words(hiding[0].label)} ({_signed(hiding[0].effect, hiding[0].effect_error)})"
+            if len(hiding) == 1
+            else pluralize(len(hiding), "parameter")
+        )
         return [
             *lines,
-            f"{pluralize(len(hiding), 'parameter')} may have an effect of "
+            f"{which} may have an effect of "
             f"{self._in_unit(rounded(smallest, 2))} or more within the error; {factor} times the "
             "samples would tell",
         ]

@@ -77,7 +77,8 @@ class VanillaSceneGradient(GradientMethod):
             Random seed, from which the seeds of all replicates are derived.
         spp
             Total samples per pixel, split over the replicates; the renderer's by default. The backward passes use
-            as many again, with their own seeds. With a goal, the samples of the first round.
+            as many again, with their own seeds. With a goal, the samples of the first round, which a pilot chooses
+            if they are not given here.
         picture_spp
             Samples per pixel of the metric image, for non-linear metrics. By default twice ``spp``, four times
             if the image is denoised, and 16 times for a smoothed metric, because they are cheaper than those of a

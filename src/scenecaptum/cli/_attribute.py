@@ -80,7 +80,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="X",
         help="sample until the 95 %% confidence half-width is at most X times the saliency, such as 0.05, for "
-        "each parameter that may have 5 %% of the total saliency; the table shows the half-width achieved",
+        "each parameter that may have 5 %% of the total saliency; the table shows the half-width achieved; "
+        "--spp is then for the first round",
     )
     parser.add_argument(
         "--time-limit",
@@ -157,6 +158,8 @@ def _method_arguments(options: argparse.Namespace) -> dict[str, Any]:
     accepted = inspect.signature(METHODS[options.method].create.attribute).parameters
     optional = ("picture_spp", "tolerance", "time_limit", "groups", "baselines")
     given = {name: value for name in optional if (value := getattr(options, name)) is not None}
+    if options.spp is not None and given.keys() & {"tolerance", "time_limit"}:
+        given["spp"] = options.spp  # of the first round, which a pilot would choose
     if "baselines" in given:
         given["baselines"] = _number_or_name(given["baselines"])
     for name in given.keys() - accepted:

@@ -96,11 +96,13 @@ def _say_interrupted(options: argparse.Namespace, started: float) -> None:
 def _kept(options: argparse.Namespace, started: float) -> str:
     """Return what an interrupted command has left."""
     checkpoint, folder = getattr(options, "checkpoint", None), getattr(options, "out", None)
-    if checkpoint is not None and checkpoint.exists():
+    if checkpoint is not None and any(path.is_file() for path in checkpoint.rglob("*")):
         return f"run the same command again to resume from {checkpoint}"
     if folder is not None and any(path.stat().st_mtime >= started for path in folder.rglob("*.*")):
         return f"what was finished is in {folder}"
-    if checkpoint is None and hasattr(options, "checkpoint"):
+    if checkpoint is not None:
+        return f"nothing is in {checkpoint} yet: no render was finished"
+    if hasattr(options, "checkpoint"):
         return "nothing was kept; --checkpoint DIR keeps finished replicates"
     return "nothing was kept"
 

@@ -1067,7 +1067,7 @@ class SceneRenderer(torch.nn.Module):
                 worst = high if high > bounds.high else low
                 raise SceneCaptumError(
                     f"{name!r} is {worst:.6g}, outside the physical range {bounds} of its kind "
-                    f"({self._table[name].kind}). Clamp it before rendering."
+                    f"({self._table[name].kind}). Clamp it before rendering, with renderer.clamp_(inputs)."
                 )
 
     def extra_repr(self) -> str:
