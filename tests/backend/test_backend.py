@@ -427,6 +427,16 @@ def test_the_diagnosis_without_llvm_names_the_fix(library, monkeypatch, capsys):
 
 
 @needs_llvm
+def test_optional_packages_are_listed_with_what_is_wrong(monkeypatch, tmp_path):
+    assert _diagnosis._optional("no-such-package", "nothing") == "not installed (optional, for nothing)"
+    (tmp_path / "broken_build.py").write_text("raise RuntimeError('another torch')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(_diagnosis, "_installed", lambda package: "1.0")
+    found = _diagnosis._optional("broken_build", "nothing")
+    assert found == "1.0, cannot be imported (optional, for nothing): another torch"
+    assert _diagnosis._optional("json", "nothing") == "1.0"
+
+
 def test_the_backend_can_be_run_as_the_doctor():
     result = python("-m", "scenecaptum.backend")
     assert result.returncode == 0, result.stderr
@@ -447,7 +457,7 @@ def test_the_doctor_runs_without_llvm():
     assert result.returncode == 1, result.stderr
     assert result.stderr == ""
     *table, verdict, fix = result.stdout.splitlines()
-    assert "LLVM      none found" in table
+    assert ["LLVM", "none", "found"] in [line.split() for line in table]
     assert verdict == "Rendering will not work."
     assert fix == f"Fix: {_diagnosis._fix()}"
 

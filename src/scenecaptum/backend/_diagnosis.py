@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import os
 import platform
@@ -146,16 +147,18 @@ def diagnose() -> Diagnosis:
     Example
     -------
     >>> print(diagnose())  # doctest: +SKIP
-    Python    3.11.7
-    torch     2.13.0
-    Mitsuba   3.9.1
-    Dr.Jit    1.5.0
-    LLVM 19   usable, chosen: /usr/lib/x86_64-linux-gnu/libLLVM.so.19.1
-    LLVM 15   too old, Dr.Jit aborts on it (needs 17+): /usr/lib/x86_64-linux-gnu/libLLVM-15.so.1
-    CUDA      not used: no NVIDIA driver
-    Variant   llvm_ad_rgb
-    Renderer  test render succeeded
-    Cores     4
+    Python       3.11.7
+    torch        2.13.0
+    Mitsuba      3.9.1
+    Dr.Jit       1.5.0
+    torchvision  not installed (optional, for pretrained classifiers)
+    captum       0.9.0
+    LLVM 19      usable, chosen: /usr/lib/x86_64-linux-gnu/libLLVM.so.19.1
+    LLVM 15      too old, Dr.Jit aborts on it (needs 17+): /usr/lib/x86_64-linux-gnu/libLLVM-15.so.1
+    CUDA         not used: no NVIDIA driver
+    Variant      llvm_ad_rgb
+    Renderer     test render succeeded
+    Cores        4
     """
     libraries = llvm_libraries()
     chosen, variant, cuda = choose_llvm(libraries), default_variant(), _cuda_problem()
@@ -168,6 +171,7 @@ def diagnose() -> Diagnosis:
     rows = (
         ("Python", platform.python_version()),
         *((name, version or "not installed") for name, version in packages.items()),
+        *((package, _optional(package, use)) for package, use in _OPTIONAL.items()),
         *_llvm_rows(libraries, chosen),
         ("CUDA", "usable" if cuda is None else f"not used: {cuda}"),
         ("Variant", variant),
@@ -178,6 +182,22 @@ def diagnose() -> Diagnosis:
 
 
 _PACKAGES = {"torch": "torch", "Mitsuba": "mitsuba", "Dr.Jit": "drjit"}
+
+
+_OPTIONAL = {"torchvision": "pretrained classifiers", "captum": "comparisons with Captum's own classes"}
+
+
+def _optional(package: str, use: str) -> str:
+    """Return the version of a package that some features need, and whether it can be imported."""
+    version = _installed(package)
+    if version is None:
+        return f"not installed (optional, for {use})"
+    try:
+        importlib.import_module(package)
+    except Exception as error:  # a build for another torch raises anything
+        reason = str(error).partition("\n")[0]
+        return f"{version}, cannot be imported (optional, for {use}): {reason}"
+    return version
 
 
 def _installed(package: str) -> str | None:
