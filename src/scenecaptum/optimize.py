@@ -216,7 +216,7 @@ def _shortened(
         fraction = (enough + too_short) / 2
         optimizer.shorten_last_step(fraction)
         measured = measure()
-        if measured.is_below(below):
+        if measured.is_below(below) and not optimizer.colliding():
             enough, reached = fraction, measured
         else:
             too_short = fraction
@@ -328,7 +328,7 @@ class _BoundedAdam:
             for name, offset in self._offsets.items():
                 low, high = (limit.reshape(-1).expand_as(offset) for limit in self._limits[name])
                 offset.copy_(offset.clamp(low, high))
-            for name in self._colliding():
+            for name in self.colliding():
                 self._offsets[name].copy_(self._before[name])
         self._after = {name: offset.detach().clone() for name, offset in self._offsets.items()}
 
@@ -351,7 +351,7 @@ class _BoundedAdam:
                 "loaded: start from other values."
             )
 
-    def _colliding(self) -> set[str]:
+    def colliding(self) -> set[str]:
         """Return the inputs that have moved an object into another."""
         return {name for name, _ in self._pairs(self.values()) - self._touching}
 
