@@ -50,18 +50,18 @@ def assignment(text: str) -> tuple[str, list[float]]:
 
 def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, torch.Tensor] | None:
     """Return the renderer's inputs with the values of the design, or None without one."""
-    settings = _settings(options)
+    settings = design_settings(options)
     return design_of(renderer, settings) if settings else None
 
 
 def designed_poses(options: argparse.Namespace) -> list[str]:
     """Return the poses that a design sets, which are inputs only if they are named."""
-    names = [name.rstrip("+*") for name in _settings(options)]
+    names = [name.rstrip("+*") for name in design_settings(options)]
     return [name for name in names if pose_component(name)]
 
 
-def _settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the design by name; none if the command has no options for them."""
+def design_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the values of a design by name; none if the command has no options for them."""
     design = getattr(options, "design", None)
     settings: dict[str, Any] = dict(read_design(design)) if design else {}
     return settings | dict(getattr(options, "settings", None) or ())

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..designs import CHANGES, read_design
+from ..designs import CHANGES
 from ..estimation import Metric
 from ..explore import Exploration, section, serve
 from ..linearization import Designs
@@ -17,7 +17,7 @@ from ..metrics import BY_NAME
 from ..rendering import SceneRenderer
 from ..report import write_section
 from . import _arguments
-from ._design import add_design, designed_values
+from ._design import add_design, design_settings, designed_values
 from ._interrupt import leave
 from ._metrics import DEFAULT, OPTIONS, add_metric, find_metrics
 from ._points import chosen_sensor
@@ -101,7 +101,7 @@ def _recipe(
 ) -> dict[str, Any]:
     """Return the renderer, the metrics by name and the given design as code and as a command."""
     width, height = renderer.resolution
-    settings = {**(read_design(options.design) if options.design else {}), **dict(options.settings or ())}
+    settings = design_settings(options)
     renderer_options = {
         "resolution": (width, height),
         "spp": _spp(options),
