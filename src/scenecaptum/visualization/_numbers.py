@@ -101,7 +101,7 @@ def signed_with_error(value: float, error: float | None) -> str:
 
 
 def sentence_number(value: float, error: float | None, *, digits: int = 3, signed: bool = False) -> str:
-    """Return ``'−0.157 ± 0.001'``: the value with at most so many digits, and the error rounded up to them.
+    """Return ``'−0.157 ± 0.001'``: a value of few digits, and its error rounded up to the same place.
 
     For sentences: a person has no use for the fifth digit, however small the error. Tables show all digits.
 
