@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import multiprocessing
 import os
 import subprocess
 import sys
 import weakref
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -16,6 +19,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.backend import exclusively
 from scenecaptum.scene import SceneGraph
 
 from .scenes import small_box
@@ -63,6 +67,57 @@ def test_threads_may_share_a_renderer(expected: list[Any]) -> None:
         runs = pool.map(lambda seed: dict(method.attribute(seed=shifted(seed), replicates=2)), range(3))
         for found, one in zip(runs, expected, strict=True):
             assert_same(found, one)
+
+
+def variables() -> int:
+    """Return how many variables Dr.Jit has, of all scenes."""
+    import drjit as dr
+
+    return len(dr.whos(as_string=True).splitlines())
+
+
+def test_results_are_not_in_dr_jits_memory(mi: Any) -> None:
+    """Whoever drops them last would free Dr.Jit's arrays while another thread renders, and both would hang."""
+    renderer = small_box()
+    leaves = renderer.leaves()
+    image = renderer(leaves, seed=shifted())
+    gradients = torch.autograd.grad(image.mean(), list(leaves.values()))
+    gc.collect()  # of what earlier tests have left
+    before = variables()
+    del image, gradients
+    assert variables() == before
+
+
+@contextlib.contextmanager
+def another_thread_renders() -> Iterator[Callable[[], int]]:
+    """Let another thread hold the lock, and yield a function that asks it for the number of variables."""
+    with ThreadPoolExecutor(1) as pool:
+        lock = contextlib.ExitStack()
+        pool.submit(lock.enter_context, exclusively()).result(PATIENCE)
+        try:
+            yield lambda: pool.submit(variables).result(PATIENCE)
+        finally:
+            pool.submit(lock.close).result(PATIENCE)
+
+
+def test_a_renderer_is_freed_when_no_other_thread_renders(mi: Any) -> None:
+    renderer = small_box()
+    renderer(renderer.leaves(), seed=shifted()).mean().backward()
+    gc.collect()
+    with another_thread_renders() as count:
+        before = count()
+        del renderer
+        assert count() == before
+    gc.collect()  # frozen functions are cycles
+    assert variables() < before
+
+
+def test_garbage_is_collected_when_no_other_thread_renders(mi: Any) -> None:
+    with ThreadPoolExecutor(1) as collector:
+        with another_thread_renders():
+            collected = collector.submit(gc.collect)
+            assert not wait([collected], timeout=0.5).done
+        collected.result(PATIENCE)
 
 
 def test_a_refused_scene_is_freed_before_its_error_is_handled(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,9 +18,9 @@ from ._diagnosis import default_variant as default_variant
 from ._diagnosis import diagnose as diagnose
 from ._heap import trim_heap as trim_heap
 from ._threads import use_threads as use_threads
+from ._variants import SceneOwner as SceneOwner
 from ._variants import activate as activate
 from ._variants import device as device
-from ._variants import dispose as dispose
 from ._variants import exclusively as exclusively
 
 

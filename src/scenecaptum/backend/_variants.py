@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import sys
 import threading
+import weakref
 from collections.abc import Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ..errors import BackendError, near_misses
 from ._diagnosis import default_variant, no_llvm_message
@@ -17,11 +19,15 @@ from ._llvm import OLDEST_LLVM, PATH_VARIABLE, choose_llvm, prepare_llvm
 if TYPE_CHECKING:
     import torch
 
-# Dr.Jit's state belongs to the whole process, and torch may run a backward pass on another thread.
+# Dr.Jit's state belongs to the whole process, and torch may run a backward pass on another thread. No array or
+# scene is freed without the lock either. A thread that launches a frozen kernel would find fewer objects than it
+# has recorded, or wait forever: it has Dr.Jit's own lock and needs Python's, while the thread that frees an array
+# has Python's and needs Dr.Jit's.
 _LOCK = threading.RLock()
 _depth = 0  # of nested ``exclusively`` calls, in the thread that holds the lock
-_disposed: list[Any] = []
+_disposed: list[dict[str, Any]] = []  # the attributes of objects that are gone
 
+_is_collecting = False  # Python's garbage, with the lock
 _is_forked = False
 
 
@@ -71,6 +77,8 @@ def activate(variant: str | None = None) -> ModuleType:
         raise BackendError(no_llvm_message())
     first = "mitsuba" not in sys.modules
     mi = _import_mitsuba()
+    if _lock_collector not in gc.callbacks:
+        gc.callbacks.append(_lock_collector)
     if first:
         mi.set_log_level(mi.LogLevel.Error)  # its warnings would disrupt progress bars and reports
     _check_variant(wanted, mi.variants(), asked=variant is not None)
@@ -101,18 +109,47 @@ def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
             if previous is not None and mi.variant() != previous:
                 mi.set_variant(previous)
             if not _depth:
-                _disposed.clear()
+                _free_disposed()
 
 
-def dispose(owner: Any) -> None:
-    """Drop the owner of a scene when no kernel is being recorded: freeing a scene then aborts the process."""
-    _disposed.append(owner)
+_Owner = TypeVar("_Owner", bound="SceneOwner")
+
+
+class SceneOwner:
+    """Base of objects that lead to a scene or to Dr.Jit's arrays; what they refer to is freed under the lock."""
+
+    def __new__(cls: type[_Owner], *_: Any, **__: Any) -> _Owner:
+        self = super().__new__(cls)
+        weakref.finalize(self, _dispose, self.__dict__).atexit = False
+        return self
+
+
+def _dispose(attributes: dict[str, Any]) -> None:
+    """Free the attributes of an object that is going, or leave that to the thread that has the lock."""
+    _disposed.append(attributes.copy())
+    # The object and the caller of this function refer to the dictionary until they are gone.
+    attributes.clear()
     if not _is_forked and _LOCK.acquire(blocking=False):
         try:
             if not _depth:
-                _disposed.clear()
+                _free_disposed()
         finally:
             _LOCK.release()
+
+
+def _free_disposed() -> None:
+    while _disposed:  # an owner that goes may have been the last reference to another
+        _disposed.pop()
+
+
+def _lock_collector(phase: str, _: Any) -> None:
+    """Let Python collect garbage under the lock: each frozen function that has gone is a cycle of references."""
+    global _is_collecting  # noqa: PLW0603 -- like the lock that it is about
+    if phase == "start":
+        _is_collecting = not _is_forked and _LOCK.acquire()
+    elif _is_collecting:
+        _is_collecting = False
+        _LOCK.release()
 
 
 def device() -> torch.device:

@@ -17,15 +17,25 @@ NO_DERIVATIVE = (
 
 
 def call_with_torch(function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
-    """Call a function of Dr.Jit tensors with torch tensors."""
+    """Call a function of Dr.Jit tensors with torch tensors, and return tensors in torch's own memory.
+
+    A tensor in Dr.Jit's memory would be freed by whoever drops it last, without the lock.
+    """
     try:
-        return dr.wrap(source="torch", target="drjit")(function)(
+        result = dr.wrap(source="torch", target="drjit")(function)(
             *(tensor.detach().to(torch.float32).contiguous() for tensor in tensors)
         )
+        return _clone(result)
     except RuntimeError as error:
         if is_detached_error(error):
             raise SceneCaptumError(NO_DERIVATIVE) from error
         raise
+
+
+def _clone(result: Any) -> Any:
+    if isinstance(result, torch.Tensor):
+        return result.clone()
+    return [_clone(one) for one in result] if isinstance(result, (list, tuple)) else result
 
 
 def evaluate(*images: Any) -> Any:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import operator
-import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, reduce
 from typing import Any
@@ -17,7 +16,6 @@ import mitsuba as mi
 import torch
 from torch.nn.functional import pad
 
-from ..backend import dispose
 from ..scene import SceneParameters
 from ._backward import AdjointSampledIntegrator
 from ._bridge import evaluate
@@ -69,8 +67,6 @@ class Engine:
         self.camera = TurningCamera(
             live, importance_maps.film if self._has_independent_samples else None, self._kernels.radiance_at
         )
-        # The last reference may be dropped while another thread records a kernel.
-        weakref.finalize(self, dispose, self.__dict__).atexit = False
         # Decoding textures leaves as much memory again in Dr.Jit's allocation cache.
         dr.flush_malloc_cache()
 

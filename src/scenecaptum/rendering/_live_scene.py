@@ -78,7 +78,7 @@ class LiveScene:
         those that it tracks already: they do no harm to a primal render, and writing them again would take time.
         """
         with self.exclusive():
-            tracked = self.state.leaves.keys() if tracked is None else tracked
+            tracked = list(self.state.leaves) if tracked is None else tracked
             pending = self.state.pending_writes(self.snapshot(values), tracked)
 
             def write_and_call(*arrays: Any) -> Any:

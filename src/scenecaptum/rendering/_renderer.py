@@ -12,7 +12,7 @@ from typing import Any, Literal, NoReturn, cast
 import numpy as np
 import torch
 
-from ..backend import device, exclusively
+from ..backend import SceneOwner, device, exclusively
 from ..camera import Camera, View
 from ..checkpoint import Checkpoint, Folder, digest
 from ..daylight import SkyPatches
@@ -63,7 +63,7 @@ from ._sensors import (
 _NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
 
 
-class SceneRenderer(torch.nn.Module):
+class SceneRenderer(SceneOwner, torch.nn.Module):
     """A scene as a torch function from named parameters to an image.
 
     Example

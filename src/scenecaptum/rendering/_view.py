@@ -9,6 +9,7 @@ from functools import lru_cache, partial
 
 import torch
 
+from ..backend import SceneOwner
 from ..checkpoint import Checkpoint
 from ..daylight import SkyPatches
 from ..projection import SurfaceMap
@@ -29,7 +30,7 @@ CACHED_MAPS = 8
 
 
 @dataclass(frozen=True)
-class View:
+class View(SceneOwner):
     """What renders a scene through one of its sensors."""
 
     live: LiveScene
