@@ -39,21 +39,24 @@ def main(path: Path, resolution: tuple[int, int] = (640, 360), spp: int = 64) ->
     figure.axes[-1].remove()  # the colour bar: the largest effects are written on the objects
     label_objects(right, attribution)
     left.set_title("the office, rendered", fontsize=11)
-    right.set_title("blue raises its glare, orange lowers it (change of UGR)", fontsize=11)
+    right.set_title("change of UGR over the range of each: blue raises it, orange lowers it", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     print(explanation)
 
 
 def sentence(explanation: Explanation) -> str:
-    """Return the answer: the cause of the glare, and what lowers it most."""
+    """Return the answer: the cause of the glare, what less of it does, and what else lowers the glare."""
     rating, source = explanation.attribution.metric_value, explanation.sources[0]
     lowering = [row for row in explanation.attribution.ranking() if row.effect < 0][:3]
     *first, last = (row.label.partition(":")[0].replace("_", " ") for row in lowering)
+    (change,) = explanation.changes
+    less = 1 - (change.after.sum() / change.before.sum()).item()
     excess = "above" if rating > LIMIT else "below"
     return (
         f"The {source.name} causes {100 * source.share:.0f} % of this office's glare: UGR {rating:.1f}, {excess} "
-        f"the limit of {LIMIT} for offices.\nA lighter {', '.join(first)} or {last} lowers it most."
+        f"the limit of {LIMIT} for offices.\n{100 * less:.0f} % less {change.label.replace(':', '')} lowers it by "
+        f"{-change.measured:.1f}; a lighter {', '.join(first)} or {last} by {-lowering[0].effect:.1f} at most."
     )
 
 

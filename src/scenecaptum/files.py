@@ -76,6 +76,8 @@ def _writer() -> str:
 
 def write_error(path: Path, error: Exception) -> SceneCaptumError:
     """Return an error with the reason why a file cannot be written."""
+    if isinstance(error, FileNotFoundError):
+        return SceneCaptumError(f"{path} cannot be written: create its folder {str(path.parent)!r} first.")
     reason = getattr(error, "strerror", None) or error
     return SceneCaptumError(
         f"{path} cannot be written: {reason}. Free disk space or choose another path; existing files were not "

@@ -63,6 +63,7 @@ CONSTRUCTION = ("cutoff_angle", "beam_width")
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range or limits
 BISECTIONS = 3  # of the last step
 BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
+LIGHTEST = 0.85  # reflectance of a design: that of white matt paint
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 _NAME_WIDTH = 36
 
@@ -87,8 +88,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 
     Parameters are ranked by their effects over their ranges; all but the top ones, and the cones of spots, are
     kept constant. A colour changes per channel, a texture by one offset per channel for all texels; a lamp or a
-    sky is dimmed, and keeps its colour. Every step renders with a new seed. The goal counts as reached once a
-    measurement with independent samples confirms it; the last step is then shortened as far as the goal allows.
+    sky is dimmed, and keeps its colour; no reflectance is raised above 0.85, that of white paint. Every step
+    renders with a new seed. The goal counts as reached once a measurement with independent samples confirms it;
+    the last step is then shortened as far as the goal allows.
 
     Example
     -------
@@ -242,6 +244,17 @@ def _lamps(renderer: Renderer) -> set[str]:
     }
 
 
+def design_bounds(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> dict[str, tuple[float, float]]:
+    """Return the bounds within which a design changes values: no paint is lighter than white paint."""
+    bounds = dict(Capabilities(renderer).bounds or {})
+    describe = Capabilities(renderer).parameters_table
+    for name, parameter in (describe() if describe is not None else {}).items():
+        if name in bounds and name in values and parameter.kind == "reflectance":
+            low, high = bounds[name]
+            bounds[name] = low, min(high, max(LIGHTEST, values[name].max().item()))
+    return bounds
+
+
 def _chosen_limits(
     values: Mapping[str, torch.Tensor],
     start: Mapping[str, torch.Tensor],
@@ -287,15 +300,17 @@ class _BoundedAdam:
         self._ranges = {
             name: spans.get(name) or length.item() for name, length in range_lengths(renderer, start).items()
         }
-        bounds = Capabilities(renderer).bounds or {}
+        bounds = design_bounds(renderer, {n: value for n, value in start.items() if n not in limits})
         self._bounds = {name: bounds[name] for name in start}
-        lamps = _lamps(renderer) - limits.keys()
+        self._lamps = _lamps(renderer) - limits.keys()
         self._directions = {
-            name: value / self._ranges[name] if name in lamps and value.any() else torch.ones_like(value)
+            name: value / self._ranges[name]
+            if name in self._lamps and value.any()
+            else torch.ones_like(value)
             for name, value in start.items()
         }
         self._offsets = {
-            name: value.new_zeros(1 if name in lamps else channel_totals(value).shape).requires_grad_()
+            name: value.new_zeros(1 if name in self._lamps else channel_totals(value).shape).requires_grad_()
             for name, value in start.items()
         }
         self._before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
@@ -362,7 +377,14 @@ class _BoundedAdam:
         # Not of the offsets, which go on where a value has reached its bound.
         changes = {name: (values[name] - start).abs().max().item() for name, start in self.start.items()}
         return tuple(
-            Moved(name, labels[name], before[name], after[name], changes[name] / self._longest(name))
+            Moved(
+                name,
+                labels[name],
+                before[name],
+                after[name],
+                changes[name] / self._longest(name),
+                is_dimmed=name in self._lamps,
+            )
             for name in self.start
         )
 
@@ -404,6 +426,8 @@ class Moved:
         Its values; for a texture, the mean over the texels.
     fraction
         The change as a fraction of its range or limits; for a colour, that of the channel that changed most.
+    is_dimmed
+        Whether it is the light of a lamp or sky, and the fraction one of its own value.
     """
 
     name: str
@@ -411,6 +435,15 @@ class Moved:
     before: torch.Tensor
     after: torch.Tensor
     fraction: float
+    is_dimmed: bool = False
+
+    @property
+    def extent(self) -> str:
+        """How far it was changed: ``"31 % of its range"``, or ``"31 % less"`` light."""
+        percent = f"{100 * self.fraction:.0f} %"
+        if not self.is_dimmed:
+            return f"{percent} of its range"
+        return f"{percent} {'less' if bool((self.after <= self.before).all()) else 'more'}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -474,10 +507,10 @@ class Optimization:
         """Return a text table: the value of every changed parameter before and after, and the metric."""
         names = shorten([moved.label for moved in self.moved], _NAME_WIDTH)
         cells = [
-            (name, _format_values(moved.before), _format_values(moved.after), f"{100 * moved.fraction:.0f} %")
+            (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        return "\n".join([*grid(("moved", "before", "after", "of its range"), cells), "", self.outcome])
+        return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", self.outcome])
 
     __repr__ = __str__
 

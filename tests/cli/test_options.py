@@ -63,7 +63,7 @@ CASES: dict[str, Case] = {
             "goal",
             "explanation.md",
         ],
-        ["explanation.json", "explanation.md", "report.html"],
+        ["design.json", "explanation.json", "explanation.md", "report.html"],
     ),
     "explain a relative glare rating": (
         f"explain {SCENE} --metric ugr --threshold-factor 2 --json --out out",
@@ -184,7 +184,7 @@ CASES: dict[str, Case] = {
     "optimize": (
         f"optimize {SCENE} --metric luminance --below 25 --top 2 --change 0.9 --steps 20 --no-progress --out out",
         0,
-        ["moved", "below the goal of 25 cd/m²", "design.json"],
+        ["changed", "below the goal of 25 cd/m²", "design.json"],
         ["design.json", "optimization.png"],
     ),
     "optimize towards what cannot be reached": (
@@ -259,10 +259,10 @@ CASES: dict[str, Case] = {
     ),
     "render": (
         f"render cornell-box {VIEW} {BOXES} --sensor 0 --set {WALL}=0.5 --set boxes.pose.translation=0.1,0,0 "
-        "--design design.json --denoise --to out.png",
+        "--design design.json --denoise --to out/after.png",
         0,
-        ["out.png"],
-        [],
+        ["out/after.png"],
+        ["after.png"],
     ),
     "demo": (
         "demo --json --no-progress --report --format json --out out",

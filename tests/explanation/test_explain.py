@@ -79,3 +79,16 @@ def test_a_texture_changes_within_its_bounds(office: SceneRenderer, explained):
         assert (change.after >= low).all()
         assert (change.after <= high).all()
         assert not torch.equal(change.before, change.after)
+
+
+def test_a_goal_is_reached_by_the_leading_parameter_alone_if_that_is_enough(mi):
+    inputs = ["floor.reflectance.value", "light.emitter.radiance.value"]
+    box = SceneRenderer("cornell-box", inputs, resolution=(16, 16), spp=64, max_depth=3)
+    metric = metrics.MeanLuminance()
+    value = metric(box(seed=shifted(), spp=1024)).item()
+    easy, hard = (
+        explain(box, metric, changes=0, below=part * value, seed=shifted(1)).goal for part in (0.8, 0.45)
+    )
+    assert [moved.name for moved in easy.moved] == ["light.emitter.radiance.value"]
+    assert easy.reached
+    assert len(hard.moved) == 2

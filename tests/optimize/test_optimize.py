@@ -139,9 +139,30 @@ def test_a_lamp_is_dimmed_and_keeps_its_color(mi: Any) -> None:
     (moved,) = dim.moved
     assert moved.fraction == pytest.approx(1 - (dim.values[name] / before)[0].item(), rel=1e-4)
     assert moved.fraction > 0.1
+    assert moved.extent == f"{100 * moved.fraction:.0f} % less"
     limits = {name: (5.0, 25.0)}
     tinted = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, steps=3, limits=limits, seed=shifted())
     assert (tinted.values[name] - before).diff().abs().max() < 1e-4  # by steps of the same length
+
+
+def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:
+    floor, wall = "floor.reflectance.value", "left_wall.reflectance.value"
+    renderer = SceneRenderer("cornell-box", [floor, wall], resolution=(8, 8), spp=16, max_depth=3)
+
+    def darkness(image: torch.Tensor) -> torch.Tensor:
+        return -image.mean()
+
+    start = {**renderer.inputs, floor: torch.tensor([0.95, 0.8, 0.8])}
+    found = optimize.minimize(renderer, darkness, -1e3, inputs=start, change=1.0, seed=shifted())
+    assert found.values[wall].max() == pytest.approx(optimize.LIGHTEST, abs=0.011)
+    assert found.values[floor][0] == pytest.approx(0.95)  # as it was
+    (moved,) = [one for one in found.moved if one.name == wall]
+    assert moved.extent.endswith("of its range")
+    limits = {wall: (0.0, 0.97)}
+    asked = optimize.minimize(
+        renderer, darkness, -1e3, inputs=start, limits=limits, change=1.0, seed=shifted()
+    )
+    assert asked.values[wall].max() == pytest.approx(0.97, abs=1e-3)
 
 
 def test_the_last_step_is_shortened_as_far_as_the_goal_allows():

@@ -234,7 +234,7 @@ def test_an_exported_picture_has_eight_bits(tmp_path: Path):
         (torch.zeros(2, 3), "map.png", {"signed": True}, "signed: only for an attribution"),
         (torch.zeros(2, 3), "map.png", {"colours": "viridiss"}, "Did you mean 'viridis'"),
         (torch.zeros(2, 3), "map.png", {"limits": (1, 1)}, "limits must be two numbers"),
-        (torch.zeros(2, 3), "nowhere/map.npy", {}, "cannot be written"),
+        (torch.zeros(2, 3), "nowhere/map.npy", {}, "cannot be written: create its folder .*nowhere"),
     ],
 )
 def test_invalid_exports_are_refused(

@@ -305,8 +305,7 @@ class Explanation:
     def _goal_lines(self) -> list[str]:
         if self.goal is None:
             return []
-        moved = [f"{_step(one)}, by {100 * one.fraction:.0f} % of its range" for one in self.goal.moved]
-        return [*moved, self.goal.outcome]
+        return [*(f"{_step(one)}: {one.extent}" for one in self.goal.moved), self.goal.outcome]
 
     def _along(self, name: str) -> str:
         """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""

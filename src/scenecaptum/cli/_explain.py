@@ -21,7 +21,7 @@ from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
-from ._optimize import optimization_numbers
+from ._optimize import optimization_numbers, write_design
 from ._plan import plan_format, plan_of
 from ._points import needed_coefficients, premises
 
@@ -70,6 +70,8 @@ def run(options: argparse.Namespace) -> int:
         values = designed_values(options, renderer)
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
+        if explanation.goal is not None:
+            formats = [*formats, DESIGN]
         write_files(explanation, options.out, formats)
         if options.report:
             plan = plan_of(explanation.attribution, renderer, metric)
@@ -156,6 +158,11 @@ def _write_markdown(explanation: Explanation, path: Path) -> None:
     path.write_text(explanation.markdown(), encoding="utf-8")
 
 
+def _write_design(explanation: Explanation, path: Path) -> None:
+    write_design(explanation.goal, path)
+
+
+DESIGN = OutputFormat("design.json", "the values of the goal, for --design", _write_design)
 FORMATS = [
     OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
     OutputFormat("explanation.json", "the numbers", _write_json),

@@ -83,11 +83,12 @@ def _design(found: Optimization) -> dict[str, Any]:
     return {moved.name: moved.after.tolist() for moved in found.moved}
 
 
-def _write_design(found: Optimization, path: Path) -> None:
+def write_design(found: Optimization, path: Path) -> None:
+    """Write the changed values as ``--design`` reads them."""
     path.write_text(json.dumps(_design(found), indent=1) + "\n", encoding="utf-8")
 
 
 FORMATS: list[OutputFormat[Optimization]] = [
-    OutputFormat("design.json", "the changed values, for --design", _write_design),
+    OutputFormat("design.json", "the changed values, for --design", write_design),
     OutputFormat("optimization.png", "both pictures and every step", figure_writer(Optimization.plot)),
 ]

@@ -10,6 +10,7 @@ import torch
 
 from ..denoising import denoise
 from ..errors import SceneCaptumError
+from ..files import write_error
 from ..projection import export
 from ..visualization import save_render
 from . import _arguments
@@ -46,6 +47,10 @@ def run(options: argparse.Namespace) -> int:
         image = renderer(designed_values(options, renderer) or {}, seed=options.seed)
     if options.denoise:
         image = denoise(image, renderer.guides)
+    try:
+        options.to.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_error(options.to.parent, error) from error
     if options.to.suffix == ".png":
         save_render(image, options.to)
     else:

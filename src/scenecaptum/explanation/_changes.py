@@ -10,7 +10,7 @@ import torch
 
 from ..attr import Change, SceneAttribution
 from ..estimation import channel_totals
-from ..optimize import BOUND_MARGIN
+from ..optimize import BOUND_MARGIN, design_bounds
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside
 from ..validation import Scenes
@@ -35,7 +35,7 @@ def propose(
     if attribution.covariance is None:
         return []
     ranges = Capabilities(renderer).ranges or Capabilities(renderer).bounds or {}
-    bounds = Capabilities(renderer).bounds or {}
+    bounds = design_bounds(renderer, values)
     unlimited = (-math.inf, math.inf)
     changes = []
     for row in attribution.ranking():

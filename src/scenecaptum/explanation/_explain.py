@@ -10,8 +10,17 @@ import torch
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import DaylightMetric
 from ..errors import whole_number
-from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
-from ..optimize import minimize
+from ..estimation import (
+    DEFAULT_REPLICATES,
+    Denoise,
+    Metric,
+    Stream,
+    Target,
+    derived_seeds,
+    input_values,
+)
+from ..metrics import UnifiedGlareRating
+from ..optimize import Optimization, minimize
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
@@ -19,6 +28,8 @@ from ..validation import Scenes, denoise_of
 from ._changes import propose, rendered
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
+
+STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
 def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
@@ -52,7 +63,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     renderer, metric, inputs, target, seed, spp, replicates, denoise, show_progress
         As for ``VanillaSceneGradient``.
     below
-        A goal for ``optimize.minimize``.
+        A goal for ``optimize.minimize``, which changes the leading parameter alone if that is enough.
     changes
         The number of changes to render.
 
@@ -101,8 +112,14 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         changes=tuple(rendered(scenes, change) for change in proposed),
         goal=None
         if below is None
-        else minimize(renderer, metric, below, inputs=inputs, seed=goal_seed, **options),
+        else _reach(below, renderer, metric, inputs=inputs, seed=goal_seed, **options),
     )
+
+
+def _reach(below: float, renderer: Renderer, metric: Metric, **options: Any) -> Optimization:
+    """Search with the leading parameter alone, and with more where that is not enough."""
+    alone = minimize(renderer, metric, below, top=1, steps=STEPS_ALONE, **options)
+    return alone if alone.reached else minimize(renderer, metric, below, **options)
 
 
 def definition_of(metric: Metric, attribution: SceneAttribution) -> Definition | None:
@@ -115,10 +132,18 @@ def definition_of(metric: Metric, attribution: SceneAttribution) -> Definition |
 
 def _premises(metric: Metric) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene."""
+    premises = []
     efficacy = getattr(metric, "efficacy", 1)
-    if efficacy == 1 or isinstance(metric, DaylightMetric):
-        return ()
-    return (f"valid if the scene's lights are in W/(m² sr); {efficacy:g} lm/W make them luminances",)
+    if efficacy != 1 and not isinstance(metric, DaylightMetric):
+        premises.append(
+            f"valid if the scene's lights are in W/(m² sr); {efficacy:g} lm/W make them luminances"
+        )
+    if isinstance(metric, UnifiedGlareRating):
+        premises.append(
+            "UGR and its limits are for luminaires; for a window use the daylight glare probability "
+            "(--metric dgp --sensor fisheye)"
+        )
+    return tuple(premises)
 
 
 def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:
