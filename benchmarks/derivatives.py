@@ -432,11 +432,16 @@ def _verdict_on_pair(ours: Estimate, other: Estimate) -> str:
     return "right" if max(ours.relative_error, other.relative_error) <= GOOD else "unresolved"
 
 
+_SYMBOLIC = "tried to evalute a *symbolic* variable"  # in Dr.Jit's message, spelt so
+
+
 def _error_text(error: BaseException) -> str:
-    """Return an error on one line: our message in full, or the beginning of Mitsuba's innermost one."""
+    """Return an error on one line: our message in full, or Mitsuba's innermost one in words or shortened."""
     while not isinstance(error, SceneCaptumError) and error.__cause__ is not None:
         error = error.__cause__
     text = " ".join(str(error).split())
+    if _SYMBOLIC in text:
+        return "Dr.Jit cannot compile it, because the plugin evaluates variables within a recorded loop"
     return text if isinstance(error, SceneCaptumError) or len(text) < 200 else f"{text[:200]} …"
 
 

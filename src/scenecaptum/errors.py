@@ -6,6 +6,7 @@ A message names the parameter or file, the expected and the actual value, and th
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from numbers import Real
 
@@ -27,11 +28,12 @@ class UnknownNameError(SceneCaptumError, KeyError):
 def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
     """Return ``' Did you mean …?'`` for the known names closest to ``name``, or an empty string.
 
-    Names that have ``name`` as one of their parts come first: ``floor`` means ``floor.reflectance.value``.
+    Names that have ``name`` as one of their parts or words come first: ``floor`` means
+    ``floor.reflectance.value``, and ``lamp`` means ``table lamp``.
     """
     candidates = list(known)
     by_folded = {candidate.lower(): candidate for candidate in candidates}
-    whole = [folded for folded in by_folded if name.lower() in folded.split(".")]
+    whole = [folded for folded in by_folded if name.lower() in re.split(r"[.\s]", folded)]
     close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)
     close = list(dict.fromkeys(close))[:limit]
     return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,6 +122,20 @@ def test_a_target_that_is_no_index_is_refused():
     for target in ("cube", 0.5, ("cube",)):
         with pytest.raises(SceneCaptumError, match="must be the index of an element"):
             VanillaSceneGradient(renderer, torch.mean).attribute(renderer.inputs, target=target)
+
+
+def test_a_target_is_a_class_by_its_name(torchvision: Any) -> None:
+    renderer = ToyRenderer(noise=0.0)
+    categories = torchvision.models.ResNet18_Weights.DEFAULT.meta["categories"]
+    network = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 1000))
+    logits = metrics.ClassLogit(network, transform=torch.nn.Identity(), classes=categories)
+    named, indexed = (VanillaSceneGradient(renderer, logits).attribute(target=t) for t in ("desk", 526))
+    assert named.info["measure"]["name"] == "logit of desk"
+    torch.testing.assert_close(named["x"], indexed["x"], rtol=0, atol=0)
+    both = VanillaSceneGradient(renderer, logits).attribute(target=["desk", "table lamp"])
+    assert [one.info["measure"]["name"] for one in both] == ["logit of desk", "logit of table lamp"]
+    with pytest.raises(SceneCaptumError, match=r"no class called 'lamp'.*Did you mean 'table lamp'"):
+        VanillaSceneGradient(renderer, logits).attribute(target="lamp")
 
 
 def test_target_chooses_an_element_of_a_vector():

@@ -372,7 +372,7 @@ def test_the_samples_of_the_first_round_can_be_given(folder: Path) -> None:
 
 
 def test_a_logit_is_smoothed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    logit = "--metric shape-logit --target 1 --smoothing 0.3"
+    logit = "--metric shape-logit --target cube --smoothing 0.3"
     assert cli.main(shlex.split(f"attribute cornell-box {VIEW} --inputs emitters {logit} --out out")) == 0
     assert "smoothed logit of cube = " in capsys.readouterr().out
     assert (
@@ -380,6 +380,16 @@ def test_a_logit_is_smoothed(folder: Path, capsys: pytest.CaptureFixture[str]) -
         == 2
     )
     assert "--smoothing has no effect on luminance: add --metric shape-logit" in capsys.readouterr().err
+
+
+def test_a_class_that_is_unknown_is_named_before_rendering(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = f"attribute cornell-box {VIEW} --inputs emitters --out out"
+    assert cli.main(shlex.split(f"{command} --metric shape-logit --target cylindre")) == 2
+    assert "no class called 'cylindre'. It has 3 classes. Did you mean 'cylinder'?" in capsys.readouterr().err
+    assert cli.main(shlex.split(f"{command} --metric luminance --target cube")) == 2
+    assert "only the metrics of classifiers, such as ClassLogit, have elements" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

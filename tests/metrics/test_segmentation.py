@@ -139,6 +139,7 @@ def test_names_and_verdicts_say_what_the_network_sees():
     assert smoothed.verdict(image, 1).startswith("0.735 without smoothing; 1 of the mask is class 1")
     assert smoothed.n_draws == Smoothed(torch.mean).n_draws
     assert "mask=(16, 20)" in repr(metric)
+    assert metric.target_index("desk") == 1
 
 
 @pytest.mark.parametrize(

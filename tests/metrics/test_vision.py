@@ -341,6 +341,17 @@ def test_perceptual_distance_over_the_layers_of_a_torchvision_model(torchvision)
     assert torch.isfinite(gradient(metric, reference)).all()
 
 
+def test_a_default_that_enlarges_small_pictures_warns(recwarn):
+    tiny = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 4))
+    with pytest.warns(UserWarning, match="64×48 pixels are enlarged until their shorter side has 232"):
+        metrics.ClassLogit(tiny, 1)(torch.rand(48, 64, 3))
+    recwarn.clear()
+    metrics.ClassLogit(tiny, 1)(torch.rand(120, 160, 3))
+    metrics.ClassLogit(tiny, 1, metrics.ResizeCropNormalize())(torch.rand(48, 64, 3))
+    metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), 1)(torch.rand(48, 64, 3))
+    assert not recwarn.list
+
+
 def test_a_failed_download_of_weights_names_the_fix(torchvision, monkeypatch, tmp_path):
     monkeypatch.setattr(torch.hub, "_hub_dir", str(tmp_path))
 

@@ -63,7 +63,7 @@ NAMELESS = """<scene version="3.0.0">
 NAMES = {
     "mat-Wall White.001.reflectance.value": "mat-Wall White.001: reflectance",
     "diffuse.reflectance.value": "diffuse: reflectance",
-    "Mesh_070.bsdf.brdf_0.reflectance.value": "Mesh_070: reflectance",
+    "Mesh_070.bsdf.brdf_0.reflectance.value": "Mesh_070: surface reflectance",
     "Mesh_070.emitter.radiance.value": "lamp on Mesh_070: radiance",
     "sphere.bsdf.opacity.value": "sphere: opacity",
     "sphere.bsdf.nested_bsdf.reflectance.value": "sphere: reflectance",

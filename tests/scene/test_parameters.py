@@ -10,7 +10,7 @@ import pytest
 from refusals import message
 from rooms import ball, small_scene, table
 
-from scenecaptum.scene import SceneParameters, load_scene, select
+from scenecaptum.scene import SceneParameters, discover_in, load_scene, select
 from scenecaptum.scene._selection import KINDS
 
 Config = dict[str, Any]
@@ -154,6 +154,7 @@ def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
     assert len(set(labels)) == len(labels)
     assert zoo["poster.bsdf.reflectance.data"].label == "poster: reflectance texture"
     assert zoo["lamp.emitter.radiance.value"].label == "lamp: radiance"
+    assert zoo["lamp.bsdf.reflectance.value"].label == "lamp: surface reflectance"
 
 
 def test_the_scenes_own_values_are_within_their_bounds(
@@ -258,6 +259,13 @@ def test_selections_come_in_the_scenes_order_once_each(zoo: SceneParameters) -> 
 def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, words: list[str]) -> None:
     said = message(lambda: select(zoo, inputs))
     assert [word for word in words if word not in said] == [], said
+
+
+@pytest.mark.parametrize("inputs", ["sensor.*", "sensor.film.*", "sensor.fov", "camera.x_fov"])
+def test_a_selection_of_the_sensor_is_told_how_the_camera_is_called(inputs: str) -> None:
+    said = message(lambda: select(discover_in("cornell-box"), inputs))
+    names = "camera.pose.translation, camera.pose.rotation, camera.fov"
+    assert f"Select the camera as {names}, or all of these as 'camera'." in said
 
 
 def test_a_kind_without_parameters_is_named(mi: Any) -> None:

@@ -103,6 +103,11 @@ def test_heatmap_names_salient_invisible_parameters() -> None:
     first = dataclasses.replace(seen, attributions={**weak, "third": torch.tensor(0.2)}, covariance=None)
     shown = dataclasses.replace(first.surfaces, parameters=(("lamp", "third"), ("two_minds",), ()))
     assert "not in the picture" not in all_text(plot_heatmap(dataclasses.replace(first, surfaces=shown)))
+    # Several are listed, and those below the first three are counted, unless their effects are negligible.
+    every = dataclasses.replace(make(), surfaces=surfaces("rough", "elsewhere"))
+    text = all_text(plot_heatmap(every)).replace("\n", " ")
+    assert "#1 with an effect of 0.500 ± 0.004; two_minds, #2" in text
+    assert "; floor, #3 with an effect of 0.2154 ± 0.0020; and 1 more" in text
     # A group is visible where one of its members is.
     grouped = make(groups={"lamp": ["bulb", "rough"], "two_minds": ["elsewhere"]})
     assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))

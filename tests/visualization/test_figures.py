@@ -15,6 +15,7 @@ import torch
 from results import CASES, all_text, make, outside, surfaces
 
 from scenecaptum import Camera, SceneAttribution, SceneCaptumError, metrics
+from scenecaptum.projection import TexelMap
 from scenecaptum.visualization import (
     LOWERS,
     RAISES,
@@ -198,6 +199,21 @@ def test_maps_of_zeros_are_labelled() -> None:
     zero = dataclasses.replace(make(), attributions={name: 0 * value for name, value in make().items()})
     assert "all effects are 0" in all_text(plot_heatmap(zero))
     assert "all effects are 0" not in all_text(plot_heatmap(make()))
+
+
+def test_maps_say_what_a_texel_shows_and_a_given_maximum_has_its_unit() -> None:
+    base, texel = make(measure={"name": "mean luminance", "unit": "cd/m²"}), np.arange(24, dtype=np.int32)
+    texels = TexelMap(entry=texel, texel=texel % 4, weight=np.ones(24, np.float32))
+    textured = dataclasses.replace(
+        base,
+        surfaces=dataclasses.replace(surfaces("rough", "floor"), texels={"floor": texels}),
+        extents={name: torch.ones(max(value.shape[-1:], default=1)) for name, value in base.items()},
+    )
+    text = all_text(plot_heatmap(textured, parameter="floor", texels=True, maximum=0.5)).replace("\n", " ")
+    title = "floor: change of the metric over the range of the parameter, relative to 0.5 cd/m²"
+    assert title in text
+    assert "each texel: effect of a whole texture that acts like it" in text
+    assert "each texel" not in all_text(plot_heatmap(textured, parameter="floor"))
 
 
 def sized(height: int, width: int, base: SceneAttribution) -> SceneAttribution:

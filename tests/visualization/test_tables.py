@@ -84,6 +84,18 @@ def test_table_shows_what_was_measured_and_how() -> None:
     assert heading == "Glare = 2.3369 ± 0.0005 · VanillaSceneGradient · 64 spp in 8 replicates"
 
 
+@pytest.mark.parametrize(
+    ("quantity", "note"),
+    [
+        ("effect over the range", "effect: first-order change of Glare over the range of the parameter"),
+        ("effect of ablation", "effect: change of Glare by ablation"),
+        ("contribution", "effect: contribution to Glare"),
+    ],
+)
+def test_table_says_whether_effects_are_extrapolated(quantity: str, note: str) -> None:
+    assert note in table_text(make(quantity=quantity)).splitlines()
+
+
 def test_table_ranks_with_sign_error_and_channels() -> None:
     text = table_text(make())
     names = re.findall(r"^ *\d+  (\S+)", text, flags=re.MULTILINE)

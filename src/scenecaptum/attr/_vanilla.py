@@ -68,8 +68,8 @@ class VanillaSceneGradient(GradientMethod):
         inputs
             Values by parameter name; the renderer's own by default.
         target
-            Element of the metric's output to attribute, if it is not a scalar; a list gives a list of results from
-            the same renders.
+            Element of the metric's output to attribute, if it is not a scalar: its index, or for the metric of a
+            classifier the name of a class. A list gives a list of results from the same renders.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
             members: the result has the sum of each group. Parameters in no group stay separate.

@@ -143,7 +143,7 @@ def _recipe(
     return {
         "python": "\n".join(python),
         "metrics": [_metric_code(name, metric, options) for name, metric in metrics.items()],
-        "attribute": f"values, target={options.target}" if options.target is not None else "values",
+        "attribute": f"values, target={options.target!r}" if options.target is not None else "values",
         "command": shlex.join(words),
         "changed": [key.rstrip("".join(CHANGES)) for key in settings],
         "inputs": _arguments.selection(options),

@@ -49,12 +49,19 @@ def add_metric(parser: argparse.ArgumentParser, *, several: bool = False, of_day
     )
     parser.add_argument(
         "--target",
-        type=int,
-        help="element of the metric to attribute, if it returns a vector",
-        metavar="INDEX",
+        type=_index_or_name,
+        help="element of the metric to attribute, if it returns a vector: its index, or the name of a class",
+        metavar="ELEMENT",
     )
     if of_daylight:
         add_points(parser)
+
+
+def _index_or_name(text: str) -> int | str:
+    try:
+        return int(text)
+    except ValueError:
+        return text
 
 
 def find_metrics(

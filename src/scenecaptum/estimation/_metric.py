@@ -17,7 +17,7 @@ from ..protocols import Capabilities, Measure, Renderer, takes_keyword
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
-Target: TypeAlias = "int | tuple[int, ...] | None"
+Target: TypeAlias = "int | str | tuple[int, ...] | None"  # a str is the name of a class
 Draws: TypeAlias = Mapping[int, int]  # the number of draws of each seed
 
 
@@ -48,18 +48,34 @@ class TargetedMetric:
     transform: ImageTransform = IDENTITY
 
     def __post_init__(self) -> None:
+        if isinstance(self.target, str):
+            # Frozen, and everything else knows elements by their index.
+            object.__setattr__(self, "target", self._index_of(self.target))
         indices = self.target if isinstance(self.target, tuple) else (self.target,)
         if self.target is not None and not all(isinstance(index, Integral) for index in indices):
             raise SceneCaptumError(
-                f"target must be the index of an element of the metric, such as 0, not {self.target!r}. The "
-                "metrics of classifiers take a class by its name, as in ClassLogit(model, 'cube')."
+                f"target must be the index of an element of the metric, such as 0, not {self.target!r}."
             )
+
+    def _index_of(self, name: str) -> int:
+        find = getattr(self.metric, "target_index", None)
+        if find is None:
+            raise SceneCaptumError(
+                f"target must be the index of an element of {self._metric_name}, such as 0, not {name!r}: only "
+                "the metrics of classifiers, such as ClassLogit, have elements with names."
+            )
+        index: int = find(name)
+        return index
 
     @property
     def name(self) -> str:
         """Name for tables and figures."""
-        name = getattr(self.metric, "__name__", type(self.metric).__name__)
-        return name if self.target is None else f"{name}[{self.target}]"
+        return self._metric_name if self.target is None else f"{self._metric_name}[{self.target}]"
+
+    @property
+    def _metric_name(self) -> str:
+        """Name of the metric without its element."""
+        return str(getattr(self.metric, "__name__", type(self.metric).__name__))
 
     @property
     def label(self) -> str:
@@ -235,8 +251,9 @@ class TargetedMetric:
         return scalar
 
     def _at_target(self, output: torch.Tensor) -> torch.Tensor:
+        index: Any = self.target  # no name any more
         try:
-            element: torch.Tensor = output[self.target]
+            element: torch.Tensor = output[index]
         except (IndexError, TypeError) as error:
             raise SceneCaptumError(
                 f"target={self.target!r} does not index the metric's output of shape {tuple(output.shape)}."

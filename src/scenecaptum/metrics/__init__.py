@@ -81,6 +81,6 @@ BY_NAME = {
     "dgi": NamedMetric(DaylightGlareIndex, "daylight glare index"),
     "shape-logit": NamedMetric(
         shape_logit,
-        "logits of the bundled classifier, --target 0 for a sphere, 1 for a cube, 2 for a cylinder",
+        "logits of the bundled classifier, with --target sphere, cube or cylinder",
     ),
 }

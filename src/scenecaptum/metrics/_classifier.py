@@ -59,6 +59,10 @@ class ClassifierMetric(NetworkMetric):
             raise SceneCaptumError(_not_logits(self.model, logits))
         return logits
 
+    def target_index(self, name: str) -> int:
+        """Return the element of the output for a class, by its name in ``classes``; raise if there is none."""
+        return class_index(name, self.classes)
+
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
         """Return what an element of the output measures."""
         return self.named_measure(self.class_measure(_first(target)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias, TypeVar
@@ -13,10 +14,12 @@ from ._frozen import run_frozen
 from ._measure import Measure
 from ._noise import PictureNoise, smoothed_measure
 from ._picture import check_exposure, srgb_picture
-from ._preprocessing import own_preprocessing
+from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
 Model: TypeAlias = Callable[[torch.Tensor], Any]
 Transform: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
+
+_MUCH_LARGER = 2  # times the shorter side
 
 M = TypeVar("M", bound="NetworkMetric")
 
@@ -38,6 +41,7 @@ class NetworkMetric(torch.nn.Module, ABC):
         super().__init__()
         self.exposure = check_exposure(exposure)
         self.transform = transform or own_preprocessing(model, default_transform)
+        self._is_default = self.transform is default_transform
         self.model = model
         self.noise = None if smoothing is None else PictureNoise.create(smoothing)
 
@@ -72,6 +76,8 @@ class NetworkMetric(torch.nn.Module, ABC):
 
     def pictures(self, images: torch.Tensor) -> torch.Tensor:
         """Return what the network gets for images ``(N, H, W, 3)``."""
+        if self._is_default and isinstance(self.transform, ResizeCropNormalize):
+            _warn_of_enlarging(self.transform, *images.shape[1:3])
         return self.transform(srgb_picture(images, self.exposure))
 
     def output(self, images: torch.Tensor) -> Any:
@@ -87,3 +93,14 @@ class NetworkMetric(torch.nn.Module, ABC):
         """Return the settings of every network metric for ``extra_repr``."""
         smoothing = "" if self.noise is None else f", smoothing={self.noise.sigma:g}"
         return f"exposure={self.exposure:g}{smoothing}"
+
+
+def _warn_of_enlarging(transform: ResizeCropNormalize, height: int, width: int) -> None:
+    """Warn if a transform that nobody chose enlarges pictures much: the network may be made for small ones."""
+    if transform.resize is not None and transform.resize > _MUCH_LARGER * min(height, width):
+        warnings.warn(
+            f"Pictures of {width}×{height} pixels are enlarged until their shorter side has {transform.resize}, "
+            "as for ImageNet: the default without transform=. For a network of small pictures give transform=, "
+            "such as ResizeCropNormalize(72, 64) or lambda picture: picture; to keep this, ResizeCropNormalize().",
+            stacklevel=3,
+        )

@@ -118,6 +118,10 @@ class SegmentationScore(NetworkMetric):
             return weight
         return torch.nn.functional.interpolate(weight, logits.shape[2:], mode="area")
 
+    def target_index(self, name: str) -> int:
+        """Return the element of the output for a class, by its name in ``classes``; raise if there is none."""
+        return class_index(name, self.classes)
+
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
         """Return what an element of the output measures."""
         index = target[0] if isinstance(target, tuple) else target

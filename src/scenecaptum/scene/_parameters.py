@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -256,6 +256,15 @@ def _label(graph: SceneGraph, name: str, node: Any) -> str:
     if area_emitter_id(owner) in (scene_object.id() for _, scene_object in path):
         owner = area_emitter_id(owner)
     words = [segment.replace("_", " ") for segment in inner if segment not in _OMITTED_SEGMENTS]
+    if _is_on_a_lamp(path):
+        words.insert(0, "surface")  # the reflectance of a lamp is not that of its light
     if inner[-1] == "data":
         words.append("texture" if words else "map")
     return f"{owner}: {' '.join(words)}" if words else owner
+
+
+def _is_on_a_lamp(path: Sequence[tuple[str, Any]]) -> bool:
+    """Whether a path leads through the material of a shape that emits light."""
+    mi = activate()
+    shape, *inner = (node for _, node in path)
+    return isinstance(shape, mi.Shape) and shape.is_emitter() and any(isinstance(n, mi.BSDF) for n in inner)

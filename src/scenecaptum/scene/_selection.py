@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from typing import TypeAlias
 
 from ..errors import SceneCaptumError, near_misses
-from ._parameter_table import Parameter, SceneParameters
+from ._parameter_table import CAMERA, Parameter, SceneParameters
 
 Selection: TypeAlias = "str | Sequence[str]"
 
@@ -85,17 +85,26 @@ def is_of_kind(parameter: Parameter, kind: str) -> bool:
 
 
 def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) -> str:
+    known = [name for name, p in parameters.items() if not p.problem]
     if matched:
         first = matched[0]
+        hint = _camera_hint(known) if all(p.kind == CAMERA for p in matched) else ""
         return (
             f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
-            f"{first.name}, for example: {first.problem}."
+            f"{first.name}, for example: {first.problem}.{hint}"
         )
-    known = [*KINDS, *(name for name, p in parameters.items() if not p.problem)]
-    hint = "" if item in KINDS else near_misses(item, known)
+    hint = "" if item in KINDS else near_misses(item, [*KINDS, *known])
+    if item.partition(".")[0] in ("sensor", "camera"):
+        hint = _camera_hint(known)
     if re.match(r"object_\d", item):
         hint = " Names like object_… contain memory addresses; here objects without an id get stable names."
     return (
         f"inputs={item!r} matches no parameter of the scene.{hint} "
         f"Kinds are {', '.join(KINDS)}; parameters_table() and `scenecaptum parameters SCENE` list every name."
     )
+
+
+def _camera_hint(known: Sequence[str]) -> str:
+    """Name the parameters that stand for the camera in place of those of Mitsuba's sensor."""
+    names = [name for name in known if name.startswith("camera.")]
+    return f" Select the camera as {', '.join(names)}, or all of these as 'camera'." if names else ""

@@ -61,7 +61,7 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
     >>> renderer = SceneRenderer("cornell-box", inputs=["reflectance", "emitters"], resolution=(16, 16), spp=16)
     >>> found = dgsm(renderer, metrics.MeanLuminance(), parameters=["floor.*", "light.*"], points=8)
     >>> [row.label for row in found.rows]
-    ['light: radiance', 'floor: reflectance', 'light: reflectance']
+    ['light: radiance', 'floor: reflectance', 'light: surface reflectance']
 
     Parameters
     ----------

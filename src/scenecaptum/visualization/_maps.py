@@ -23,7 +23,7 @@ from ._figures import (
 )
 from ._layout import wrapped_lines
 from ._numbers import format_with_error, rounded, shorten
-from ._text import axis_label, color_meanings, method_name, noise_notes, pack
+from ._text import axis_label, color_meanings, method_name, metric_unit, noise_notes, pack
 from ._tonemap import display_image
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 _NORMS = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
+_MOST_UNSEEN = 3  # rank of a parameter that is named where no pixel shows it
+_NEGLIGIBLE = 0.01  # relative to the largest effect: not counted there
 DEFAULT_SIZE = (WIDTH, 4.0)  # the largest width of a figure and height of an image
 OPACITY = 0.8  # of the map in an overlay, at its maximum
 _RENDER_BRIGHTNESS = 0.7  # of the grey render below an overlay
@@ -218,10 +220,14 @@ def _map_title(
         return "all effects are 0"
     parameter, maximum = options.get("parameter") or [], options.get("maximum")
     names = [parameter] if isinstance(parameter, str) else parameter
-    shown = ", ".join(attribution.labels.get(name, name) for name in names)
-    shown = shorten([shown], 60)[0] or axis_label(attribution, scale, metric="the metric")
-    largest = "the largest" if maximum is None else rounded(maximum)
+    selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
+    quantity = axis_label(attribution, scale, metric="the metric")
+    shown = f"{selected}: {quantity}" if selected else quantity
+    unit = metric_unit(attribution) if attribution.scale_or_default(scale) == "range" else ""
+    largest = "the largest" if maximum is None else f"{rounded(maximum)} {unit}".rstrip()
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
+    if options.get("texels"):
+        lines.append("each texel: effect of a whole texture that acts like it")
     if signed:
         lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
@@ -277,15 +283,26 @@ def _panels(
 
 
 def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
-    """Return a note on the most salient parameter or group that no pixel shows, if it is in the top three."""
+    """Return a note on the parameters or groups in the top three that no pixel shows; others are only counted."""
     surfaces = attribution.surfaces
     if surfaces is None:
         return ""
     visible = surfaces.visible_parameters() | set(attribution.info.get("seen_through") or ())
     groups = attribution.info.get("groups") or {}
-    for row in attribution.ranking(3, scale=scale):
-        if visible.isdisjoint(groups.get(row.name, [row.name])) and row.saliency > 0:
-            effect = format_with_error(row.saliency, row.saliency_error)
-            label = shorten([row.label], 60)[0]
-            return f"not in the picture: {label}, #{row.rank} with an effect of {effect}"
-    return ""
+    ranking = attribution.ranking(scale=scale)
+    unseen = [
+        row
+        for row in ranking
+        if visible.isdisjoint(groups.get(row.name, [row.name]))
+        and row.saliency > max(2 * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
+    ]
+    named = [row for row in unseen if row.rank <= _MOST_UNSEEN]
+    if not named:
+        return ""
+    names = shorten([row.label for row in named], 60)
+    parts = [
+        f"{name}, #{row.rank} with an effect of {format_with_error(row.saliency, row.saliency_error)}"
+        for name, row in zip(names, named, strict=True)
+    ]
+    more = len(unseen) - len(named)
+    return f"not in the picture: {'; '.join(parts)}{f'; and {more} more' if more else ''}"

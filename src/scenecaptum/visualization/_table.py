@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import NamedTuple
 
-from ..protocols import Attribution, RankedParameter, Scale
+from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import grid, wrap
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
 from ._text import (
@@ -149,7 +149,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
     ]
     channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
-    notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale)}"]
+    notes = [f"{'norm' if is_norm else 'effect'}: {_quantity(attribution, scale)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
@@ -173,6 +173,12 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
         notes=notes,
     )
+
+
+def _quantity(attribution: Attribution, scale: Scale | None) -> str:
+    """Return what the numbers are; effects over a range are extrapolated from derivatives, which the note says."""
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    return f"{'first-order ' if kind is ResultKind.EFFECT else ''}{axis_label(attribution, scale)}"
 
 
 def _effects(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
