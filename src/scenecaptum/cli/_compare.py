@@ -128,7 +128,7 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
         metric,
         options.target,
         seed=options.seed,
-        spp=None,
+        spp=(before.info.get("picture") or {}).get("spp"),  # the change is to be as accurate as the values
         replicates=DEFAULT_REPLICATES,
         denoise=denoise_of(before),
         values=origin,
