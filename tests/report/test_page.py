@@ -470,6 +470,17 @@ def test_a_comparison_is_of_two_results_of_one_metric(tmp_path, results):
         written(tmp_path, *results, comparison=Comparison(1.0))
 
 
+@pytest.mark.parametrize("size", [0.0, 5.0], ids=["noise", "an effect"])
+def test_a_map_of_noise_says_so(browser, tmp_path, size):
+    values = {name: 0.001 * torch.ones_like(torch.tensor(value)) for name, value in VALUES.items()}
+    values["chair.reflectance.data"] /= 16  # texels, whose sum counts
+    values["chair.alpha"] += size
+    values["sky.radiance.value"] = torch.tensor(1.0)  # no pixel shows it
+    page = Page(browser, written(tmp_path, ranged(attributions=values)))
+    assert ("differs from noise" in page.page.locator("#caption").inner_text()) == (size == 0)
+    page.context.close()
+
+
 @pytest.mark.parametrize(
     "others",
     [

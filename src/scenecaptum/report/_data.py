@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..attr import Explanation
 from ..errors import SceneCaptumError
+from ..estimation import student_t
 from ..projection import SurfaceMap, heatmap, shared_maximum, used_by_objects
 from ..protocols import Attribution, RankedParameter
 from ..visualization import (
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 _DIGITS = 9  # of single precision
 _MAX_CHANNELS = 64
+_FALSE_ALARMS = 0.05  # for all effects of a map together
 _SIGNS = {RAISES: 1, LOWERS: -1, UNCLEAR: 0}
 _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmittance", "albedo")
 
@@ -214,6 +216,7 @@ def _result(
         ],
         # Including objects that no pixel shows, as in ``heatmap``.
         "largest": _number(max([row.saliency for row in ranking] + list(map(abs, saliencies)), default=0.0)),
+        "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in object_rows[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(attribution.info),
@@ -245,6 +248,22 @@ def _object_effect(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> f
     """Return an object's saliency as in ``heatmap``, with the sign of the sum of its effects."""
     magnitude = math.hypot(*(ranking[index].saliency for index in rows))
     return math.copysign(magnitude, math.fsum(ranking[index].effect for index in rows))
+
+
+def _is_noise(attribution: Attribution, ranking: Sequence[RankedParameter], rows: Collection[int]) -> bool:
+    """Whether none of the rows is clear of its error, at a false alarm rate of 5 % for all of them together."""
+    numbers: list[tuple[float, float | None]] = []
+    for row in (ranking[index] for index in rows):
+        if attribution.ranks_by_norm():
+            numbers += zip(row.total, row.total_error or [None] * len(row.total), strict=True)
+        else:
+            numbers.append((row.effect, row.effect_error))
+    errors = [error for _, error in numbers if error is not None]
+    if len(errors) < len(numbers) or not any(errors):
+        return False
+    freedom = attribution.info.get("degrees_of_freedom", attribution.info["replicates"] - 1)
+    allowed = student_t(1 - _FALSE_ALARMS / len(numbers), freedom)
+    return all(abs(value) <= allowed * error for (value, _), error in zip(numbers, errors, strict=True))
 
 
 def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
