@@ -160,7 +160,14 @@ CASES: dict[str, Case] = {
         f"compare {SCENE} --metric luminance --set {WALL}=0.1 --design design.json --titles before after "
         "--from other.toml --no-progress --out out",
         0,
-        ["before: mean luminance", "after: mean luminance", "change: −", "cd/m²", "comparison.html"],
+        [
+            "before: mean luminance",
+            "after: mean luminance",
+            "change: −",
+            "cd/m²",
+            "separate renders",
+            "comparison.html",
+        ],
         ["comparison.html"],
     ),
     "compare daylight": (
@@ -513,6 +520,9 @@ def test_titles_stand_in_the_report(folder: Path) -> None:
     page = (folder / "out" / "comparison.html").read_text()
     assert '"title":"Bright"' in page
     assert '"title":"Dim"' in page
+    found = json.loads(page.partition('"comparison":')[2].partition(',"views"')[0])
+    assert found["written"].startswith("−")
+    assert [one["name"] for one in found["values"]] == [WALL]
 
 
 def test_only_pictures_that_can_be_written_are_rendered(

@@ -168,6 +168,8 @@ def test_a_section_of_a_report_predicts(browser, tmp_path):
     wait_for(slider.count)
     slider.fill("0.5")
     wait_for(lambda: page.locator(".explore-badge").inner_text() == "Predicted")
+    assert "predicted to first order, not rendered" in page.locator(".explore-change").inner_text()
+    assert "noise of the prediction only" in page.locator(".explore-unrendered").inner_text()
     assert page.get_by_role("heading", name="What if").is_visible()
     assert complaints == []
     page.close()

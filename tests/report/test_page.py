@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,9 @@ from toy import ToyRenderer
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient
 from scenecaptum.attr import Change, Definition, Explanation, Source
+from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
-from scenecaptum.report import write_report
+from scenecaptum.report import Comparison, write_report
 from scenecaptum.visualization import plot_heatmap
 
 UGR = {
@@ -395,44 +397,106 @@ def test_details_on_a_phone_are_in_sight_below_what_was_touched(browser, tmp_pat
 # ----------------------------------------------------------------------------------------------- before and after
 
 
-def test_the_slider_shows_the_other_picture_on_the_left(browser, tmp_path):
+def test_the_slider_shows_before_on_the_left_and_after_on_the_right(browser, tmp_path):
     red, green = plain_picture(1.0, 0.0, 0.0), plain_picture(0.0, 1.0, 0.0)
     path = written(tmp_path, make(image=red), make(image=green), titles=["as it is", NASTY])
     page = Page(browser, path)
-    other, slider = page.page.locator("#other"), page.page.locator("#split")
-    assert page.page.locator("#split-choice").is_visible()
-    assert NASTY in page.page.locator("#split-value").inner_text()
-    slider.fill("0")
-    assert other.is_hidden()
-    slider.fill("50")  # as at the start
-    for part in (other, page.page.locator("#other-overlay")):
-        assert part.is_visible()
-        assert part.evaluate("one => getComputedStyle(one).clipPath") == "inset(0px 50% 0px 0px)"
-    page.page.locator("#opacity").fill("0")
-    seen = tmp_path / "seen.png"
-    page.page.locator("#picture").screenshot(path=seen)
-    with Image.open(seen) as picture:
-        width, height = picture.size
-        left, right = (picture.getpixel((width * part // 100, height // 2)) for part in (47, 53))
-    assert left[1] > 2 * left[0]
-    assert right[0] > 2 * right[1]
-    # The other way round, the slider keeps its place.
-    page.page.get_by_text(NASTY, exact=True).first.click()
-    assert "as it is" in page.page.locator("#split-value").inner_text()
-    assert other.get_attribute("src") != page.page.locator("#render").get_attribute("src")
+    slider, overlay = page.page.locator("#split"), page.page.locator("#opacity")
+    assert slider.is_visible()
+    # Both pictures are seen plainly, until the maps are asked for.
+    assert overlay.input_value() == "0"
+    assert not page.page.locator(".legend").is_visible()
+    for title in ("as it is", NASTY):  # whichever of the two is chosen
+        page.page.get_by_text(title, exact=True).first.click()
+        slider.fill("50")
+        ends = [page.page.locator(f"#split-{end}").inner_text() for end in ("before", "after")]
+        assert ends == ["as it is", NASTY]
+        seen = tmp_path / "seen.png"
+        page.page.locator("#picture").screenshot(path=seen)
+        with Image.open(seen) as picture:
+            width, height = picture.size
+            left, right = (picture.getpixel((width * part // 100, height // 2)) for part in (47, 53))
+        assert left[0] > 2 * left[1]
+        assert right[1] > 2 * right[0]
+        slider.fill("0" if title == NASTY else "100")
+        assert page.page.locator("#other").is_hidden()
+    slider.fill("50")
+    overlay.fill("75")
+    assert page.page.locator(".legend").is_visible()
+    clips = [
+        page.page.locator(f"#{one}").evaluate("one => getComputedStyle(one).clipPath")
+        for one in ("other-overlay", "overlay")
+    ]
+    assert clips == ["inset(0px 50% 0px 0px)", "inset(0px 0px 0px 50%)"]
+    page.check(path)
+    page.context.close()
+
+
+def test_a_comparison_is_on_top_with_what_was_set(browser, tmp_path):
+    after = ranged(
+        image=plain_picture(0.0, 1.0, 0.0),
+        parameter_values={
+            **ranged().parameter_values,
+            "floor.reflectance.value": torch.tensor([0.75, 0.5, 0.25]),
+            "chair.alpha": torch.tensor(0.3),
+        },
+    )
+    comparison = Comparison(-0.263, 0.004, ["Measured <b>separately."])
+    path = written(tmp_path, ranged(), after, titles=["as it is", NASTY], comparison=comparison)
+    page = Page(browser, path)
+    shown = page.page.locator("#comparison")
+    text = " ".join(shown.inner_text().split())
+    for part in (f"as it is → {NASTY}", "−0.263 ± 0.004", "Measured <b>separately."):
+        assert part in text
+    assert [" ".join(one.split()) for one in shown.locator("dl > div").all_inner_texts()] == [
+        "floor: reflectance 0.5 0.25 0.125 → 0.75 0.5 0.25",
+        "chair: alpha 0.15 → 0.3",
+    ]
+    assert box_of(page, "#comparison")[1] <= box_of(page, "#picture")[0]
+    numbers = json.loads(downloaded(page, "json", tmp_path / "numbers.json").read_text())["comparison"]
+    assert numbers["change"] == -0.263
+    assert [*map(pytest.approx, numbers["values"]["chair.alpha"])] == [[0.15], [0.3]]
     page.check(path)
     page.context.close()
 
 
 @pytest.mark.parametrize(
+    "results",
+    [[make()], [make(), make(), make()], [make(), make("Brightness")]],
+    ids=["one", "three", "metrics"],
+)
+def test_a_comparison_is_of_two_results_of_one_metric(tmp_path, results):
+    with pytest.raises(SceneCaptumError, match="two results of one metric"):
+        written(tmp_path, *results, comparison=Comparison(1.0))
+
+
+@pytest.mark.parametrize("size", [0.0, 5.0], ids=["noise", "an effect"])
+def test_a_map_of_noise_says_so(browser, tmp_path, size):
+    values = {name: 0.001 * torch.ones_like(torch.tensor(value)) for name, value in VALUES.items()}
+    values["chair.reflectance.data"] /= 16  # texels, whose sum counts
+    values["chair.alpha"] += size
+    values["sky.radiance.value"] = torch.tensor(1.0)  # no pixel shows it
+    page = Page(browser, written(tmp_path, ranged(attributions=values)))
+    assert ("differs from noise" in page.page.locator("#caption").inner_text()) == (size == 0)
+    page.context.close()
+
+
+@pytest.mark.parametrize(
     "others",
-    [[], [make("Brightness")], [make(image=torch.ones(5, 7, 3), surfaces=quarters(5, 7))]],
-    ids=["one result", "one picture", "another size"],
+    [
+        [],
+        [make("Brightness")],
+        [make("Brightness", image=plain_picture(1.0, 0.0, 0.0))],
+        [noted(make(image=plain_picture(1.0, 0.0, 0.0)), sensor="door")],
+        [make(image=torch.ones(5, 7, 3), surfaces=quarters(5, 7))],
+    ],
+    ids=["one result", "one picture", "another metric", "another camera", "another size"],
 )
 def test_without_a_picture_to_compare_there_is_no_slider(browser, tmp_path, others):
     page = Page(browser, written(tmp_path, make(), *others))
     assert page.page.locator("#split-choice").is_hidden()
     assert page.page.locator("#other").is_hidden()
+    assert page.page.locator("#opacity").input_value() == "75"
     page.context.close()
 
 

@@ -383,7 +383,7 @@ def test_switches_and_slider_repaint_the_picture(report):
     slider.focus()
     report.page.keyboard.press("Home")
     assert report.page.locator("#overlay").evaluate("canvas => getComputedStyle(canvas).opacity") == "0"
-    assert report.page.locator("#opacity-value").inner_text() == "0 %"
+    assert report.page.locator("#opacity-value").inner_text() == "off"
 
 
 def test_report_figure_and_exported_picture_show_the_same_map(browser, tmp_path):

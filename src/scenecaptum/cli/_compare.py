@@ -17,7 +17,7 @@ from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
 from ..rendering import SceneRenderer
-from ..report import write_report
+from ..report import Comparison, different_values, write_report
 from ..validation import Scenes, denoise_of
 from ..visualization import (
     format_with_error,
@@ -28,6 +28,8 @@ from ..visualization import (
     pluralize,
     rounded,
     signed_with_error,
+    terminal_width,
+    wrapped_lines,
 )
 from . import _arguments
 from ._design import add_design, designed_values
@@ -41,7 +43,12 @@ if TYPE_CHECKING:
 
 REPORT = "comparison.html"
 ROWS = 10
+WIDTH = 100  # of sentences, without a terminal
 SIGNIFICANT = 2.0  # standard errors
+MEASURED = (
+    "The change comes from separate renders of both designs with the same random numbers, in which most of the "
+    "noise cancels: it can differ from the difference of the two values, by about their errors."
+)
 
 
 def add(commands: Any) -> None:
@@ -65,7 +72,7 @@ def add(commands: Any) -> None:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Compared:
     """Two results of one metric, their titles, and the change of the metric with its standard error.
 
     ``measured`` says how, where the change is not the difference of the two values. Of metrics of daylight, also
@@ -79,6 +86,16 @@ class Comparison:
     error: float | None
     sides: Sequence[Side]
     measured: str = ""
+
+    def notes(self) -> list[str]:
+        """Return what belongs to the change: how it was measured, the definition, and the light."""
+        exact = [
+            f"{title}: {side.exact}"
+            for title, side in zip(self.titles, self.sides, strict=True)
+            if side.exact
+        ]
+        relaxed = f"The values and the change are of the relaxed metric. {'; '.join(exact)}." if exact else ""
+        return [*filter(None, (self.measured, relaxed)), *self.sides[0].premises]
 
 
 @dataclass(frozen=True)
@@ -95,17 +112,24 @@ def run(options: argparse.Namespace) -> int:
     with writable(options.out):
         found = _compare(options)
         plans = [side.plan for side in found.sides]
-        write_report([found.before, found.after], options.out / REPORT, found.titles, plans=plans)
+        comparison = Comparison(found.change, found.error, found.notes())
+        write_report(
+            [found.before, found.after],
+            options.out / REPORT,
+            found.titles,
+            plans=plans,
+            comparison=comparison,
+        )
     if options.json:
         print(json.dumps(_numbers(found), indent=1, ensure_ascii=False))
         return 0
     print("\n".join(_lines(found)))
     print_files(options.out, [])
-    print(f"{options.out / REPORT}  both results, with their pictures side by side")
+    print(f"{options.out / REPORT}  the change, what was set, and both pictures and maps")
     return 0
 
 
-def _compare(options: argparse.Namespace) -> Comparison:
+def _compare(options: argparse.Namespace) -> Compared:
     designed = bool(options.settings or options.design)
     if (options.other is None) != designed:
         raise SceneCaptumError(
@@ -114,7 +138,7 @@ def _compare(options: argparse.Namespace) -> Comparison:
     return _compare_designs(options) if designed else _compare_scenes(options)
 
 
-def _compare_designs(options: argparse.Namespace) -> Comparison:
+def _compare_designs(options: argparse.Namespace) -> Compared:
     renderer, metric = _renderer_and_metric(options, options.scene)
     origin = None if options.origin is None else design_of(renderer, read_design(options.origin))
     design = designed_values(options, renderer)
@@ -128,7 +152,7 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
         metric,
         options.target,
         seed=options.seed,
-        spp=None,
+        spp=(before.info.get("picture") or {}).get("spp"),  # the change is to be as accurate as the values
         replicates=DEFAULT_REPLICATES,
         denoise=denoise_of(before),
         values=origin,
@@ -139,9 +163,7 @@ def _compare_designs(options: argparse.Namespace) -> Comparison:
     ]
     change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
     sides = [_side(one, renderer, metric, options) for one in (before, after)]
-    return Comparison(
-        before, after, titles, *change, sides, " (from other renders, with common random numbers)"
-    )
+    return Compared(before, after, titles, *change, sides, MEASURED)
 
 
 def _side(
@@ -151,7 +173,7 @@ def _side(
     return Side(plan, by_definition(attribution, metric), premises(metric, options))
 
 
-def _compare_scenes(options: argparse.Namespace) -> Comparison:
+def _compare_scenes(options: argparse.Namespace) -> Compared:
     if options.origin is not None:
         raise SceneCaptumError(
             "--from needs --set or --design: it is the design that they are compared with."
@@ -168,7 +190,7 @@ def _compare_scenes(options: argparse.Namespace) -> Comparison:
     error = None if a is None or b is None else math.hypot(a, b)
     titles = options.titles or [_name(options.scene), _name(options.other)]
     change = after.metric_value - before.metric_value
-    return Comparison(before, after, titles, change, error, [side, other])
+    return Compared(before, after, titles, change, error, [side, other])
 
 
 def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[SceneAttribution, Side]:
@@ -198,7 +220,7 @@ def _name(given: str) -> str:
     return path.parent.name if path.stem in ("scene", "attribution") and path.parent.name else path.stem
 
 
-def _lines(found: Comparison) -> list[str]:
+def _lines(found: Compared) -> list[str]:
     """Return the comparison as text: the metric, the values that differ, and the effects that changed."""
     before, after = found.before, found.after
     suffix = f" {metric_unit(before)}".rstrip()
@@ -207,12 +229,13 @@ def _lines(found: Comparison) -> list[str]:
             f"{title}: {metric_line(one)}{f' relaxed, {side.exact}' if side.exact else ''}"
             for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
         ),
-        f"change: {signed_with_error(found.change, found.error)}{suffix}{found.measured}",
+        f"change: {signed_with_error(found.change, found.error)}{suffix}",
+        *_note(found.measured),
         *found.sides[0].premises,
     ]
     moved = [
         (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
-        for name in _moved(before, after)
+        for name in different_values(before, after)
     ]
     if moved:
         text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]
@@ -234,7 +257,12 @@ def _lines(found: Comparison) -> list[str]:
     return text
 
 
-def _numbers(found: Comparison) -> dict[str, Any]:
+def _note(text: str) -> list[str]:
+    """Return a sentence as indented lines."""
+    return wrapped_lines(f"  {text}", max(terminal_width() or WIDTH, 40), indent=2) if text else []
+
+
+def _numbers(found: Compared) -> dict[str, Any]:
     """Return the comparison as plain values."""
     before, after = found.before, found.after
     rows = _changed_effects(before, after) if set(before) == set(after) else []
@@ -248,19 +276,13 @@ def _numbers(found: Comparison) -> dict[str, Any]:
         "change": {"value": found.change, "standard_error": found.error},
         "values": {
             name: [one.parameter_values[name].tolist() for one in (before, after)]
-            for name in _moved(before, after)
+            for name in different_values(before, after)
         },
         "effects": [
             {"name": row.name, "label": row.label, "change": row.effect, "standard_error": row.effect_error}
             for row in rows
         ],
     }
-
-
-def _moved(before: SceneAttribution, after: SceneAttribution) -> list[str]:
-    """Return the parameters with different values."""
-    values, others = before.parameter_values, after.parameter_values
-    return [name for name in values if name in others and not torch.equal(values[name], others[name])]
 
 
 def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[Ranked]:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..attr import Explanation
 from ..errors import SceneCaptumError
+from ..estimation import student_t
 from ..projection import SurfaceMap, heatmap, shared_maximum, used_by_objects
 from ..protocols import Attribution, RankedParameter
 from ..visualization import (
@@ -32,6 +35,7 @@ from ..visualization import (
     scene_cautions,
     shown_render,
     sign_labels,
+    signed_with_error,
     untrusted_groups,
     verdict,
     with_error,
@@ -43,8 +47,26 @@ if TYPE_CHECKING:
 
 _DIGITS = 9  # of single precision
 _MAX_CHANNELS = 64
+_FALSE_ALARMS = 0.05  # for all effects of a map together
 _SIGNS = {RAISES: 1, LOWERS: -1, UNCLEAR: 0}
 _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmittance", "albedo")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The change of a metric from the first of two results to the second, which stands on top of the page.
+
+    Attributes
+    ----------
+    change, standard_error
+        The change, and its standard error if it is known.
+    notes
+        Sentences below it, such as how it was measured.
+    """
+
+    change: float
+    standard_error: float | None = None
+    notes: Sequence[str] = ()
 
 
 def report_data(
@@ -52,6 +74,7 @@ def report_data(
     titles: Sequence[str],
     explanations: Sequence[Explanation | None],
     plans: Sequence[Figure | None],
+    comparison: Comparison | None,
 ) -> dict[str, Any]:
     """Return the data of the page; views and images that results share are stored once."""
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
@@ -67,7 +90,33 @@ def report_data(
         results.append(
             {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
         )
-    return {"results": results, **shared, "maps": color_maps()}
+    compared = None if comparison is None else _comparison(attributions[0], attributions[1], comparison)
+    return {"results": results, "comparison": compared, **shared, "maps": color_maps()}
+
+
+def _comparison(before: Attribution, after: Attribution, comparison: Comparison) -> dict[str, Any]:
+    """Return the change, and the values that differ."""
+    return {
+        "change": _number(comparison.change),
+        "error": _number(comparison.standard_error),
+        "written": signed_with_error(comparison.change, comparison.standard_error),
+        "notes": list(comparison.notes),
+        "values": [
+            {
+                "name": name,
+                "label": before.labels.get(name, name),
+                "texture": _is_texture(before, name),
+                "values": [_written_value(one, name, one.parameter_values[name]) for one in (before, after)],
+            }
+            for name in different_values(before, after)
+        ],
+    }
+
+
+def different_values(before: Attribution, after: Attribution) -> list[str]:
+    """Return the parameters that have different values in two results."""
+    values, others = before.parameter_values, after.parameter_values
+    return [name for name in values if name in others and not torch.equal(values[name], others[name])]
 
 
 def describe_objects(
@@ -167,6 +216,7 @@ def _result(
         ],
         # Including objects that no pixel shows, as in ``heatmap``.
         "largest": _number(max([row.saliency for row in ranking] + list(map(abs, saliencies)), default=0.0)),
+        "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in object_rows[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(attribution.info),
@@ -200,6 +250,22 @@ def _object_effect(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> f
     return math.copysign(magnitude, math.fsum(ranking[index].effect for index in rows))
 
 
+def _is_noise(attribution: Attribution, ranking: Sequence[RankedParameter], rows: Collection[int]) -> bool:
+    """Whether none of the rows is clear of its error, at a false alarm rate of 5 % for all of them together."""
+    numbers: list[tuple[float, float | None]] = []
+    for row in (ranking[index] for index in rows):
+        if attribution.ranks_by_norm():
+            numbers += zip(row.total, row.total_error or [None] * len(row.total), strict=True)
+        else:
+            numbers.append((row.effect, row.effect_error))
+    errors = [error for _, error in numbers if error is not None]
+    if len(errors) < len(numbers) or not any(errors):
+        return False
+    freedom = attribution.info.get("degrees_of_freedom", attribution.info["replicates"] - 1)
+    allowed = student_t(1 - _FALSE_ALARMS / len(numbers), freedom)
+    return all(abs(value) <= allowed * error for (value, _), error in zip(numbers, errors, strict=True))
+
+
 def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
     errors: Sequence[float | None] = row.total_error or [None] * len(row.total)
     few = len(row.total) <= _MAX_CHANNELS
@@ -222,7 +288,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         else [],
         "seenThrough": bool({row.name, *(members or ())} & set(attribution.info.get("seen_through") or ())),
         "channels": len(row.total),
-        "texture": attribution[row.name].ndim > 1,
+        "texture": _is_texture(attribution, row.name),
         **_value(attribution, row.name, members),
     }
 
@@ -239,7 +305,11 @@ def _value(attribution: Attribution, name: str, members: Sequence[str] | None) -
     tensor = attribution.parameter_values.get(name)
     if tensor is None:
         return {}
-    textured = attribution[name].ndim > 1
+    return _written_value(attribution, name, tensor)
+
+
+def _written_value(attribution: Attribution, name: str, tensor: torch.Tensor) -> dict[str, Any]:
+    textured = _is_texture(attribution, name)
     numbers = [float(number) for number in tensor.flatten().tolist()]
     parts = set(name.replace("_", ".").split("."))
     is_color = len(numbers) == 3 and bool(parts & set(_COLOR_PARAMETERS))
@@ -248,6 +318,10 @@ def _value(attribution: Attribution, name: str, members: Sequence[str] | None) -
         "valueWritten": [rounded(number, 3 if textured else 4) for number in numbers],
         **({"swatch": _swatch(numbers)} if is_color else {}),
     }
+
+
+def _is_texture(attribution: Attribution, name: str) -> bool:
+    return name in attribution and attribution[name].ndim > 1  # a group has other names than its parameters
 
 
 def _swatch(linear: Sequence[float]) -> str:
@@ -291,7 +365,10 @@ def default_titles(attributions: Sequence[Attribution]) -> list[str]:
 
 
 def check(
-    attributions: Sequence[Attribution], titles: Sequence[str] | None, plans: Sequence[Figure | None]
+    attributions: Sequence[Attribution],
+    titles: Sequence[str] | None,
+    plans: Sequence[Figure | None],
+    comparison: Comparison | None,
 ) -> None:
     """Raise for results that a report cannot show."""
     if not attributions:
@@ -299,6 +376,12 @@ def check(
     if titles is not None and len(titles) != len(attributions):
         raise SceneCaptumError(
             f"titles must have one title for each of the {len(attributions)} attributions, not {len(titles)}."
+        )
+    names = [metric_name(attribution) for attribution in attributions]
+    if comparison is not None and (len(names) != 2 or names[0] != names[1]):
+        raise SceneCaptumError(
+            f"A comparison is of two results of one metric, not of {', '.join(map(repr, names))}: give these "
+            "without comparison=."
         )
     if len(plans) != len(attributions):
         raise SceneCaptumError(

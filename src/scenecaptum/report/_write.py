@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..attr import Explanation
 from ..files import atomic_write
 from ..protocols import Attribution
-from ._data import check, default_titles, report_data
+from ._data import Comparison, check, default_titles, report_data
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,6 +53,7 @@ def write_report(
     titles: Sequence[str] | None = None,
     *,
     plans: Sequence[Figure | None] | None = None,
+    comparison: Comparison | None = None,
     sections: Sequence[Section] = (),
 ) -> None:
     """Write results as one self-contained HTML file to explore in a browser; it needs no network.
@@ -75,21 +76,25 @@ def write_report(
     plans
         A figure for each result of a sensor grid, such as that of ``visualization.plot_plan``, or None for a
         result with a picture. It stands in place of the picture and has no overlay.
+    comparison
+        The change from the first of two results of one metric to the second. It stands on top, with the values of
+        the parameters that differ.
     sections
         Further parts of the page, such as ``explore.section``.
 
     Raises
     ------
     SceneCaptumError
-        If a result has no image or no map of the surfaces in it, and no plan, or the file cannot be written.
+        If a result has no image or no map of the surfaces in it, and no plan, if ``comparison`` is given of other
+        than two results of one metric, or if the file cannot be written.
     """
     given = list(attributions) if isinstance(attributions, Sequence) else [attributions]
     explanations = [one if isinstance(one, Explanation) else None for one in given]
     results = [one.attribution if isinstance(one, Explanation) else one for one in given]
     drawn = [None] * len(results) if plans is None else list(plans)
-    check(results, titles, drawn)
+    check(results, titles, drawn, comparison)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    _write(path, _page(report_data(results, names, explanations, drawn), sections))
+    _write(path, _page(report_data(results, names, explanations, drawn, comparison), sections))
 
 
 def write_section(section: Section, path: str | os.PathLike[str], scene: str) -> None:

@@ -43,29 +43,36 @@ function drawOpacity() {
   for (const map of ["overlay", "other-overlay"]) byId(map).style.opacity = opacity;
   // Below a map in colour, colours of the render would be read as part of it.
   for (const picture of ["render", "other"]) byId(picture).style.filter = `grayscale(${opacity})`;
-  byId("opacity-value").textContent = `${byId("opacity").value} %`;
+  byId("opacity-value").textContent = opacity ? `${byId("opacity").value} %` : "off";
+  byId("below").classList.toggle("off", opacity === 0);
 }
 
-/** The result to compare the picture with: the next one with another picture of the same size. */
+/** The result to compare the picture with: the next one of the same metric and camera, with another picture. */
 function otherResult() {
   const ahead = results.map((_, step) => results[(state.current + 1 + step) % results.length]);
-  return ahead.find((one) => one.picture !== result().picture && views[one.view].width === view().width && views[one.view].height === view().height);
+  return ahead.find((one) => isAlike(one) && one.picture !== result().picture && one.info.sensor === result().info.sensor
+    && views[one.view].width === view().width && views[one.view].height === view().height);
 }
 
-/** Show the other picture, with the map of its result, on the left of the split. */
+/** Show the other picture, with the map of its result, beside the split: the earlier result is on the left. */
 function drawSplit() {
   const other = otherResult();
-  const share = other ? Number(byId("split").value) : 0;
+  const share = Number(byId("split").value);
+  const isAfter = results.indexOf(other) > state.current;
+  const [left, right] = [`inset(0 ${100 - share}% 0 0)`, `inset(0 0 0 ${share}%)`];
   byId("split-choice").hidden = !other;
+  byId("below").classList.toggle("compared", Boolean(other));
   if (other) byId("other").src = data.pictures[other.picture];
   for (const part of ["other", "other-overlay"]) {
-    byId(part).hidden = share === 0;
-    byId(part).style.clipPath = `inset(0 ${100 - share}% 0 0)`;
+    byId(part).hidden = !other || share === (isAfter ? 100 : 0);
+    byId(part).style.clipPath = isAfter ? right : left;
   }
-  byId("overlay").style.clipPath = `inset(0 0 0 ${share}%)`;
-  byId("picture").classList.toggle("split", share > 0 && share < 100);
+  byId("overlay").style.clipPath = !other ? "none" : isAfter ? left : right;
+  byId("picture").classList.toggle("split", Boolean(other) && share > 0 && share < 100);
   byId("picture").style.setProperty("--split", `${share}%`);
-  byId("split-value").textContent = other ? `left: ${other.title}` : "";
+  const [before, after] = isAfter ? [result(), other] : [other, result()];
+  byId("split-before").textContent = other ? before.title : "";
+  byId("split-after").textContent = other ? after.title : "";
 }
 
 function drawMarks() {
@@ -281,14 +288,16 @@ function downloadBlob(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-/** The picture as it is shown, without outlines, enlarged to at least 1280 pixels. */
+const MAP_OPACITY = 75; // of an overlay that is not shown
+
+/** The picture with its overlay, without outlines, enlarged to at least 1280 pixels. */
 function mapPicture() {
   const factor = Math.max(1, Math.ceil(1280 / view().width));
   const canvas = make("canvas");
   canvas.width = factor * view().width;
   canvas.height = factor * view().height;
   const context = canvas.getContext("2d");
-  const opacity = byId("opacity").value / 100;
+  const opacity = (Number(byId("opacity").value) || MAP_OPACITY) / 100;
   context.filter = `grayscale(${opacity})`;
   context.drawImage(byId("render"), 0, 0, canvas.width, canvas.height);
   context.filter = "none";
@@ -363,7 +372,11 @@ function jsonText() {
     })),
     info: one.info,
   }));
-  return `${JSON.stringify({ results: numbers }, null, 1)}\n`;
+  const { change, error, values } = data.comparison ?? {};
+  const comparison = data.comparison && {
+    change, standard_error: error, values: Object.fromEntries(values.map((one) => [one.name, one.values.map(({ value }) => value)])),
+  };
+  return `${JSON.stringify(comparison ? { comparison, results: numbers } : { results: numbers }, null, 1)}\n`;
 }
 
 // ------------------------------------------------------------------------------------------------- start-up
@@ -381,6 +394,21 @@ function drawResults() {
   byId("results").classList.toggle("single", results.length === 1);
   const scenes = [...new Set(results.map((one) => String(one.info.scene ?? "Scene")))];
   byId("heading").textContent = scenes.map(sceneName).join(", ");
+}
+
+const LISTED = 6;
+
+/** The change from the first result to the second, and the values that differ. */
+function drawComparison({ written, notes, values }) {
+  const [before, after] = results;
+  const head = make("div", {}, make("p", { class: "result-title" }, `change: ${before.title} → ${after.title}`),
+    make("p", { class: "result-value" }, [minus(written), after.unit].filter(Boolean).join(" ")));
+  const listed = values.slice(0, LISTED).map(({ label, texture, values: [from, to] }) => make("div", {}, make("dt", {}, ...breakable(label)),
+    make("dd", {}, valueOf({ ...from, texture }), make("span", { class: "to" }, " → "), valueOf({ ...to, texture }))));
+  const more = values.length > LISTED ? make("p", { class: "muted" }, `and ${counted(values.length - LISTED, "parameter")} more`) : null;
+  byId("comparison").hidden = false;
+  byId("comparison").append(head, make("div", {}, make("dl", {}, ...listed), ...[more].filter(Boolean)),
+    make("div", { class: "notes-of-change" }, ...notes.map((text) => make("p", { class: "result-verdict" }, text))));
 }
 
 /** Name a scene by its file, or by its folder where the file is called what all are. */
@@ -444,7 +472,10 @@ async function start() {
     return;
   }
   drawResults();
+  if (data.comparison) drawComparison(data.comparison);
   recall();
+  // Two plain pictures are compared first; the maps come with their slider.
+  if (otherResult()) byId("opacity").value = 0;
   listen();
   drawOpacity();
   drawResult();

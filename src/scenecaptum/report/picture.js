@@ -166,6 +166,7 @@ function drawScale(result, scale) {
 function captionOf(result, scale) {
   const axis = result.axis.charAt(0).toUpperCase() + result.axis.slice(1);
   const pointing = result.arrows.length ? ["; arrows: where moving an object raises the metric most"] : [];
+  if (result.isNoise && !scale.texels) pointing.push(". No pixel differs from noise: no effect is larger than its error explains.");
   if (!scale.signed) return [axis, ...pointing];
   return [
     `${axis}; all parameters of an object together: `,

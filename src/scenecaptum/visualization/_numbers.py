@@ -50,6 +50,8 @@ class Format(NamedTuple):
             return minus(f"{number + 0.0:g}")
         decimals = self.place + self.exponent
         scaled = round(number / 10.0**self.exponent, decimals) + 0.0  # + 0.0 turns −0.0 into 0.0
+        if self.exponent and scaled == 0:
+            return "0"  # far below what it is written beside: no digits, and no power of ten of zero
         text = f"{scaled:.{max(decimals, 0)}f}"
         return minus(f"{text}e{self.exponent}" if self.exponent else text)
 

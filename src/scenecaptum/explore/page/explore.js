@@ -5,6 +5,8 @@ const LATEST = 1000; // ms after which it is sent while a slider still moves
 const KNEE = 0.6; // of the tone curve, as in visualization/_tonemap.py
 const LAYERS = 3; // objects per pixel
 const OPERATORS = { dimmer: "*", offset: "+" }; // of changes, in Python and on the command line
+const UNRENDERED =
+  "Changes are predicted to first order, not rendered. ± is the noise of the prediction only: a render can differ by more.";
 const CLEAR = 2; // errors from which a render and its prediction differ
 
 /** Make an element. Strings become text, never markup: names come from scenes that anyone may have written. */
@@ -156,6 +158,7 @@ class Page {
       held: false,
     });
     this.heard = (message, buffers) => this.receive(message, buffers ?? []);
+    this.isRecorded = el.dataset.explore === "recorded"; // nothing renders what the sliders set
     el.classList.add("explore");
     el.addEventListener("keydown", (event) => this.press(event));
     el.addEventListener("keyup", (event) => event.key.toLowerCase() === "b" && this.hold(false));
@@ -417,7 +420,7 @@ class Page {
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
       verdict.textContent = !now ? "" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
-      const how = now?.change ? "rendered" : "predicted";
+      const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
@@ -435,7 +438,7 @@ class Page {
     if (!this.base) return;
     const { unit } = this.scene.metrics[this.metric];
     this.parts.heading.textContent = this.sliders.size
-      ? `Effect of each over its range${unit ? `, in ${unit}` : ""}; bold: of your change`
+      ? `Effect of each over its range, to first order${unit ? `, in ${unit}` : ""}; bold: of your change`
       : "";
     for (const slider of this.sliders.values()) {
       const row = this.rows.get(slider.name);
@@ -611,6 +614,7 @@ class Page {
       ),
       p.problem,
       p.cards,
+      this.isRecorded ? make("p", { class: "unrendered" }, UNRENDERED) : "",
       make("div", { class: "work" }, left, controls),
       p.announcement,
     );
