@@ -453,6 +453,19 @@ def test_a_design_that_was_found_is_rendered_and_compared(
     assert Image.open(folder / "found.png").size == (16, 16)
 
 
+def test_the_change_of_an_effect_is_the_difference_of_both(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of a lamp that is dimmed: its effect is over its own value, from off."""
+    dimmed = "--set light.emitter.radiance.value*=0.5"
+    assert cli.main(shlex.split(f"compare {SCENE} --metric luminance {dimmed} --json --out out")) == 0
+    effects = {one["label"]: one for one in json.loads(capsys.readouterr().out)["effects"]}
+    assert effects["light: radiance"]["change"] < 0
+    assert len(effects) > 2
+    for one in effects.values():
+        assert one["change"] == pytest.approx(one["after"] - one["before"], rel=1e-4)
+
+
 def test_a_design_changes_values_within_their_bounds(folder: Path) -> None:
     for name, change in (("doubled", f"{WALL}*=2"), ("lighter", f"{WALL}+=0.1,0.2,0.3")):
         text = f"attribute cornell-box {VIEW} --inputs reflectance --set {change} --format npz --out {name}"

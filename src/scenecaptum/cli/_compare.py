@@ -8,11 +8,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
-from ..attr import Ranked, SceneAttribution, VanillaSceneGradient
+from ..attr import SceneAttribution, VanillaSceneGradient
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
@@ -96,6 +96,17 @@ class Compared:
         ]
         relaxed = f"The values and the change are of the relaxed metric. {'; '.join(exact)}." if exact else ""
         return [*filter(None, (self.measured, relaxed)), *self.sides[0].premises]
+
+
+class ChangedEffect(NamedTuple):
+    """The effect of a parameter in both designs, its change, and the error of that."""
+
+    name: str
+    label: str
+    before: float
+    after: float
+    change: float
+    error: float | None
 
 
 @dataclass(frozen=True)
@@ -242,15 +253,14 @@ def _lines(found: Compared) -> list[str]:
     if set(before) != set(after):
         only = pluralize(len(set(before) ^ set(after)), "parameter")
         return [*text, "", f"{only} of one of the two only; effects are not compared."]
-    effects, others = before.effects(), after.effects()
     table = [
         (
-            row.label,
-            format_with_error(effects[row.name], None),
-            format_with_error(others[row.name], None),
-            signed_with_error(row.effect, row.effect_error),
+            one.label,
+            format_with_error(one.before, None),
+            format_with_error(one.after, None),
+            signed_with_error(one.change, one.error),
         )
-        for row in _changed_effects(before, after)[:ROWS]
+        for one in _changed_effects(before, after)[:ROWS]
     ]
     if table:
         text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
@@ -279,19 +289,34 @@ def _numbers(found: Compared) -> dict[str, Any]:
             for name in different_values(before, after)
         },
         "effects": [
-            {"name": row.name, "label": row.label, "change": row.effect, "standard_error": row.effect_error}
-            for row in rows
+            {
+                "name": one.name,
+                "label": one.label,
+                "before": one.before,
+                "after": one.after,
+                "change": one.change,
+                "standard_error": one.error,
+            }
+            for one in rows
         ],
     }
 
 
-def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[Ranked]:
+def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[ChangedEffect]:
     """Return the changes of effects that are clear of the noise, the largest first."""
-    return [
-        row
-        for row in (after - before).ranking()
-        if abs(row.effect) > SIGNIFICANT * (row.effect_error or math.inf)
-    ]
+    rows, differences = ({row.name: row for row in one.ranking()} for one in (before, after - before))
+    spans, others = before.weights(), after.weights()
+    found = []
+    for row in after.ranking():
+        own, difference = rows[row.name], differences[row.name]
+        change, error = difference.effect, difference.effect_error
+        if not torch.equal(spans[row.name], others[row.name]):
+            # Each effect is over a range of its own, as of a lamp from off to its value.
+            change = row.effect - own.effect
+            error = math.hypot(row.effect_error or math.inf, own.effect_error or math.inf)
+        if abs(change) > SIGNIFICANT * (error or math.inf):
+            found.append(ChangedEffect(row.name, row.label, own.effect, row.effect, change, error))
+    return sorted(found, key=lambda one: -abs(one.change))
 
 
 def _values(value: torch.Tensor) -> str:
