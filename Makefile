@@ -20,6 +20,7 @@ help:
 
 demo: .venv/.llvm
 	$(BIN)/scenecaptum demo --out out
+	@echo "Activate the environment first: . $(BIN)/activate"
 
 test: lint .venv/.llvm .venv/.chromium
 	$(BIN)/python -m pytest

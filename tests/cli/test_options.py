@@ -453,6 +453,18 @@ def test_a_design_that_was_found_is_rendered_and_compared(
     assert Image.open(folder / "found.png").size == (16, 16)
 
 
+def test_the_demo_ends_with_a_next_step(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(_demo, "attribute", lambda options: 0)
+    assert cli.main(["demo"]) == 0
+    question, command = capsys.readouterr().out.strip().split("? ")
+    assert "glare" in question
+    assert _main.parser().parse_args(shlex.split(command)[1:]).metric == "ugr"
+    assert cli.main(["demo", "--json"]) == 0
+    assert capsys.readouterr().out == ""
+
+
 def test_the_change_of_an_effect_is_the_difference_of_both(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

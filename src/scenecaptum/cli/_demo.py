@@ -8,6 +8,7 @@ from typing import Any
 from ._attribute import add_options, add_results, attribute
 
 ARGUMENTS = ("office", "--resolution", "320x180", "--spp", "64")
+NEXT = "What causes the glare in this office? scenecaptum explain office --metric ugr --resolution 160x90 --spp 64"
 
 
 def add(commands: Any) -> None:
@@ -20,4 +21,12 @@ def add(commands: Any) -> None:
     add_results(parser)
     complete = argparse.ArgumentParser()
     add_options(complete)
-    parser.set_defaults(run=attribute, **vars(complete.parse_args(ARGUMENTS)))
+    parser.set_defaults(**vars(complete.parse_args(ARGUMENTS)), run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command, and say what to try next."""
+    status = attribute(options)
+    if not options.json:
+        print(f"\n{NEXT}")
+    return status
