@@ -14,6 +14,8 @@ from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics, optimize
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.optimize._adam import BoundedAdam
+from scenecaptum.optimize._bounds import LIGHTEST
 
 
 class Lamps:
@@ -154,7 +156,7 @@ def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:
 
     start = {**renderer.inputs, floor: torch.tensor([0.95, 0.8, 0.8])}
     found = optimize.minimize(renderer, darkness, -1e3, inputs=start, change=1.0, seed=shifted())
-    assert found.values[wall].max() == pytest.approx(optimize.LIGHTEST, abs=0.011)
+    assert found.values[wall].max() == pytest.approx(LIGHTEST, abs=0.011)
     assert found.values[floor][0] == pytest.approx(0.95)  # as it was
     (moved,) = [one for one in found.moved if one.name == wall]
     assert moved.extent.endswith("of its range")
@@ -231,7 +233,7 @@ def test_no_object_is_moved_into_another(mi: Any) -> None:
         )
 
     limits = {name: (torch.tensor(-2.0), torch.tensor(2.0))}
-    optimizer = optimize._BoundedAdam(renderer, apart, 1.0, limits)
+    optimizer = BoundedAdam(renderer, apart, 1.0, limits)
     pull = torch.tensor([1.0, 0.0, 0.0])  # its negative leads into the wall
     for _ in range(200):
         optimizer.step((optimizer.values()[name] * pull).sum(), torch.ones(()))

@@ -41,7 +41,7 @@ MODULES = sorted(
 )
 
 # Modules that users import by name; the other public names are those that packages re-export.
-NAMED = ("scenecaptum.denoising", "scenecaptum.grid", "scenecaptum.optimize")
+NAMED = ("scenecaptum.denoising", "scenecaptum.grid")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:

@@ -148,7 +148,10 @@ def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:
         return ()
     weather = metric.sky.weather
     if weather is None:
-        return ("sky: the CIE overcast sky", "a daylight factor has no classes: --metric en17037 rates a room")
+        return (
+            "sky: the CIE overcast sky",
+            "a daylight factor has no classes: --metric en17037 rates a room",
+        )
     if options.weather is None:
         return (f"weather: {SYNTHETIC}",)
     return (f"weather: {weather.place}, latitude {weather.latitude:g}°, longitude {weather.longitude:g}°",)

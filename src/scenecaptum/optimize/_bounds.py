@@ -1,0 +1,71 @@
+"""What a design may change, and within which bounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import TypeAlias
+
+import torch
+
+from ..errors import SceneCaptumError, near_misses
+from ..protocols import Capabilities, Renderer
+
+Limit: TypeAlias = "float | Sequence[float]"
+
+# Properties of emitters that are part of their construction.
+CONSTRUCTION = ("cutoff_angle", "beam_width")
+BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
+LIGHTEST = 0.85  # reflectance of a design: that of white matt paint
+
+
+def construction(renderer: Renderer) -> set[str]:
+    """Return the parameters that a design does not change: the cone of a spot belongs to the lamp."""
+    describe = Capabilities(renderer).parameters_table
+    if describe is None:
+        return set()
+    return {name for name, parameter in describe().items() if parameter.role in CONSTRUCTION}
+
+
+def lamps(renderer: Renderer) -> set[str]:
+    """Return the emitted light of lamps and skies, which a dimmer scales as a whole."""
+    describe = Capabilities(renderer).parameters_table
+    if describe is None:
+        return set()
+    return {
+        name for name, one in describe().items() if one.kind == "emitters" and math.isinf(one.bounds.high)
+    }
+
+
+def design_bounds(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> dict[str, tuple[float, float]]:
+    """Return the bounds within which a design changes values: no paint is lighter than white paint."""
+    bounds = dict(Capabilities(renderer).bounds or {})
+    describe = Capabilities(renderer).parameters_table
+    for name, parameter in (describe() if describe is not None else {}).items():
+        if name in bounds and name in values and parameter.kind == "reflectance":
+            low, high = bounds[name]
+            bounds[name] = low, min(high, max(LIGHTEST, values[name].max().item()))
+    return bounds
+
+
+def chosen_limits(
+    values: Mapping[str, torch.Tensor],
+    start: Mapping[str, torch.Tensor],
+    limits: Mapping[str, tuple[Limit, Limit]],
+) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Return the limits of the parameters in ``start`` that have some; names take precedence over globs."""
+    chosen = {}
+    for key, interval in sorted(limits.items(), key=lambda item: item[0] in values):
+        names = [key] if key in values else [name for name in values if fnmatchcase(name, key)]
+        if not names:
+            raise SceneCaptumError(f"limits names {key!r}, which no input matches.{near_misses(key, values)}")
+        for name in start.keys() & set(names):
+            low, high = (torch.as_tensor(limit).to(start[name]) for limit in interval)
+            if not bool((low <= high).all()) or low.ndim > 1 or start[name].ndim > 1:
+                raise SceneCaptumError(
+                    f"limits[{key!r}] must be (low, high) with low <= high, numbers or one for each channel of "
+                    f"{name!r}, not {interval!r}; textures have none."
+                )
+            chosen[name] = low, high
+    return chosen

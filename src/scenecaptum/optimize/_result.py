@@ -1,0 +1,175 @@
+"""``Optimization``: what a search has changed and reached."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from ..denoising import denoise
+from ..visualization import (
+    RAISES,
+    SMALL,
+    TEXT,
+    TITLE,
+    WIDTH,
+    automatic_exposure,
+    display_image,
+    figure_of,
+    format_with_error,
+    grid,
+    new_figure,
+    rounded,
+    shorten,
+    style_axes,
+    write_at,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure, SubFigure
+
+REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
+_NAME_WIDTH = 36
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The metric of a scene.
+
+    Attributes
+    ----------
+    value, error
+        The metric and its standard error.
+    image
+        The render, ``(H, W, 3)`` linear radiance.
+    """
+
+    value: float
+    error: float
+    image: torch.Tensor
+
+    def is_below(self, goal: float) -> bool:
+        """Whether the metric is below a goal by two standard errors."""
+        return self.value + REQUIRED_SIGMAS * self.error < goal
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter that was changed.
+
+    Attributes
+    ----------
+    name, label
+        Its name in the scene, and a readable label.
+    before, after
+        Its values; for a texture, the mean over the texels.
+    fraction
+        The change as a fraction of its range or limits; for a colour, that of the channel that changed most.
+    is_dimmed
+        Whether it is the light of a lamp or sky, and the fraction one of its own value.
+    """
+
+    name: str
+    label: str
+    before: torch.Tensor
+    after: torch.Tensor
+    fraction: float
+    is_dimmed: bool = False
+
+    @property
+    def extent(self) -> str:
+        """How far it was changed: ``"31 % of its range"``, or ``"31 % less"`` light."""
+        percent = f"{100 * self.fraction:.0f} %"
+        if not self.is_dimmed:
+            return f"{percent} of its range"
+        return f"{percent} {'less' if bool((self.after <= self.before).all()) else 'more'}"
+
+
+@dataclass(frozen=True, repr=False)
+class Optimization:
+    """The result of ``minimize``; prints as a table.
+
+    Attributes
+    ----------
+    values
+        The optimized scene: ``renderer(values)`` renders it.
+    moved
+        The parameters that were changed, most salient first; all others were kept constant.
+    before, after
+        The metric and the render of both scenes, from samples independent of the optimization steps.
+    history
+        The metric at each step, with the noise of that step's render.
+    below
+        The goal.
+    metric, unit
+        Name and unit of the metric.
+    """
+
+    values: Mapping[str, torch.Tensor]
+    moved: tuple[Moved, ...]
+    before: Measured
+    after: Measured
+    history: tuple[float, ...]
+    below: float
+    metric: str
+    unit: str = ""
+
+    @property
+    def reached(self) -> bool:
+        """Whether the metric is below the goal by two standard errors."""
+        return self.after.is_below(self.below)
+
+    def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
+        """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given."""
+        height, width, _ = self.before.image.shape
+        renders, curve = WIDTH / 2 * height / width, 1.6
+        part: Any = figure or new_figure(WIDTH, renders + curve + 1)
+        axes = part.subplot_mosaic([["before", "after"], ["history"] * 2], height_ratios=[renders, curve])
+        before, after, history = axes.values()
+        exposure = automatic_exposure(self.before.image)
+        for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
+            ax.imshow(display_image(denoise(measured.image), exposure).numpy(force=True))
+            title = f"{name}: {self._format(measured)}"
+            ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
+            ax.set_axis_off()
+        history.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
+        history.axhline(self.below, color="0.4", linestyle="--", linewidth=1)
+        write_at(
+            history, "goal", (0, self.below), (3, -9), xycoords=("axes fraction", "data"), fontsize=SMALL
+        )
+        style_axes(history, self.metric, x="step", size=TEXT)
+        history.locator_params(axis="x", integer=True)
+        part.suptitle(self.outcome, fontsize=TITLE, x=0.01, ha="left", parse_math=False)
+        return figure_of(part)
+
+    def __str__(self) -> str:
+        """Return a text table: the value of every changed parameter before and after, and the metric."""
+        names = shorten([moved.label for moved in self.moved], _NAME_WIDTH)
+        cells = [
+            (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
+            for name, moved in zip(names, self.moved, strict=True)
+        ]
+        return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", self.outcome])
+
+    __repr__ = __str__
+
+    @property
+    def outcome(self) -> str:
+        """What was reached, in a sentence."""
+        goal = f"the goal of {self.below:g} {self.unit}".rstrip()
+        if self.reached:
+            outcome = f"below {goal}"
+        elif self.after.value < self.below:
+            outcome = f"below {goal}, but not by two standard errors: use more samples"
+        else:
+            outcome = f"not below {goal}"
+        return f"{self.metric} {self._format(self.before)} → {self._format(self.after)}, {outcome}"
+
+    def _format(self, measured: Measured) -> str:
+        return f"{format_with_error(measured.value, measured.error)} {self.unit}".rstrip()
+
+
+def _format_values(value: torch.Tensor) -> str:
+    return " ".join(rounded(entry) for entry in value.flatten().tolist())
