@@ -146,8 +146,10 @@ def test_target_chooses_an_element_of_a_vector():
 
     attribution = VanillaSceneGradient(renderer, per_channel).attribute(target=1)
     torch.testing.assert_close(attribution["x"], exact_gradient(renderer, lambda image: image[..., 1].mean()))
-    with pytest.raises(SceneCaptumError, match=r"target=3 does not index .* shape \(3,\)"):
+    with pytest.raises(SceneCaptumError, match=r"target=3 does not index .* shape \(3,\)\.$"):
         VanillaSceneGradient(renderer, per_channel).attribute(target=3)
+    with pytest.raises(SceneCaptumError, match=r"a batch of one: use target=\(0, 1\)"):
+        VanillaSceneGradient(renderer, lambda image: per_channel(image)[None]).attribute(target=1)
 
 
 def test_linearity_in_the_metric():

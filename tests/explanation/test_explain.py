@@ -81,6 +81,16 @@ def test_a_texture_changes_within_its_bounds(office: SceneRenderer, explained):
         assert not torch.equal(change.before, change.after)
 
 
+def test_changes_go_towards_the_goal(mi):
+    box = SceneRenderer("cornell-box", "light.emitter.radiance.value", resolution=(8, 8), spp=16, max_depth=2)
+    raised, lowered = (
+        explain(box, metrics.MeanLuminance(), changes=1, below=below, seed=shifted()).changes[0]
+        for below in (None, 1e6)
+    )
+    assert raised.predicted > 0
+    assert lowered.predicted < 0
+
+
 def test_a_goal_is_reached_by_the_leading_parameter_alone_if_that_is_enough(mi):
     inputs = ["floor.reflectance.value", "light.emitter.radiance.value"]
     box = SceneRenderer("cornell-box", inputs, resolution=(16, 16), spp=64, max_depth=3)

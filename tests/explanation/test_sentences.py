@@ -65,7 +65,10 @@ def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
 def test_effects_and_shares_within_their_noise_are_not_said():
     sources = (Source("window", "top", 0.8, 0.01, 3000.0), Source("lamp", "left", 0.03, 0.02, 5000.0))
     said = lines(Explanation(rated(24.8, 0.05), sources=sources, count=20))
-    assert said["Where the glare comes from"] == ["window, top: 80.0 ± 1.0 % of it, at 3000 cd/m²"]
+    assert said["Where the glare comes from"] == [
+        "window, top: 80.0 ± 1.0 % of it, at 3000 cd/m²",
+        "the rest: 17.0 %",
+    ]
     (effects,) = (value for heading, value in said.items() if heading.startswith("What it depends on"))
     assert not any(line.startswith(("noisy", results.NASTY)) for line in effects)
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)

@@ -432,6 +432,19 @@ def test_the_slider_shows_before_on_the_left_and_after_on_the_right(browser, tmp
     page.context.close()
 
 
+def test_pictures_of_one_camera_have_one_exposure(browser, tmp_path):
+    titles = ["as it is", "dimmed"]
+    light, dark = plain_picture(0.5, 0.5, 0.5), plain_picture(0.05, 0.05, 0.05)
+    page = Page(browser, written(tmp_path, make(image=light), make(image=dark), titles=titles))
+    seen = tmp_path / "seen.png"
+    page.page.locator("#picture").screenshot(path=seen)
+    with Image.open(seen) as picture:
+        width, height = picture.size
+        left, right = (picture.getpixel((width * part // 100, height // 2))[0] for part in (40, 60))
+    assert left > 2 * right
+    page.context.close()
+
+
 def test_a_comparison_is_on_top_with_what_was_set(browser, tmp_path):
     after = ranged(
         image=plain_picture(0.0, 1.0, 0.0),

@@ -11,6 +11,7 @@ import torch
 from results import CASES, NASTY, all_text, make
 
 from scenecaptum import SceneAttribution
+from scenecaptum.protocols import ResultKind
 from scenecaptum.visualization import (
     align_decimals,
     plot_bars,
@@ -115,6 +116,8 @@ def test_texture_shows_totals_with_a_note() -> None:
     text = table_text(make())
     assert re.search(r"Σ .*−0\.080 +−0\.120 +−0\.160$", row_of("floor", text))
     assert "Σ totals over the texels" in text
+    occluded = table_text(make(quantity=ResultKind.OCCLUSION.value))
+    assert "Σ grows with the number of texels" in occluded
     plain = dataclasses.replace(make(), attributions={"rough": torch.tensor(1.0)})
     assert "texel" not in table_text(plain)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from ..protocols import Attribution
+from ..protocols import Attribution, ResultKind
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
@@ -27,6 +27,7 @@ from ..visualization import (
 
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
+SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
@@ -183,7 +184,10 @@ class Explanation:
                 "Where the glare comes from" if is_glare else "What it sees in the picture",
                 self._source_lines(),
             ),
-            (f"What it depends on: {axis_label(self.attribution, width=None)}", self._effect_lines()),
+            (
+                f"What it depends on: {axis_label(self.attribution, width=None)}{self._order()}",
+                self._effect_lines(),
+            ),
             (f"What would change it{', in relaxed values' if self.definition else ''}", self._change_lines()),
             ("Which points decide", self._row_lines()),
             (
@@ -247,13 +251,20 @@ class Explanation:
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return sentence_number(value, error, digits=4)
 
+    def _order(self) -> str:
+        """Say that effects over a range are extrapolated from derivatives."""
+        kind = self.attribution.kind.in_scale(self.attribution.scale_or_default())
+        return ", to first order" if kind is ResultKind.EFFECT else ""
+
     def _source_lines(self) -> list[str]:
-        return [
+        lines = [
             f"{source.name}, {source.place}: {_percent(source.share, source.share_error)}"
             + ("" if source.luminance is None else f" of it, at {rounded(source.luminance)} cd/m²")
             for source in self.sources
             if source.share > SIGNIFICANT * source.share_error
         ]
+        rest = 1 - sum(source.share for source in self.sources)
+        return [*lines, f"the rest: {100 * rest:.1f} %"] if lines and rest > SMALL_REST else lines
 
     def _effect_lines(self) -> list[str]:
         return [
@@ -305,7 +316,10 @@ class Explanation:
     def _goal_lines(self) -> list[str]:
         if self.goal is None:
             return []
-        return [*(f"{_step(one)}: {one.extent}" for one in self.goal.moved), self.goal.outcome]
+        return [
+            *(f"{_step(one)}: {one.extent}" for one in self.goal.moved),
+            f"{self.goal.outcome}, in other renders",
+        ]
 
     def _along(self, name: str) -> str:
         """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""

@@ -255,8 +255,13 @@ class TargetedMetric:
         try:
             element: torch.Tensor = output[index]
         except (IndexError, TypeError) as error:
+            batch = (
+                f" The first axis is a batch of one: use target=(0, {self.target}), or return output[0]."
+                if output.ndim == 2 and len(output) == 1 and isinstance(self.target, Integral)
+                else ""
+            )
             raise SceneCaptumError(
-                f"target={self.target!r} does not index the metric's output of shape {tuple(output.shape)}."
+                f"target={self.target!r} does not index the metric's output of shape {tuple(output.shape)}.{batch}"
             ) from error
         return element
 

@@ -49,8 +49,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     """Explain a metric of a scene: its value and class, its causes, and the few changes that matter.
 
     The changes are single steps of a tenth of a parameter's range, or of a quarter of an unbounded value, in the
-    direction that improves the metric, or raises it if neither is better. Their effects are predicted from the
-    gradient and measured by rendering the changed scenes with common random numbers and seeds of their own.
+    direction that improves the metric: down if there is a goal, and up if neither is better. Their effects are
+    predicted from the gradient and measured by rendering the changed scenes with common random numbers and seeds
+    of their own.
 
     Example
     -------
@@ -89,8 +90,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     )
     values = input_values(renderer, inputs)
     better = (attribution.info.get("measure") or {}).get("better")
+    lowers = better == "lower" or below is not None
     proposed = propose(
-        renderer, attribution, values, -1 if better == "lower" else 1, whole_number("changes", changes, 0)
+        renderer, attribution, values, -1 if lowers else 1, whole_number("changes", changes, 0)
     )
     scenes = Scenes(
         renderer,
@@ -140,8 +142,7 @@ def _premises(metric: Metric) -> tuple[str, ...]:
         )
     if isinstance(metric, UnifiedGlareRating):
         premises.append(
-            "UGR and its limits are for luminaires; for a window use the daylight glare probability "
-            "(--metric dgp --sensor fisheye)"
+            "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
     return tuple(premises)
 

@@ -1047,7 +1047,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             )
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
-            raise SceneCaptumError(f"{name!r} must be a floating point tensor, not {came}.")
+            raise SceneCaptumError(
+                f"{name!r} must be a floating point tensor, not {came}: give torch.tensor(0.2), for example."
+            )
         expected = self._state.original[name].shape
         if value.shape != expected:
             raise SceneCaptumError(

@@ -22,6 +22,7 @@ from ..visualization import (
     UNCLEAR,
     Format,
     arrows,
+    automatic_exposure,
     axis_label,
     caution_groups,
     color_of,
@@ -79,9 +80,11 @@ def report_data(
     """Return the data of the page; views and images that results share are stored once."""
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
     views: dict[int, tuple[int, NDArray[np.int64]]] = {}
+    # That of the first picture of each camera: designs are to be compared.
+    exposures: dict[Any, float] = {}
     results = []
     for attribution, title, explanation, plan in zip(attributions, titles, explanations, plans, strict=True):
-        encoded, surfaces = _picture(attribution, plan)
+        encoded, surfaces = _picture(attribution, plan, exposures)
         if id(surfaces) not in views:
             view, shown = _view(surfaces)
             views[id(surfaces)] = _index_in(shared["views"], view), shown
@@ -133,13 +136,17 @@ def describe_objects(
     return {**view, "parameters": parameters, "effects": signed, "maps": color_maps()}
 
 
-def _picture(attribution: Attribution, plan: Figure | None) -> tuple[str, SurfaceMap]:
+def _picture(
+    attribution: Attribution, plan: Figure | None, exposures: dict[Any, float]
+) -> tuple[str, SurfaceMap]:
     """Return the encoded picture and what its pixels show, which is nothing if it is a plan."""
     if plan is not None:
         encoded, shape = encode_figure(plan)
         return encoded, _nothing(shape)
     assert attribution.surfaces is not None, "write_report checks it"
-    return encode_picture(shown_render(attribution)), attribution.surfaces
+    image = shown_render(attribution)
+    exposure = exposures.setdefault(repr(attribution.info.get("sensor")), automatic_exposure(image))
+    return encode_picture(image, exposure), attribution.surfaces
 
 
 def _nothing(shape: tuple[int, int]) -> SurfaceMap:

@@ -23,11 +23,11 @@ _JPEG_QUALITY = 95
 _FIGURE_DPI = 150
 
 
-def encode_picture(image: torch.Tensor) -> str:
+def encode_picture(image: torch.Tensor, exposure: float) -> str:
     """Return a render as a JPEG data URL; a PNG of a noisy render is four times as large."""
     from PIL import Image
 
-    pixels = (display_image(image) * 255).round().to(torch.uint8).numpy(force=True)
+    pixels = (display_image(image, exposure) * 255).round().to(torch.uint8).numpy(force=True)
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
     return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode()}"

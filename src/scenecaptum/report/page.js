@@ -71,8 +71,8 @@ function drawSplit() {
   byId("picture").classList.toggle("split", Boolean(other) && share > 0 && share < 100);
   byId("picture").style.setProperty("--split", `${share}%`);
   const [before, after] = isAfter ? [result(), other] : [other, result()];
-  byId("split-before").textContent = other ? before.title : "";
-  byId("split-after").textContent = other ? after.title : "";
+  byId("split-before").textContent = other && share > 0 ? before.title : "";
+  byId("split-after").textContent = other && share < 100 ? after.title : "";
 }
 
 function drawMarks() {

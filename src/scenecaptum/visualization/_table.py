@@ -155,7 +155,13 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
     if any(row.name in vectors for row in shown):
         notes.append("of a translation or rotation in the direction with the largest effect")
-    notes += ["Σ totals over the texels, vertices or faces"] if textures else []
+    if textures:
+        is_occlusion = attribution.kind is ResultKind.OCCLUSION
+        notes.append(
+            "Σ grows with the number of texels, each of which has the effect of its patch: see the map"
+            if is_occlusion
+            else "Σ totals over the texels, vertices or faces"
+        )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})")
     for reason, names in untrusted.items():

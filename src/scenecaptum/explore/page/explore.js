@@ -418,7 +418,8 @@ class Page {
       const unit = metric.unit ? ` ${metric.unit}` : "";
       value.textContent = now ? withError(now.value, now.error) + unit : "…";
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
-      verdict.textContent = !now ? "" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
+      const isOpen = this.isRecorded && !isStart && metric.bands.length > 0; // a render may be in another class
+      verdict.textContent = !now ? "" : isOpen ? "class unknown: not rendered" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
