@@ -133,6 +133,7 @@ class Capabilities:
     spp = _Offer[int]("Samples per pixel where none are asked for.")
     resolution = _Offer[tuple[int, int]]("Width and height of the images.")
     plan = _Offer[Any]("Integrator, depth and derivatives.")
+    up = _Offer[int]("The axis of the scene that points up: 0, 1 or 2.")
     shows_a_view = _Offer[bool]("Whether neighbouring pixels show neighbouring directions.")
     guides = _Offer[Any]("Noise-free albedo and normals for the denoiser.")
     surfaces = _Offer[Any]("What each pixel shows.")

@@ -81,6 +81,21 @@ def test_a_texture_changes_within_its_bounds(office: SceneRenderer, explained):
         assert not torch.equal(change.before, change.after)
 
 
+def test_objects_are_moved_along_the_floor_and_turned_about_the_vertical(mi):
+    poses = ["short_box_shape.pose.translation", "short_box_shape.pose.rotation"]
+    box = SceneRenderer("cornell-box", poses, resolution=(16, 16), spp=64, max_depth=3)
+    assert box.up == 2
+    found = explain(box, metrics.MeanLuminance(), changes=2, seed=shifted())
+    moved = {change.name: change.after for change in found.changes}
+    assert moved
+    lengths = found.attribution.weights("range")
+    for name, pose in moved.items():
+        vertical, across = abs(pose[2].item()), pose[:2].norm().item()
+        along, other = (vertical, across) if "rotation" in name else (across, vertical)
+        assert other == 0
+        assert along == pytest.approx(lengths[name].norm().item() / 2, rel=1e-4)
+
+
 def test_changes_go_towards_the_goal(mi):
     box = SceneRenderer("cornell-box", "light.emitter.radiance.value", resolution=(8, 8), spp=16, max_depth=2)
     raised, lowered = (

@@ -268,6 +268,11 @@ def test_a_selection_of_the_sensor_is_told_how_the_camera_is_called(inputs: str)
     assert f"Select the camera as {names}, or all of these as 'camera'." in said
 
 
+def test_a_misspelt_object_in_a_glob_is_told_its_name() -> None:
+    said = message(lambda: select(discover_in("cornell-box"), "flor.*"))
+    assert "Did you mean 'floor.*'" in said
+
+
 def test_a_kind_without_parameters_is_named(mi: Any) -> None:
     said = message(lambda: select(table("cornell-box"), "media"))
     assert "'media'" in said

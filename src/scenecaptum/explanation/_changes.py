@@ -12,7 +12,7 @@ from ..attr import Change, SceneAttribution
 from ..estimation import channel_totals
 from ..optimize import BOUND_MARGIN, design_bounds
 from ..protocols import Capabilities, Renderer
-from ..scene import clamp_inside
+from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
 
 STEP = 0.1  # of a bounded range
@@ -45,8 +45,9 @@ def propose(
         over = ranges.get(row.name, unlimited)
         after: torch.Tensor | None
         if row.name in attribution.vectors:
-            # Half of its range, in the direction of its largest effect.
-            after = value + sign / 2 * attribution.weights("range")[row.name].to(value)
+            # Half of its range, in the direction of its largest effect, which keeps furniture on the floor.
+            step = attribution.weights("range")[row.name].to(value)
+            after = value + sign / 2 * _upright(row.name, step, Capabilities(renderer).up)
         else:
             after = _moved(value, direction, over, (low, high))
         if after is None:
@@ -74,6 +75,17 @@ def _moved(
         return moved if bool(value.any()) else None
     moved = clamp_inside(value + direction * STEP * length, value, *bounds, BOUND_MARGIN * length)
     return moved if (moved - value).abs().mean() >= MIN_STEP * length else None
+
+
+def _upright(name: str, step: torch.Tensor, up: int | None) -> torch.Tensor:
+    """Return a step of the same length that moves an object horizontally, or turns it about the vertical."""
+    component = pose_component(name)
+    if up is None or component not in ("translation", "rotation") or name.startswith("camera."):
+        return step
+    is_vertical = torch.arange(len(step)) == up
+    kept = torch.where(is_vertical == (component == "rotation"), step, 0.0)
+    longer: torch.Tensor = step.norm() / kept.norm().clamp_min(1e-12)
+    return kept * longer
 
 
 def _predict(attribution: SceneAttribution, name: str, step: torch.Tensor) -> tuple[float, float]:

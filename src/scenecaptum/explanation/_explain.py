@@ -49,9 +49,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     """Explain a metric of a scene: its value and class, its causes, and the few changes that matter.
 
     The changes are single steps of a tenth of a parameter's range, or of a quarter of an unbounded value, in the
-    direction that improves the metric: down if there is a goal, and up if neither is better. Their effects are
-    predicted from the gradient and measured by rendering the changed scenes with common random numbers and seeds
-    of their own.
+    direction that improves the metric: down if there is a goal, and up if neither is better. Objects are moved
+    horizontally and turned about the vertical. The effects are predicted from the gradient, and measured by
+    rendering the changed scenes with common random numbers and seeds of their own.
 
     Example
     -------

@@ -585,6 +585,14 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         return grid_of(self._sensors[0])
 
     @property
+    def up(self) -> int:
+        """The axis that points up in the scene, from 0 for x to 2 for z: the one nearest to up in its picture."""
+        from ._grid import up_axis
+
+        with exclusively(self._variant):
+            return up_axis(self._graph.scene)
+
+    @property
     def shows_a_view(self) -> bool:
         """Whether neighbouring pixels show neighbouring directions, as in a picture, unlike on a sensor grid."""
         return all(shows_a_view(sensor) for sensor in self._sensors)

@@ -93,8 +93,10 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
             f"{first.name}, for example: {first.problem}.{hint}"
         )
-    hint = "" if item in KINDS else near_misses(item, [*KINDS, *known])
-    if item.partition(".")[0] in ("sensor", "camera"):
+    owner, _, rest = item.partition(".")
+    of_owners = [f"{name.partition('.')[0]}.{rest}" for name in known]
+    hint = "" if item in KINDS else near_misses(item, of_owners if "*" in rest else [*KINDS, *known])
+    if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
     if re.match(r"object_\d", item):
         hint = " Names like object_… contain memory addresses; here objects without an id get stable names."
