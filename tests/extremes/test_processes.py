@@ -120,6 +120,26 @@ def test_garbage_is_collected_when_no_other_thread_renders(mi: Any) -> None:
         collected.result(PATIENCE)
 
 
+RENDERING_AT_EXIT = """
+import threading
+from scenecaptum.backend import exclusively
+
+def render_forever(started):
+    with exclusively():
+        started.set()
+        threading.Event().wait()
+
+started = threading.Event()
+threading.Thread(target=render_forever, args=[started], daemon=True).start()
+started.wait()
+"""
+
+
+def test_python_ends_although_a_thread_renders() -> None:
+    """It collects garbage at the end, when that thread does not run any more."""
+    subprocess.run([sys.executable, "-c", RENDERING_AT_EXIT], check=True, timeout=PATIENCE)
+
+
 def test_a_refused_scene_is_freed_before_its_error_is_handled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Freed later, it might go while another thread renders, whose kernels reach every live object."""
     loaded: list[weakref.ref[Any]] = []

@@ -146,7 +146,8 @@ def _lock_collector(phase: str, _: Any) -> None:
     """Let Python collect garbage under the lock: each frozen function that has gone is a cycle of references."""
     global _is_collecting  # noqa: PLW0603 -- like the lock that it is about
     if phase == "start":
-        _is_collecting = not _is_forked and _LOCK.acquire()
+        # When Python ends, a thread that has the lock does not run any more.
+        _is_collecting = not (_is_forked or sys.is_finalizing()) and _LOCK.acquire()
     elif _is_collecting:
         _is_collecting = False
         _LOCK.release()
