@@ -45,7 +45,7 @@ def propose(
         over = ranges.get(row.name, unlimited)
         after: torch.Tensor | None
         if row.name in attribution.vectors:
-            # Half of its range, in the direction of its largest effect, which keeps furniture on the floor.
+            # Half of its range, in the direction of its largest effect that leaves furniture on the floor.
             step = attribution.weights("range")[row.name].to(value)
             after = value + sign / 2 * _upright(row.name, step, Capabilities(renderer).up)
         else:
@@ -82,7 +82,7 @@ def _upright(name: str, step: torch.Tensor, up: int | None) -> torch.Tensor:
     component = pose_component(name)
     if up is None or component not in ("translation", "rotation") or name.startswith("camera."):
         return step
-    is_vertical = torch.arange(len(step)) == up
+    is_vertical = torch.arange(len(step), device=step.device) == up
     kept = torch.where(is_vertical == (component == "rotation"), step, 0.0)
     longer: torch.Tensor = step.norm() / kept.norm().clamp_min(1e-12)
     return kept * longer

@@ -10,15 +10,7 @@ import torch
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import DaylightMetric
 from ..errors import whole_number
-from ..estimation import (
-    DEFAULT_REPLICATES,
-    Denoise,
-    Metric,
-    Stream,
-    Target,
-    derived_seeds,
-    input_values,
-)
+from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..metrics import UnifiedGlareRating
 from ..optimize import Optimization, minimize
 from ..projection import SurfaceMap

@@ -586,7 +586,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def up(self) -> int:
-        """The axis that points up in the scene, from 0 for x to 2 for z: the one nearest to up in its picture."""
+        """The axis of the scene that points up, 0 (x) to 2 (z): the nearest to the up vector of its first camera."""
         from ._grid import up_axis
 
         with exclusively(self._variant):
