@@ -586,7 +586,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def up(self) -> int:
-        """The axis of the scene that points up, 0 (x) to 2 (z): the nearest to the up vector of its first camera."""
+        """The axis of the scene that points up, 0 (x) to 2 (z): the nearest to the first camera's up vector."""
         from ._grid import up_axis
 
         with exclusively(self._variant):
