@@ -257,13 +257,13 @@ class Explanation:
         return ", to first order" if kind is ResultKind.EFFECT else ""
 
     def _source_lines(self) -> list[str]:
+        stated = [source for source in self.sources if source.share > SIGNIFICANT * source.share_error]
         lines = [
             f"{source.name}, {source.place}: {_percent(source.share, source.share_error)}"
             + ("" if source.luminance is None else f" of it, at {rounded(source.luminance)} cd/m²")
-            for source in self.sources
-            if source.share > SIGNIFICANT * source.share_error
+            for source in stated
         ]
-        rest = 1 - sum(source.share for source in self.sources)
+        rest = 1 - sum(source.share for source in stated)
         return [*lines, f"the rest: {100 * rest:.1f} %"] if lines and rest > SMALL_REST else lines
 
     def _effect_lines(self) -> list[str]:
