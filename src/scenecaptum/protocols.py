@@ -197,7 +197,7 @@ class ResultKind(str, Enum):
         return kind
 
     GRADIENT = "gradient per unit", "change of {} per unit of the parameter"
-    EFFECT = "effect over the range", "change of {} over the range of the parameter"
+    EFFECT = "effect over the range", "first-order change of {} over the range of the parameter"
     RELATIVE_EFFECT = "effect per relative change", "change of {} per relative change of the parameter"
     INPUT_X_GRADIENT = "input × gradient", "value of the parameter × gradient of {}"
     MEAN_GRADIENT = "mean gradient per unit", "mean change of {} per unit of the parameter"

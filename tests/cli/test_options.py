@@ -53,7 +53,7 @@ Case = tuple[str, int, list[str], list[str]]
 CASES: dict[str, Case] = {
     "explain": (
         f"explain {SCENE} --metric luminance --set {WALL}=0.5 --design design.json --below 25 --changes 1 "
-        "--report --no-progress --out out",
+        "--report --title 'The box' --no-progress --out out",
         0,
         [
             "mean luminance = ",
@@ -111,7 +111,8 @@ CASES: dict[str, Case] = {
     ),
     "daylight": (
         f"daylight {DAYLIGHT} --metric sda --metric daylight-factor --changes 1 --checkpoint kept --seed 1 "
-        "--set roof.bsdf.specular_transmittance.value=0.5 --design empty.json --report --no-progress --out out",
+        "--set roof.bsdf.specular_transmittance.value=0.5 --design empty.json --report --title A "
+        "--no-progress --out out",
         0,
         ["relaxed,", "SYNTHETIC", "CIE overcast", "roof specular transmittance"],
         ["daylight-factor", "report.html", "sda"],
@@ -125,7 +126,7 @@ CASES: dict[str, Case] = {
     "attribute": (
         f"attribute {SCENE} --metric luminance --method gradient --scale unit --groups kind --signed "
         f"--set {WALL}=0.5 --design design.json --replicates 2 --tolerance 2.0 --time-limit 30 --denoise off "
-        "--picture-spp 256 --report --no-progress --format csv --format heatmap --out out",
+        "--picture-spp 256 --report --title Box --no-progress --format csv --format heatmap --out out",
         0,
         ["mean luminance = ", "reflectance", "emitters", "attribution.csv", "heatmap.png", "report.html"],
         ["attribution.csv", "heatmap.png", "report.html"],
@@ -158,7 +159,7 @@ CASES: dict[str, Case] = {
     ),
     "compare": (
         f"compare {SCENE} --metric luminance --set {WALL}=0.1 --design design.json --titles before after "
-        "--from other.toml --no-progress --out out",
+        "--title Both --from other.toml --no-progress --out out",
         0,
         [
             "before: mean luminance",
@@ -272,7 +273,7 @@ CASES: dict[str, Case] = {
         ["after.png"],
     ),
     "demo": (
-        "demo --json --no-progress --report --format json --out out",
+        "demo --json --no-progress --report --title Demo --format json --out out",
         0,
         ["ranking"],
         ["attribution.json", "report.html"],
@@ -537,6 +538,19 @@ def test_saved_results_are_compared_if_they_are_of_one_metric(
     assert cli.main(["compare", *files[1:], "--out", "other"]) == 2
     assert "different metrics" in capsys.readouterr().err
     assert not (folder / "other").exists()
+
+
+def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> None:
+    goal = "--metric luminance --below 25 --changes 0 --report --title Darker"
+    assert cli.main(shlex.split(f"explain cornell-box {VIEW} {goal} --out out")) == 0
+    page = (folder / "out" / "report.html").read_text()
+    assert "<title>Darker</title>" in page
+    assert '"title":"as it is"' in page
+    assert '"title":"below 25"' in page
+    found = json.loads(page.partition('"comparison":')[2].partition(',"views"')[0])
+    design = json.loads((folder / "out" / "design.json").read_text())
+    assert {one["name"] for one in found["values"]} <= set(design)
+    assert found["change"] < 0
 
 
 def test_titles_stand_in_the_report(folder: Path) -> None:

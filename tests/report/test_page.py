@@ -166,8 +166,44 @@ def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
 def test_a_picture_too_noisy_for_the_metric_is_said(browser, tmp_path):
     noisy = noted(ranged(), picture={"spp": 4, "caution": "the noise alone raises it <b>"})
     page = Page(browser, written(tmp_path, noisy))
-    assert "! the noise alone raises it <b>" in page.page.locator("#notes").inner_text()
+    assert "! the noise alone raises it <b>" in page.page.locator("#cautions").inner_text()
+    assert box_of(page, "#cautions")[1] <= box_of(page, "#picture")[0]
     page.context.close()
+
+
+def long_result(rows: int) -> SceneAttribution:
+    values = {f"book_{index}.reflectance.value": torch.full((3,), 1.0 - index / 100) for index in range(rows)}
+    floor = "floor.reflectance.value"  # which the picture shows; the last of all
+    return ranged(
+        attributions={**values, floor: torch.full((3,), 1e-3)},
+        standard_error={name: torch.full((3,), 1e-4) for name in (*values, floor)},
+        covariance={name: 1e-8 * torch.eye(3) for name in (*values, floor)},
+        parameter_values={},
+        extents={name: torch.ones(3) for name in (*values, floor)},
+    )
+
+
+def test_a_long_table_shows_its_first_rows_what_is_selected_and_on_request_all(browser, tmp_path):
+    path = written(tmp_path, long_result(30), title="A <b>room")
+    page = Page(browser, path)
+    assert page.page.locator("#heading").inner_text() == page.page.title() == "A <b>room"
+    first = [f"book_{index}.reflectance.value" for index in range(15)]
+    assert page.names() == first
+    assert page.page.locator("#count").inner_text() == "15 of 31"
+    page.click(2, 7)  # the floor
+    assert page.names() == [*first, "floor.reflectance.value"]
+    assert page.selected() == ["floor.reflectance.value"]
+    page.page.locator("#filter").fill("book_2")
+    assert len(page.names()) == 11, "a filter looks in all rows"
+    page.page.locator("#filter").fill("")
+    page.page.get_by_text("Show all 31").click()
+    assert len(page.names()) == 31
+    assert not page.page.locator("#more").is_visible()
+    page.context.close()
+    again = Page(browser, path, "#all=1")
+    assert len(again.names()) == 31
+    again.check(path)
+    again.context.close()
 
 
 # ------------------------------------------------------------------------------------------------- its address

@@ -254,7 +254,7 @@ def test_the_table_can_be_read_by_itself(tmp_path: Path) -> None:
     cells = made.cells(ROOMS, ["front", "left"])
     text = str(made.study(tmp_path, made.random_effects(cells, 0)).summary())
     assert text.startswith(
-        "change of mean luminance (cd/m²) over the range of the parameter · luminance · as it is"
+        "first-order change of mean luminance (cd/m²) over the range of the parameter · luminance · as it is"
     )
     assert "from 8 cells" in text
     assert max(map(len, text.splitlines())) <= 120

@@ -210,7 +210,7 @@ def test_maps_say_what_a_texel_shows_and_a_given_maximum_has_its_unit() -> None:
         extents={name: torch.ones(max(value.shape[-1:], default=1)) for name, value in base.items()},
     )
     text = all_text(plot_heatmap(textured, parameter="floor", texels=True, maximum=0.5)).replace("\n", " ")
-    title = "floor: change of the metric over the range of the parameter, relative to 0.5 cd/m²"
+    title = "floor: first-order change of the metric over the range of the parameter, relative to 0.5 cd/m²"
     assert title in text
     assert "each texel: effect of a whole texture that acts like it" in text
     assert "each texel" not in all_text(plot_heatmap(textured, parameter="floor"))

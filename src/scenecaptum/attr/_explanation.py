@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from ..protocols import Attribution, ResultKind
+from ..protocols import Attribution
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
@@ -185,7 +185,7 @@ class Explanation:
                 self._source_lines(),
             ),
             (
-                f"What it depends on: {axis_label(self.attribution, width=None)}{self._order()}",
+                f"What it depends on: {axis_label(self.attribution, width=None)}",
                 self._effect_lines(),
             ),
             (f"What would change it{', in relaxed values' if self.definition else ''}", self._change_lines()),
@@ -223,7 +223,7 @@ class Explanation:
 
     def headline(self) -> str:
         """Return the value of the metric: by its definition, if the attribution is that of a relaxed one."""
-        return f"{metric_name(self.attribution)} = {self._in_unit(self._value())}"
+        return f"{metric_name(self.attribution)} = {self._in_unit(self.value())}"
 
     def meaning(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
@@ -245,16 +245,12 @@ class Explanation:
         source = f" ({measure['source']})" if measure.get("source") and means else ""
         return "; ".join(filter(None, [f"{means}{source}", doubt, relaxed]))
 
-    def _value(self) -> str:
+    def value(self) -> str:
+        """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
         if self.definition is not None:
             return rounded(self.definition.value)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return sentence_number(value, error, digits=4)
-
-    def _order(self) -> str:
-        """Say that effects over a range are extrapolated from derivatives."""
-        kind = self.attribution.kind.in_scale(self.attribution.scale_or_default())
-        return ", to first order" if kind is ResultKind.EFFECT else ""
 
     def _source_lines(self) -> list[str]:
         stated = [source for source in self.sources if source.share > SIGNIFICANT * source.share_error]

@@ -110,6 +110,19 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
 
 
+def add_report(parser: argparse.ArgumentParser, content: str) -> None:
+    """Add the options for the interactive page."""
+    parser.add_argument("--report", action="store_true", help=f"also write report.html, {content}")
+    add_title(parser)
+
+
+def add_title(parser: argparse.ArgumentParser) -> None:
+    """Add the heading of the interactive page."""
+    parser.add_argument(
+        "--title", metavar="TEXT", help="heading of the interactive page (default: the name of the scene)"
+    )
+
+
 def describe(registry: Mapping[str, Any]) -> str:
     """Return the names of a registry and what they stand for, for a help text."""
     return ", ".join(f"{name} ({entry.description})" for name, entry in registry.items()).replace("%", "%%")

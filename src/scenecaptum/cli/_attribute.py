@@ -117,9 +117,7 @@ def add_results(parser: argparse.ArgumentParser) -> None:
         metavar="FORMAT",
         help=f"{_arguments.describe(FORMATS)}; may be repeated (default: {', '.join(default_formats())})",
     )
-    parser.add_argument(
-        "--report", action="store_true", help="also write report.html, an interactive page with all metrics"
-    )
+    _arguments.add_report(parser, "an interactive page with all metrics")
 
 
 def attribute(options: argparse.Namespace) -> int:
@@ -220,6 +218,7 @@ def _write_report(
     if not options.report:
         return
     path = options.out / REPORT
-    write_report([one for one, _ in finished], path, plans=[plan_of(one, renderer, m) for one, m in finished])
+    plans = [plan_of(one, renderer, metric) for one, metric in finished]
+    write_report([one for one, _ in finished], path, title=options.title, plans=plans)
     if not options.json:
         print(f"{path}  interactive page with all results")

@@ -67,6 +67,7 @@ def add(commands: Any) -> None:
     add_design(parser)
     parser.add_argument("--from", type=Path, dest="origin", metavar="FILE", help="the design that is A")
     parser.add_argument("--titles", nargs=2, metavar=("A", "B"), help="names of the two in the output")
+    _arguments.add_title(parser)
     _arguments.add_output(parser)
     parser.set_defaults(run=run)
 
@@ -128,6 +129,7 @@ def run(options: argparse.Namespace) -> int:
             [found.before, found.after],
             options.out / REPORT,
             found.titles,
+            title=options.title,
             plans=plans,
             comparison=comparison,
         )

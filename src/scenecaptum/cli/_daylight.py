@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
             finished.append(_explain(renderers[needed[name]], metric, folder, options))
         if options.report:
             said, plans = zip(*finished, strict=True)
-            write_report(said, options.out / REPORT, plans=plans)
+            write_report(said, options.out / REPORT, title=options.title, plans=plans)
     if options.json:
         numbers = [explanation_numbers(one) for one, _ in finished]
         print(json.dumps(numbers, indent=1, ensure_ascii=False))

@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from ..attr import Explanation
+from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
 from ..estimation import Metric
 from ..explanation import explain
 from ..rendering import SceneRenderer
-from ..report import write_report
+from ..report import Comparison, write_report
 from ..visualization import metric_name, metric_unit, verdict
 from . import _arguments
 from ._design import add_design, designed_values
@@ -26,6 +27,10 @@ from ._plan import plan_format, plan_of
 from ._points import needed_coefficients, premises
 
 REPORT = "report.html"
+SEPARATE = (
+    "The change comes from renders of their own, of both designs: it can differ from the difference of the two "
+    "values, by about their errors."
+)
 
 
 def add(commands: Any) -> None:
@@ -57,7 +62,7 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of changes to render (default: %(default)s)",
     )
-    parser.add_argument("--report", action="store_true", help="also write report.html, an interactive page")
+    _arguments.add_report(parser, "an interactive page")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -74,8 +79,7 @@ def run(options: argparse.Namespace) -> int:
             formats = [*formats, DESIGN]
         write_files(explanation, options.out, formats)
         if options.report:
-            plan = plan_of(explanation.attribution, renderer, metric)
-            write_report(explanation, options.out / REPORT, plans=[plan])
+            _write_report(explanation, renderer, metric, options)
     if options.json:
         print(_json(explanation))
         return 0
@@ -85,6 +89,32 @@ def run(options: argparse.Namespace) -> int:
         print(f"{options.out / REPORT}  interactive page")
     _arguments.print_resumed(renderer)
     return 0
+
+
+def _write_report(
+    explanation: Explanation, renderer: SceneRenderer, metric: Metric, options: argparse.Namespace
+) -> None:
+    """Write the page: the sentences, and if a goal was reached, the scene before and after on a slider."""
+    results: list[Explanation | SceneAttribution] = [explanation]
+    titles = comparison = None
+    if (goal := explanation.goal) is not None and goal.reached:
+        progress = _arguments.shows_progress(options)
+        method = VanillaSceneGradient(renderer, metric)
+        results.append(
+            method.attribute(goal.values, target=options.target, seed=options.seed, show_progress=progress)
+        )
+        titles = ["as it is", f"below {goal.below:g}"]
+        change = goal.after.value - goal.before.value
+        comparison = Comparison(change, math.hypot(goal.after.error, goal.before.error), [SEPARATE])
+    attributions = [one.attribution if isinstance(one, Explanation) else one for one in results]
+    write_report(
+        results,
+        options.out / REPORT,
+        titles,
+        title=options.title,
+        plans=[plan_of(one, renderer, metric) for one in attributions],
+        comparison=comparison,
+    )
 
 
 def explained(

@@ -19,7 +19,7 @@ from ..estimation import Metric
 from ..grid import SensorGrid
 
 GRID, WEATHER, SKY = ("height", "spacing", "margin", "floor"), ("weather", "north"), ("subdivision",)
-SYNTHETIC = "made-up weather of no real place; give that of your place with --weather FILE.epw"
+SYNTHETIC = "made-up, of no real place; the results hold for your place only with its own weather file"
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:
     if weather is None:
         return (
             "sky: the CIE overcast sky",
-            "a daylight factor has no classes: --metric en17037 rates a room",
+            "a daylight factor has no classes; the metric en17037 rates a room",
         )
     if options.weather is None:
         return (f"weather: {SYNTHETIC}",)

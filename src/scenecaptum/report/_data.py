@@ -231,9 +231,13 @@ def _result(
 
 
 def _headline(attribution: Attribution, explanation: Explanation | None) -> tuple[str, str]:
-    """Return the value of the metric and its error, or the value by the definition, of a relaxed metric."""
-    if explanation is not None and explanation.definition is not None:
-        return rounded(explanation.definition.value), ""
+    """Return the value of the metric and its error, or the value by the definition, of a relaxed metric.
+
+    With an explanation, its digits are those of its sentences.
+    """
+    if explanation is not None:
+        value, _, error = explanation.value().partition(" ± ")
+        return value, error
     return with_error(attribution.metric_value, attribution.metric_standard_error)
 
 

@@ -52,6 +52,7 @@ def write_report(
     path: str | os.PathLike[str],
     titles: Sequence[str] | None = None,
     *,
+    title: str | None = None,
     plans: Sequence[Figure | None] | None = None,
     comparison: Comparison | None = None,
     sections: Sequence[Section] = (),
@@ -73,6 +74,8 @@ def write_report(
         The file to write, atomically.
     titles
         A title for each result; its metric by default.
+    title
+        The heading of the page; the name of the scene by default.
     plans
         A figure for each result of a sensor grid, such as that of ``visualization.plot_plan``, or None for a
         result with a picture. It stands in place of the picture and has no overlay.
@@ -94,7 +97,8 @@ def write_report(
     drawn = [None] * len(results) if plans is None else list(plans)
     check(results, titles, drawn, comparison)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    _write(path, _page(report_data(results, names, explanations, drawn, comparison), sections))
+    data = {"title": title, **report_data(results, names, explanations, drawn, comparison)}
+    _write(path, _page(data, sections))
 
 
 def write_section(section: Section, path: str | os.PathLike[str], scene: str) -> None:
@@ -132,7 +136,7 @@ def _page(data: dict[str, Any], sections: Sequence[Section]) -> str:
     wrapped = f'"use strict";\n(() => {{\n{script}\n}})();\n'
     scenes = list(dict.fromkeys(str(result["info"].get("scene", "")) for result in data["results"]))
     parts = {
-        "title": html.escape(" · ".join(filter(None, [*scenes[:2], "scene attribution"]))),
+        "title": html.escape(data["title"] or " · ".join(filter(None, [*scenes[:2], "scene attribution"]))),
         "script": wrapped,
         "data": _to_json(data),
         "sections": "\n".join(map(_section, sections)),

@@ -104,7 +104,7 @@ function drawExplanation(result) {
   byId("explanation").replaceChildren(...parts);
 }
 
-const FACTS = ["scene", "method", "metric", "quantity", "seed", "spp", "replicates", "resolution", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
+const FACTS = ["scene", "method", "metric", "seed", "spp", "replicates", "resolution", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
 
 function drawFacts(result) {
   const words = { spp: "samples per pixel", max_depth: "longest path", seconds: "time" };
@@ -114,7 +114,7 @@ function drawFacts(result) {
     if (value !== null && typeof value === "object") return Object.entries(value).map(([name, one]) => `${name} ${one}`).join(", ");
     return String(value);
   };
-  const info = { ...result.info, quantity: result.quantity };
+  const { info } = result;
   const known = FACTS.filter((key) => info[key] !== undefined && info[key] !== null);
   byId("facts").replaceChildren(...known.map((key) => make("div", { class: key }, make("dt", {}, words[key] ?? key.replaceAll("_", " ")), make("dd", {}, text(key, info[key])))));
   byId("settings").textContent = JSON.stringify(result.info, null, 2);

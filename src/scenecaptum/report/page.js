@@ -4,6 +4,7 @@ const state = {
   current: 0,
   sort: { by: "rank", reversed: false },
   filter: "",
+  all: false, // the whole table, not only its first rows
   selection: { kind: null, name: null, title: "", rows: [], objects: [] },
   hovered: [],
   pointer: null,
@@ -87,8 +88,12 @@ function drawOutlines() {
 
 function drawTable() {
   drawColumns(result(), state.sort, sortBy);
-  drawRows(result(), arrangedRows(result(), view(), state.sort, state.filter), { select: selectRow, preview: previewRow });
+  const arranged = arrangedRows(result(), view(), state.sort, state.filter);
+  const shown = state.all || state.filter ? arranged : firstRows(arranged, state.selection.rows);
+  drawRows(result(), shown, { select: selectRow, preview: previewRow });
   markSelected(state.selection.rows);
+  byId("more").hidden = shown.length === arranged.length;
+  byId("more").textContent = `Show all ${arranged.length}`;
 }
 
 /** A plan in place of a picture shows no objects, so there is nothing to paint on it and to point at. */
@@ -113,6 +118,7 @@ function drawResult() {
   drawOverlay();
   drawTable();
   drawNotes(result());
+  drawCautions(result());
   drawFacts(result());
   select(found(state.selection));
 }
@@ -140,7 +146,8 @@ function found({ kind, name }) {
 function select(selection) {
   state.selection = selection;
   drawMarks();
-  markSelected(selection.rows);
+  if (selection.rows.every((index) => document.querySelector(`[data-row="${index}"]`))) markSelected(selection.rows);
+  else drawTable();
   drawDetail(results, state.current, view(), selection);
   remember();
   byId("clear")?.addEventListener("click", () => { select(nothing()); byId("picture").focus({ preventScroll: true }); });
@@ -254,6 +261,7 @@ function remember() {
   for (const name of BOXES) if (byId(name).checked) chosenNow.set(name, "1");
   if (state.sort.by !== "rank" || state.sort.reversed) chosenNow.set("sort", `${state.sort.by}${state.sort.reversed ? "-" : ""}`);
   if (state.filter) chosenNow.set("filter", state.filter);
+  if (state.all) chosenNow.set("all", "1");
   if (state.selection.kind) chosenNow.set(state.selection.kind, state.selection.name);
   try {
     history.replaceState(null, "", `#${chosenNow}`);
@@ -275,6 +283,7 @@ function recall() {
   const by = sort.replace("-", "");
   if (Object.hasOwn(SORTS, by)) state.sort = { by, reversed: sort.endsWith("-") };
   state.filter = byId("filter").value = kept.get("filter") ?? "";
+  state.all = kept.has("all");
   for (const kind of ["row", "object"]) if (kept.has(kind)) state.selection = { ...nothing(), kind, name: kept.get(kind) };
 }
 
@@ -393,7 +402,7 @@ function drawResults() {
   byId("results").replaceChildren(...choices);
   byId("results").classList.toggle("single", results.length === 1);
   const scenes = [...new Set(results.map((one) => String(one.info.scene ?? "Scene")))];
-  byId("heading").textContent = scenes.map(sceneName).join(", ");
+  byId("heading").textContent = data.title ?? scenes.map(sceneName).join(", ");
 }
 
 const LISTED = 6;
@@ -439,6 +448,7 @@ function listen() {
   for (const name of BOXES) byId(name).addEventListener("change", repaint);
   for (const input of document.querySelectorAll('[name="quantity"], [name="scale"]')) input.addEventListener("change", repaint);
   byId("filter").addEventListener("input", () => { state.filter = byId("filter").value; drawTable(); remember(); });
+  byId("more").addEventListener("click", () => { state.all = true; drawTable(); remember(); byId("rows").children[FIRST_ROWS].focus({ preventScroll: true }); });
   byId("png").addEventListener("click", () => mapPicture().toBlob((blob) => downloadBlob("map.png", blob)));
   byId("svg").addEventListener("click", () => download("effects.svg", "image/svg+xml", barsText()));
   byId("csv").addEventListener("click", () => download("attributions.csv", "text/csv", csvText()));

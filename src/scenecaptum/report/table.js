@@ -19,6 +19,13 @@ function arrangedRows(result, view, sort, wanted) {
   return shown.sort((a, b) => (sort.reversed ? -order(a, b) : order(a, b)) || a - b);
 }
 
+const FIRST_ROWS = 15;
+
+/** Return the first rows and those that are selected: a long table is a list to look things up in. */
+function firstRows(arranged, selected) {
+  return arranged.filter((index, place) => place < FIRST_ROWS || selected.includes(index));
+}
+
 function searchable(result, view, index) {
   const row = result.rows[index];
   return [row.label, row.name, ...objectsOf(result, index).map((one) => view.names[one])].join(" ").toLowerCase();
@@ -111,6 +118,14 @@ function markSelected(rows) {
   }
 }
 
+const cautioned = (texts) => texts.map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`));
+
+/** What puts the whole result in doubt stands below its value, not below the table. */
+function drawCautions(result) {
+  const noise = result.sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", ""));
+  byId("cautions").replaceChildren(...cautioned(noise));
+}
+
 function drawNotes(result) {
   const notes = result.cautions.map((text, index) => {
     const count = result.rows.filter((row) => row.caution === index).length;
@@ -121,8 +136,7 @@ function drawNotes(result) {
     const whose = isShared(index, result) ? "all parameters" : counted(count, "parameter");
     return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
   }));
-  const noise = result.sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", ""));
-  notes.push(...[...noise, ...result.sceneCautions].map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`)));
+  notes.push(...cautioned(result.sceneCautions));
   notes.push(...result.convergence.map((text) => make("p", {}, text)));
   if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {

@@ -149,7 +149,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
     ]
     channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
-    notes = [f"{'norm' if is_norm else 'effect'}: {_quantity(attribution, scale)}"]
+    notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
@@ -179,12 +179,6 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
         rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
         notes=notes,
     )
-
-
-def _quantity(attribution: Attribution, scale: Scale | None) -> str:
-    """Return what the numbers are; effects over a range are extrapolated from derivatives, which the note says."""
-    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
-    return f"{'first-order ' if kind is ResultKind.EFFECT else ''}{axis_label(attribution, scale)}"
 
 
 def _effects(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
