@@ -101,6 +101,24 @@ def test_table_says_whether_effects_are_extrapolated(quantity: str, note: str) -
     assert note in table_text(make(quantity=quantity)).splitlines()
 
 
+def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
+    def text(value: float, extent: float) -> str:
+        name = "metal.alpha.value"
+        return table_text(
+            dataclasses.replace(
+                make(barred=False),
+                attributions={name: torch.tensor(-2.0), "floor": torch.tensor(1.0)},
+                parameter_values={name: torch.tensor(value), "floor": torch.tensor(0.01)},
+                extents={name: torch.tensor([extent]), "floor": torch.ones(1)},
+            )
+        )
+
+    note = "!  metal.alpha.value: a small roughness acts most near 0"
+    assert note in text(0.02, 1.0)
+    assert "overstated" not in text(0.3, 1.0)
+    assert "overstated" not in text(0.02, 0.1), "the range is that of the user"
+
+
 def test_table_ranks_with_sign_error_and_channels() -> None:
     text = table_text(make())
     names = re.findall(r"^ *\d+  (\S+)", text, flags=re.MULTILINE)

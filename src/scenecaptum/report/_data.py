@@ -27,6 +27,7 @@ from ..visualization import (
     caution_groups,
     color_of,
     convergence_notes,
+    extrapolation_notes,
     method_name,
     metric_name,
     metric_symbol,
@@ -203,7 +204,7 @@ def _result(
         "sampling": sampling_notes(attribution),
         "convergence": convergence_notes(attribution),
         "cautions": list(cautions),
-        "sceneCautions": scene_cautions(attribution),
+        "sceneCautions": [*extrapolation_notes(attribution), *scene_cautions(attribution)],
         "doubts": list(untrusted),
         "rows": [
             {

@@ -6,12 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ..protocols import Attribution, RankedParameter, Scale
+from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import group_by_text
 from ._numbers import format_with_error, rounded, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _LARGE_ERROR = 0.3  # of the norm of all effects
+_ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
+_MANY_TIMES = 8  # the roughness: the length of a range over which a tangent holds no longer
+_NOTABLE = 0.1  # of the largest effect
+_NAMED = 3
 _ROUNDING = 1e-6  # relative to the explained difference
 METRIC_WIDTH = 36  # maximum length of a metric's name on an axis
 FINDING_WIDTH = 60  # and of a name in a figure's title
@@ -226,6 +230,29 @@ def scene_cautions(attribution: Attribution) -> list[str]:
     if more <= 0:
         return cautions
     return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
+
+
+def extrapolation_notes(attribution: Attribution, scale: Scale | None = None) -> list[str]:
+    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
+    if attribution.kind.in_scale(attribution.scale_or_default(scale)) is not ResultKind.EFFECT:
+        return []
+    effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
+    notable = _NOTABLE * max(effects.values(), default=0.0)
+    small = [
+        attribution.labels.get(name, name)
+        for name, value in attribution.parameter_values.items()
+        if _ROUGHNESS & set(name.split("."))
+        and effects.get(name, 0.0) > notable
+        # That over the range is the gradient times the length of the range.
+        and effects[name] > _MANY_TIMES * gradients[name] * float(value.mean())
+    ]
+    if not small:
+        return []
+    more = f" and {len(small) - _NAMED} more" if len(small) > _NAMED else ""
+    return [
+        f"{', '.join(small[:_NAMED])}{more}: a small roughness acts most near 0, so its effect over the whole "
+        "range is overstated; give it a range, or use ablation"
+    ]
 
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
