@@ -534,8 +534,8 @@ reflects a lamp into the camera. Measured by `python benchmarks/derivatives.py -
   the parameter has no derivative there.
 - *right*: |z| < 4 between any two of ours, replay and difference, and all errors are at most {good:.0%} of
   their values; or both are 0 up to rounding, below 1e-5 for a metric of about 1. *wrong*: any |z| ≥ 4.
-  *unresolved*: the errors are larger, after the samples per pixel in the last column. *unsupported*: the last
-  column has the error message. Parameters that only control the sampling, and poses, have only this message.
+  *unresolved*: the errors are larger, after the samples per pixel below the table. *unsupported*: the error
+  message is below the table. Parameters that only control the sampling, and poses, have only this message.
 """
 
 
@@ -589,26 +589,40 @@ def stock_verdict(outcome: Outcome) -> str:
     return "none" if isinstance(outcome.stock, str) else _verdict_on_pair(outcome.stock, outcome.difference)
 
 
+HEADS = ("parameter", "verdict", "ours", "prb", "difference", "z", "step", "value", "scene")
+
+
 def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Yield the lines of a table; the verdict is in the second column, which is also in view on a phone."""
-    notes = ["note"] if any(map(_note, outcomes)) else []
-    heads = ["parameter", "verdict", "scene", "value", "ours", "difference", "step", "z", "prb", *notes]
-    yield f"| {' | '.join(heads)} |"
-    yield f"|---|---|---|--:|--:|--:|--:|--:|--:|{'---|' * len(notes)}"
+    """Yield the lines of a table, and of a list of notes below it.
+
+    The first columns are those in view on a phone. Notes would make the table wider than a page.
+    """
+    yield f"| {' | '.join(HEADS)} |"
+    yield "|---|---|--:|--:|--:|--:|--:|--:|---|"
     for outcome in outcomes:
         cells = (
             f"`{_short(outcome.parameter)}`",
             outcome.verdict,
-            outcome.case.split("/", 1)[1],
-            "" if outcome.value is None else f"{outcome.value:.4g}",
             str(outcome.ours or "–"),
-            str(outcome.difference or "–"),
-            outcome.step,
-            "" if outcome.z is None else f"{outcome.z:+.1f}",
             str(outcome.stock or "–"),
-            *([_note(outcome)] if notes else []),
+            str(outcome.difference or "–"),
+            "" if outcome.z is None else f"{outcome.z:+.1f}",
+            outcome.step,
+            "" if outcome.value is None else f"{outcome.value:.4g}",
+            _scene(outcome),
         )
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    notes = [
+        f"- `{_short(outcome.parameter)}`, {_scene(outcome)}, *{outcome.verdict}*: {note}"
+        for outcome in outcomes
+        if (note := _note(outcome))
+    ]
+    if notes:
+        yield from ("", *notes)
+
+
+def _scene(outcome: Outcome) -> str:
+    return outcome.case.split("/", 1)[1]
 
 
 def _short(parameter: str) -> str:

@@ -35,6 +35,7 @@ from scenecaptum import (
 )
 from scenecaptum.attr import Ranked
 from scenecaptum.estimation import student_t
+from scenecaptum.visualization import LOWERS, RAISES, TEXT, TITLE, minus
 
 Plugin = dict[str, Any]
 
@@ -287,8 +288,8 @@ class Training(NamedTuple):
                 f"{self.accuracy_with:8.1%}",
                 f"{self.accuracy_without:8.1%}",
                 f"{found.rank:4d}",
-                f"{found.effect:+.2f} ± {error[PLANTED] if error else math.nan:.2f}",
-                f"{found.effect - found.half_width:+.2f} to {found.effect + found.half_width:+.2f}",
+                minus(f"{found.effect:+.2f} ± {error[PLANTED] if error else math.nan:.2f}"),
+                minus(f"{found.effect - found.half_width:+.2f} to {found.effect + found.half_width:+.2f}"),
                 f"{self.gradient_rank:4d} |",
             ]
         )
@@ -317,7 +318,8 @@ def run(
 
 # --- Figures --------------------------------------------------------------------------------------
 
-WITH, WITHOUT, OTHERS = "#c2571a", "#3b6ea5", "#9a9a9a"
+# Blue and orange are for the signs of effects, as in the library's own figures.
+WITH, WITHOUT = "#c2649b", "#2f9e6e"
 
 
 def srgb(pictures: torch.Tensor) -> torch.Tensor:
@@ -352,22 +354,24 @@ def plot_bars(pair: tuple[Training, Training]) -> Figure:
     """Draw the contributions of all surfaces and lamps for both networks, in one order and on one scale."""
     order = [row.name for row in reversed(pair[0].attribution.ranking())]
     figure = Figure(figsize=(9, 3.2), layout="constrained")
-    for ax, training, color in zip(
-        figure.subplots(1, 2, sharex=True, sharey=True), pair, (WITH, WITHOUT), strict=True
-    ):
+    for ax, training in zip(figure.subplots(1, 2, sharex=True, sharey=True), pair, strict=True):
         rows = {row.name: row for row in training.attribution.ranking()}
-        widths = [half_width(training.attribution, rows[name].effect_error) for name in order]
         ax.barh(
             [rows[name].label for name in order],
             [rows[name].effect for name in order],
-            xerr=widths,
-            color=color,
+            xerr=[half_width(training.attribution, rows[name].effect_error) for name in order],
+            color=[RAISES if rows[name].effect > 0 else LOWERS for name in order],
+            error_kw={"ecolor": "0.5", "capsize": 3},
         )
-        ax.axvline(0, color="black", linewidth=0.8)
+        ax.axvline(0, color="0.5", linewidth=0.8)
         first = training.attribution.ranking()[0]
-        ax.set_title(f"Trained {'with' if training.shortcut else 'without'} the shortcut", fontsize=11)
-        ax.set_xlabel(f"first: {first.label}", fontsize=10)
-    figure.supxlabel("contribution to the logit of sphere minus that of cube, 95 % intervals", fontsize=10)
+        ax.set_title(f"Trained {_kind(training)}\nfirst: {first.label}", fontsize=TITLE)
+        ax.tick_params(labelsize=TEXT)
+    figure.supxlabel(
+        "contribution to the logit of sphere minus that of cube, 95 % intervals\n"
+        "blue: speaks for a sphere, orange: for a cube",
+        fontsize=TEXT,
+    )
     return figure
 
 
@@ -380,14 +384,13 @@ def plot_trainings(trainings: Sequence[Training]) -> Figure:
     for group, color, shift in ((planted, WITH, -0.12), (clean, WITHOUT, 0.12)):
         positions = [training.seed + shift for training in group]
         found = [training.finding for training in group]
-        name = f"lamp, trained {'with' if group is planted else 'without'} the shortcut"
         ax.errorbar(
             positions,
             [finding.effect for finding in found],
             yerr=[finding.half_width for finding in found],
             fmt="o",
             color=color,
-            label=name,
+            label=f"lamp, trained {_kind(group[0])}",
         )
         others = [
             max((row for row in t.attribution.ranking() if row.name != PLANTED), key=_size) for t in group
@@ -401,7 +404,7 @@ def plot_trainings(trainings: Sequence[Training]) -> Figure:
             alpha=0.7,
             label=f"largest other, {'with' if group is planted else 'without'}",
         )
-    ax.axhline(0, color="black", linewidth=0.8)
+    ax.axhline(0, color="0.5", linewidth=0.8)
     ax.set(xlabel="training", ylabel="contribution to sphere − cube", xticks=[t.seed for t in planted])
     ax.legend(fontsize=8, ncols=2, frameon=False)
     ax.set_title(
@@ -410,6 +413,10 @@ def plot_trainings(trainings: Sequence[Training]) -> Figure:
         fontsize=11,
     )
     return figure
+
+
+def _kind(training: Training) -> str:
+    return f"{'with' if training.shortcut else 'without'} the shortcut"
 
 
 def _size(row: Ranked) -> float:

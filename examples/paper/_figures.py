@@ -23,6 +23,8 @@ LINE = 0.14  # inches, of small text
 GAP = 0.1  # inches
 NUMBER = 0.48  # inches, of an effect before a name
 ROOM_STYLES = (("#2f9e6e", "o"), ("#c2649b", "s"), ("#b8860b", "^"), ("#4f9fd0", "D"))
+# Larger than the dots, so that a cross is seen behind one, and as heavy in the legend.
+CROSS = {"marker": "x", "color": INK, "linestyle": "none", "markersize": 7, "markeredgewidth": 1.3}
 OUTCOMES = {"as predicted": GREEN, "not as predicted": PINK, "below the noise": GREY}
 
 
@@ -134,10 +136,10 @@ def ablation_grid(tests: Mapping[tuple[str, str], AblationTest], units: Mapping[
     for (row, metric), (column, room) in ((a, b) for a in enumerate(metrics) for b in enumerate(rooms)):
         ax = axes[row][column]
         _draw_ablation(ax, tests[room, metric])
-        _style(ax, room if row == 0 else "", x="rank, computed" if row == len(metrics) - 1 else "")
+        _style(ax, room if row == 0 else "", x="rank by saliency" if row == len(metrics) - 1 else "")
         if column == 0:
             unit = f" in {units[metric]}" if units[metric] else ""
-            ax.set_ylabel(f"change of {metric}{unit}\nper unit of the step", fontsize=TEXT)
+            ax.set_ylabel(f"change of {metric}{unit}\nper unit of the parameter", fontsize=TEXT)
     _finish(figure, title, *_ablation_legend())
     return figure
 
@@ -146,12 +148,11 @@ def _ablation_legend() -> tuple[list[Any], list[str]]:
     """Return the handles and labels of a legend for all tests."""
     from matplotlib.lines import Line2D
 
-    dots = {f"measured, {kind}": {"color": color, "marker": "o"} for kind, color in OUTCOMES.items()}
-    styles = {"predicted": {"color": INK}, **dots, "fixed step of 0.01": {"color": INK, "marker": "x"}}
-    lines = [
-        Line2D([], [], linestyle="none" if "marker" in style else "-", markersize=4, **style)
-        for style in styles.values()
-    ]
+    dot = {"marker": "o", "linestyle": "none", "markersize": 4}
+    styles: dict[str, dict[str, Any]] = {"predicted": {"color": INK}}
+    styles |= {f"measured, {kind}": {"color": color, **dot} for kind, color in OUTCOMES.items()}
+    styles["measured, fixed step"] = CROSS
+    lines = [Line2D([], [], **style) for style in styles.values()]
     return lines, list(styles)
 
 
@@ -166,7 +167,7 @@ def _draw_ablation(ax: Any, test: AblationTest) -> None:
         error = [[min(row.measured_error, 0.9 * size)], [row.measured_error]]
         ax.errorbar(rank, size, error, fmt="o", color=color, markersize=4, elinewidth=1, zorder=3)
         if row.fixed:
-            ax.plot(rank, abs(row.fixed), "x", color=INK, markersize=4.5, markeredgewidth=1, zorder=2)
+            ax.plot(rank, abs(row.fixed), zorder=2, **CROSS)
     ax.set_xticks(list(ranks))
     _make_logarithmic(ax, "y")
 

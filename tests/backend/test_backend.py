@@ -401,11 +401,13 @@ def test_importing_the_backend_imports_nothing_heavy():
 
 
 @needs_llvm
-def test_the_diagnosis_of_a_working_machine():
+def test_the_diagnosis_of_a_working_machine(monkeypatch):
+    monkeypatch.setattr(_diagnosis, "_import_failure", lambda _: None)  # of what is optional
     diagnosis = backend.diagnose()
     text = str(diagnosis)
     assert diagnosis.ok, text
     assert diagnosis.fix is None
+    assert text.endswith("All is well: scenes can be rendered and differentiated.")
     assert f"chosen: {_llvm.choose_llvm().path}" in text
     names = [name for name, _ in diagnosis.rows]
     assert {"Python", "torch", "Mitsuba", "Dr.Jit", "CUDA", "Variant", "Renderer", "Cores"} <= set(names)
@@ -426,21 +428,48 @@ def test_the_diagnosis_without_llvm_names_the_fix(library, monkeypatch, capsys):
     assert text.rstrip().endswith(f"Fix: {_diagnosis._fix()}")
 
 
+def test_an_optional_package_that_is_missing_is_not_a_problem(monkeypatch):
+    monkeypatch.setattr(_diagnosis, "_installed", lambda _: None)
+    assert _diagnosis._import_failure("torchvision") is None
+    assert _diagnosis._optional("torchvision", None) == (
+        "not installed (optional, for pretrained classifiers)"
+    )
+
+
 @needs_llvm
-def test_optional_packages_are_listed_with_what_is_wrong(monkeypatch, tmp_path):
-    assert _diagnosis._optional("no-such-package", "nothing") == "not installed (optional, for nothing)"
-    (tmp_path / "broken_build.py").write_text("raise RuntimeError('another torch')")
+@pytest.mark.parametrize(
+    ("torch", "command"),
+    [
+        ("2.13.0+cpu", "torch==2.13.0+cpu torchvision --index-url https://download.pytorch.org/whl/cpu"),
+        ("2.13.0", "torch==2.13.0 torchvision"),
+    ],
+)
+def test_a_torchvision_for_another_torch_is_not_well(monkeypatch, tmp_path, capsys, torch, command):
+    (tmp_path / "torchvision.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(_diagnosis, "_installed", lambda package: "1.0")
-    found = _diagnosis._optional("broken_build", "nothing")
-    assert found == "1.0, cannot be imported (optional, for nothing): another torch"
-    assert _diagnosis._optional("json", "nothing") == "1.0"
+    monkeypatch.delitem(sys.modules, "torchvision", raising=False)
+    monkeypatch.setattr(_diagnosis, "_installed", lambda package: torch if package == "torch" else "0.28.0")
+    assert backend.main() == 0, "scenes can still be rendered"
+    *table, verdict, fix = capsys.readouterr().out.splitlines()
+    (row,) = [line for line in table if line.startswith("torchvision")]
+    assert row.endswith("0.28.0, cannot be imported: operator torchvision::nms does not exist")
+    assert verdict == (
+        "Scenes can be rendered and differentiated. What does not work: pretrained classifiers."
+    )
+    assert "uninstall -y torchvision && " in fix
+    assert fix.endswith(f"install {command}")
+
+
+def test_another_package_that_cannot_be_imported_is_installed_again():
+    assert _diagnosis._reinstallation("captum", "2.13.0").endswith(
+        "pip install --force-reinstall --no-deps captum"
+    )
 
 
 def test_the_backend_can_be_run_as_the_doctor():
     result = python("-m", "scenecaptum.backend")
     assert result.returncode == 0, result.stderr
-    assert "All is well" in result.stdout
+    assert "can be rendered and differentiated" in result.stdout
 
 
 def test_the_doctor_runs_without_llvm():

@@ -329,8 +329,11 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], mi: Any
         'methods = ["value"]\n[cameras]\nfront = 0\nleft = { turn = -20 }\n'
     )
     out = tmp_path / "out"
+    assert cli.main(["study", str(file), "--out", str(out), "--workers", "1"]) == 0
+    printed, progress = capsys.readouterr()
+    assert progress.startswith("study: 2 cells\nstudy: 1 of 2 cells, ")
     assert cli.main(["study", str(file), "--out", str(out), "--workers", "1", "--no-progress"]) == 0
-    printed = capsys.readouterr().out
+    assert capsys.readouterr().err == ""
     assert "2 cells finished" in printed
     assert "values.csv  the metric of each cell" in printed
     assert len((out / "values.csv").read_text().splitlines()) == 3

@@ -127,18 +127,22 @@ class Diagnosis:
     """What this machine has for rendering; prints as a table with a verdict, and the fix if there is one."""
 
     rows: tuple[tuple[str, str], ...]
-    ok: bool
+    ok: bool  # scenes can be rendered
     fix: str | None
+    broken: tuple[str, ...] = ()  # what does not work although scenes can be rendered
 
     def __str__(self) -> str:
         width = max(len(name) for name, _ in self.rows)
         table = "\n".join(f"{name:<{width}}  {finding}" for name, finding in self.rows)
-        verdict = (
-            "All is well: scenes can be rendered and differentiated."
-            if self.ok
-            else "Rendering will not work."
-        )
-        return f"{table}\n\n{verdict}" + (f"\nFix: {self.fix}" if self.fix else "")
+        return f"{table}\n\n{self._verdict}" + (f"\nFix: {self.fix}" if self.fix else "")
+
+    @property
+    def _verdict(self) -> str:
+        if not self.ok:
+            return "Rendering will not work."
+        if not self.broken:
+            return "All is well: scenes can be rendered and differentiated."
+        return f"Scenes can be rendered and differentiated. What does not work: {', '.join(self.broken)}."
 
 
 def diagnose() -> Diagnosis:
@@ -163,6 +167,8 @@ def diagnose() -> Diagnosis:
     libraries = llvm_libraries()
     chosen, variant, cuda = choose_llvm(libraries), default_variant(), _cuda_problem()
     packages = {name: _installed(package) for name, package in _PACKAGES.items()}
+    failures = {package: _import_failure(package) for package in _OPTIONAL}
+    broken = [package for package, reason in failures.items() if reason is not None]
     fix = _first_fix(packages, usable=chosen is not None or cuda is None)
     if fix is not None:
         failure: str | None = "not tried"
@@ -171,14 +177,16 @@ def diagnose() -> Diagnosis:
     rows = (
         ("Python", platform.python_version()),
         *((name, version or "not installed") for name, version in packages.items()),
-        *((package, _optional(package, use)) for package, use in _OPTIONAL.items()),
+        *((package, _optional(package, failures[package])) for package in _OPTIONAL),
         *_llvm_rows(libraries, chosen),
         ("CUDA", "usable" if cuda is None else f"not used: {cuda}"),
         ("Variant", variant),
         ("Renderer", failure or "test render succeeded"),
         ("Cores", str(_cores())),
     )
-    return Diagnosis(rows, ok=failure is None, fix=fix)
+    if fix is None and broken:
+        fix = _reinstallation(broken[0], packages["torch"])
+    return Diagnosis(rows, ok=failure is None, fix=fix, broken=tuple(_OPTIONAL[one] for one in broken))
 
 
 _PACKAGES = {"torch": "torch", "Mitsuba": "mitsuba", "Dr.Jit": "drjit"}
@@ -187,17 +195,33 @@ _PACKAGES = {"torch": "torch", "Mitsuba": "mitsuba", "Dr.Jit": "drjit"}
 _OPTIONAL = {"torchvision": "pretrained classifiers", "captum": "comparisons with Captum's own classes"}
 
 
-def _optional(package: str, use: str) -> str:
+def _optional(package: str, failure: str | None) -> str:
     """Return the version of a package that some features need, and whether it can be imported."""
     version = _installed(package)
     if version is None:
-        return f"not installed (optional, for {use})"
+        return f"not installed (optional, for {_OPTIONAL[package]})"
+    return version if failure is None else f"{version}, cannot be imported: {failure}"
+
+
+def _import_failure(package: str) -> str | None:
+    """Return why an installed package cannot be imported, or None."""
+    if _installed(package) is None:
+        return None
     try:
         importlib.import_module(package)
     except Exception as error:  # a build for another torch raises anything
-        reason = str(error).partition("\n")[0]
-        return f"{version}, cannot be imported (optional, for {use}): {reason}"
-    return version
+        return str(error).partition("\n")[0] or type(error).__name__
+    return None
+
+
+def _reinstallation(package: str, torch: str | None) -> str:
+    """Return the command that installs a package again, torchvision in the build of the installed torch."""
+    pip = f"{Path(sys.executable).name} -m pip"
+    if package != "torchvision" or torch is None:
+        return f"{pip} install --force-reinstall --no-deps {package}"
+    build = torch.partition("+")[2]  # such as cpu or cu128; none for wheels of PyPI
+    index = f" --index-url https://download.pytorch.org/whl/{build}" if build else ""
+    return f"{pip} uninstall -y torchvision && {pip} install torch=={torch} torchvision{index}"
 
 
 def _installed(package: str) -> str | None:

@@ -12,7 +12,6 @@ from typing import Any
 
 from ..errors import SceneCaptumError
 from ..studies import Study, StudyResult
-from . import _arguments
 from ._files import OutputFormat, print_files, write_files
 
 FORMATS = [
@@ -68,7 +67,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--retry-failed", action="store_true", help="compute failed cells again")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument("--no-progress", action="store_true", help="disable the progress bar")
+    parser.add_argument("--no-progress", action="store_true", help="write no progress to stderr")
     parser.set_defaults(run=run)
 
 
@@ -87,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
             workers=options.workers,
             threads=options.threads,
             retry_failed=options.retry_failed,
-            show_progress=_arguments.shows_progress(options),
+            show_progress=not options.no_progress,
         )
     write_files(result, options.out, FORMATS)
     report = result.write_report(options.out / "report") if options.report else None

@@ -15,8 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tqdm import tqdm
-
 from ..attr import METHODS, versions
 from ..camera import View
 from ..checkpoint import digest
@@ -27,6 +25,7 @@ from ..scene import portable
 from ._file import read_study
 from ._folder import StudyFolder
 from ._metrics import check_metric
+from ._progress import Progress
 from ._recipe import AXES, Cell, Recipe, digest_of_scene
 from ._result import StudyResult
 from ._run import on_executor, on_workers
@@ -217,7 +216,7 @@ class Study:
         retry_failed
             Compute failed cells again.
         show_progress
-            Show a progress bar with the time that is left.
+            Show a progress bar with the time that is left, or write lines if stderr is not a terminal.
 
         Returns
         -------
@@ -236,18 +235,15 @@ class Study:
         done = opened.finished() | (set() if retry_failed else opened.failed())
         left = [recipe for recipe in recipes if recipe.key not in done]
         names = {recipe.key: recipe for recipe in left}
-        progress = tqdm(
-            total=len(recipes), initial=len(recipes) - len(left), disable=not show_progress, unit="cell"
-        )
+        progress = Progress(len(recipes), finished=len(recipes) - len(left), show=show_progress)
         # Closed at once if the study stops: the traceback would keep the workers computing.
-        with progress as bar, closing(self._outcomes(left, opened, executor, workers, threads)) as outcomes:
+        with progress, closing(self._outcomes(left, opened, executor, workers, threads)) as outcomes:
             failures = 0 if retry_failed else len(opened.failed())
             for outcome in outcomes:
                 if outcome.error:
                     failures += 1
                     _write_failure(opened, names[outcome.key], outcome.error)
-                bar.set_postfix_str(f"{failures} failed" if failures else "", refresh=False)
-                bar.update()
+                progress.update(failures)
         return StudyResult(opened)
 
     def _outcomes(

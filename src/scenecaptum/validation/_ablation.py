@@ -335,7 +335,7 @@ class AblationTest:
         gradient.
         """
         ax = axes_or_new(ax, WIDTH, 1.7 + 0.24 * len(self.rows))
-        style_axes(ax, x=f"change of {self.metric} per unit of a step along the gradient")
+        style_axes(ax, x=f"change of {self.metric} per unit of the parameter, along its gradient")
         _draw(ax, self.rows)
         name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
         write_header(ax, "Ablation test", columns=2)
@@ -384,7 +384,7 @@ def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:
     style: dict[str, Any] = {"marker": "D", "s": 34, "facecolors": "none", "edgecolors": "black", "zorder": 3}
     ax.scatter([row.predicted for row in rows], positions, label="predicted: the saliency", **style)
     fixed = {y: abs(row.fixed) for y, row in enumerate(rows) if row.fixed}
-    style = {"marker": "x", "s": 26, "linewidths": 1, "color": "0.45", "zorder": 2}
+    style = {"marker": "x", "s": 44, "linewidths": 1.3, "color": "0.45", "zorder": 2}  # seen behind a dot
     ax.scatter(
         list(fixed.values()), list(fixed), label="measured with a step of 0.01 of the gradient", **style
     )
