@@ -41,6 +41,14 @@ def test_the_verdict_names_its_source_and_a_limit_that_is_too_close():
     assert "too close to 19 to be sure" in close
 
 
+def test_the_rating_of_a_picture_names_its_resolution():
+    rating = rated(17.5, 0.1)
+    assert Explanation(rating).headline() == "unified glare rating = 17.50 ± 0.10 at 6×4 pixels"
+    of_points = dataclasses.replace(rating, surfaces=None)
+    assert Explanation(of_points).headline() == "unified glare rating = 17.50 ± 0.10"
+    assert "pixels" not in Explanation(results.make()).headline()  # no rating
+
+
 def test_a_change_has_values_effects_and_errors():
     (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.68),)))["What would change it"]
     assert line == (
@@ -104,7 +112,9 @@ SDA = {
 
 def of_daylight(value: float, error: float, **parts: Any) -> Explanation:
     attribution = results.make(measure=SDA, verdict="at least 55 %")
-    attribution = dataclasses.replace(attribution, metric_value=value, metric_standard_error=error)
+    attribution = dataclasses.replace(
+        attribution, metric_value=value, metric_standard_error=error, surfaces=None
+    )
     return Explanation(attribution, **parts)
 
 

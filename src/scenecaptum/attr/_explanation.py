@@ -222,8 +222,11 @@ class Explanation:
     __repr__ = __str__
 
     def headline(self) -> str:
-        """Return the value of the metric: by its definition, if the attribution is that of a relaxed one."""
-        return f"{metric_name(self.attribution)} = {self._in_unit(self._value())}"
+        """Return the value of the metric: by its definition, if the attribution is that of a relaxed one.
+
+        With the rating of a picture stands the resolution, on which it depends.
+        """
+        return f"{metric_name(self.attribution)} = {self._in_unit(self._value())}{self._pixels()}"
 
     def meaning(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
@@ -250,6 +253,14 @@ class Explanation:
             return rounded(self.definition.value)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return sentence_number(value, error, digits=4)
+
+    def _pixels(self) -> str:
+        """Return ``" at 160×90 pixels"`` for a rating of a picture; empty for other metrics, and of a grid."""
+        surfaces, measure = self.attribution.surfaces, self.attribution.info.get("measure") or {}
+        if surfaces is None or not measure.get("limits"):
+            return ""
+        height, width = surfaces.shape
+        return f" at {width}×{height} pixels"
 
     def _order(self) -> str:
         """Say that effects over a range are extrapolated from derivatives."""
