@@ -272,7 +272,8 @@ def _value_line(attribution: SceneAttribution, side: Side) -> str:
     if not side.exact:
         return metric_line(attribution)
     relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
-    return f"{metric_name(attribution)} = {side.exact} by the definition; relaxed {relaxed} {metric_unit(attribution)}"
+    relaxed = f"{relaxed} {metric_unit(attribution)}"
+    return f"{metric_name(attribution)} = {side.exact} by the definition; relaxed {relaxed}"
 
 
 def _note(text: str) -> list[str]:
