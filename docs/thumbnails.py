@@ -32,7 +32,7 @@ class Cut(NamedTuple):
 
 CUTS = {
     "chair-logit": Cut("chair-logit.png", (0.013, 0.22, 0.892, 0.942), whole=True),
-    "classroom-daylight": Cut("classroom-daylight.png", (0.113, 0.05, 0.895, 0.909)),
+    "classroom-daylight": Cut("classroom-daylight.png", (0.149, 0.088, 0.896, 0.909)),
     "desk-lamp": Cut("desk-lamp.png", (0.01, 0.145, 0.489, 0.98)),
     "explore": Cut("explore.png", (0.0, 0.0, 1.0, 1.0)),
     "figures": Cut("guides/seeing-luminance.webp", (0.0, 0.0, 1.0, 1.0), whole=True),

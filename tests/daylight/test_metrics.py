@@ -240,6 +240,9 @@ def test_a_metric_is_the_mean_over_the_points(name):
     coefficients, sky = setup(random_illuminance(shifted(5)))
     metric = (RELAXED | CONTINUOUS)[name](sky)
     points = metric.of_points(coefficients)
+    exact = metric.hard_of_points(coefficients.detach().requires_grad_())
+    assert exact.mean().item() == pytest.approx(metric.hard(coefficients).item())
+    assert not exact.requires_grad
     assert points.shape == (12,)
     assert points.mean() == pytest.approx(metric(coefficients))
     assert metric(coefficients[3:4]) == pytest.approx(points[3])
@@ -248,12 +251,12 @@ def test_a_metric_is_the_mean_over_the_points(name):
 @pytest.mark.parametrize(
     ("name", "values", "label", "levels"),
     [
-        ("DA", [50, 50], "DA in %", (25, 50, 75)),
-        ("UDI-exceeded", [25, 0], "UDI in %", (25, 50, 75)),
+        ("DA", [50, 50], "daylight autonomy at 300 lx in %", (25, 50, 75)),
+        ("UDI-exceeded", [25, 0], "hours with more than 3000 lx in %", (25, 50, 75)),
         ("sDA", [50, 50], "hours with at least 300 lx in %", (50,)),
         ("ASE", [1, 1], "hours with more than 1000 lx of direct sun", (2.5,)),
         ("provision-medium", [25, 25], "hours with at least 500 lx in %", (50,)),
-        ("TAI", [4150, 1800], "TAI in lx·h", (2e5, 5e5, 1e6, 2e6, 5e6, 1e7)),
+        ("TAI", [4150, 1800], "total annual illumination in lx·h", (2e5, 5e5, 1e6, 2e6, 5e6, 1e7)),
     ],
 )
 def test_a_map_shows_what_is_compared_with_the_limit(name, values, label, levels):
@@ -261,6 +264,7 @@ def test_a_map_shows_what_is_compared_with_the_limit(name, values, label, levels
     shown = (RELAXED | CONTINUOUS)[name](sky).on_plan(coefficients.requires_grad_())
     assert shown.values.tolist() == pytest.approx(values)
     assert (shown.label, shown.levels) == (label, levels)
+    assert bool(shown.counts) == (len(levels) == 1), "a limit is explained"
 
 
 def test_the_bands_of_useful_illuminance_add_up():
@@ -388,6 +392,14 @@ def test_measures_have_names_and_units():
     }
     assert described["sDA"]["name"] == "spatial daylight autonomy without blinds"
     assert described["sDA"]["symbol"] == "sDA300/50%"
+    assert (
+        described["sDA"]["definition"]
+        == "share of the points with at least 300 lx in at least 50 % of the hours"
+    )
+    assert described["ASE"]["definition"] == (
+        "share of the points with more than 1000 lx of direct sun in more than 2.5 hours of a year"
+    )
+    assert all(one["definition"] for one in described.values())
     assert DaylightFactor(sky, "median").measure.name == "median daylight factor"
     assert AnnualSunlightExposure(sky, during="all").measure.symbol == "ASE1000,250h"
 

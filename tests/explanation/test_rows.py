@@ -6,7 +6,12 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum.daylight import ContinuousDaylightAutonomy, DaylightFactor, SkyMatrix
+from scenecaptum.daylight import (
+    ContinuousDaylightAutonomy,
+    DaylightFactor,
+    SkyMatrix,
+    SpatialDaylightAutonomy,
+)
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation._rows import find_rows
 from scenecaptum.grid import GridPoints
@@ -35,7 +40,11 @@ def images(*factors: float) -> torch.Tensor:
 
 def test_more_light_at_a_row_adds_a_tenth_of_its_share_to_a_linear_metric() -> None:
     rows = find_rows(TargetedMetric(DaylightFactor(SKY), None), images(1.0, 2.0, 6.0), grid())
-    assert [(row.name, row.count) for row in rows] == [("y = 4", 2), ("y = 2.5", 2), ("y = 1", 2)]
+    assert [(row.number, row.name, row.side, row.count) for row in rows] == [
+        (1, "y = 4 m", "top", 2),
+        (2, "y = 2.5 m", "top", 2),
+        (3, "y = 1 m", "top", 2),
+    ]
     for row, factor in zip(rows, (1.0, 2.0, 6.0), strict=True):
         assert row.value == pytest.approx(factor, abs=6 * 0.01 * factor / 4)
         assert abs(row.effect - 0.1 * factor / 3) < 6 * row.effect_error
@@ -46,9 +55,27 @@ def test_rows_with_enough_light_do_not_matter_and_rows_are_named_by_their_axis()
     metric = TargetedMetric(ContinuousDaylightAutonomy(SKY, threshold=300.0, during="all"), None)
     rows = find_rows(metric, images(1.0, 2.0, 6.0), grid(up=1))
     # 100 and 200 lx of 300 lx; and 600 lx.
-    assert [row.name for row in rows] == ["z = 4", "z = 2.5", "z = 1"]
+    assert [row.name for row in rows] == ["z = 4 m", "z = 2.5 m", "z = 1 m"]
     assert [row.value for row in rows] == pytest.approx([33.3, 66.7, 100.0], rel=0.03)
     assert [row.effect for row in rows] == pytest.approx([10 / 9, 20 / 9, 0.0], rel=0.03)
+
+
+def test_the_value_of_a_row_is_that_by_the_definition_and_columns_are_counted_from_the_right() -> None:
+    across = GridPoints(*(part.transpose(0, 1) for part in vars(grid()).values()))
+    across = GridPoints(
+        across.positions[..., [1, 0, 2]], across.normals, across.inside, across.plan[..., [1, 0]]
+    )
+    metric = TargetedMetric(SpatialDaylightAutonomy(SKY, during="all"), None)
+    # 290, 310 and 600 lx: the first two are within the relaxation of 300 lx.
+    columns = images(2.9, 3.1, 6.0).unflatten(1, (3, 2)).transpose(1, 2).flatten(1, 2)
+    rows = find_rows(metric, columns, across)
+    assert [(row.name, row.side) for row in rows] == [
+        ("x = 4 m", "right"),
+        ("x = 2.5 m", "right"),
+        ("x = 1 m", "right"),
+    ]
+    assert [row.value for row in rows] == [0.0, 100.0, 100.0]
+    assert rows[0].effect > 0
 
 
 def test_points_that_form_no_rows_have_none() -> None:

@@ -41,6 +41,14 @@ def test_the_verdict_names_its_source_and_a_limit_that_is_too_close():
     assert "too close to 19 to be sure" in close
 
 
+def test_the_rating_of_a_picture_names_its_resolution():
+    rating = rated(17.5, 0.1)
+    assert Explanation(rating).headline() == "unified glare rating = 17.50 ± 0.10 at 6×4 pixels"
+    of_points = dataclasses.replace(rating, surfaces=None)
+    assert Explanation(of_points).headline() == "unified glare rating = 17.50 ± 0.10"
+    assert "pixels" not in Explanation(results.make()).headline()  # no rating
+
+
 def test_a_change_has_values_effects_and_errors():
     (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.68),)))["What would change it"]
     assert line == (
@@ -99,43 +107,76 @@ SDA = {
     "unit": "%",
     "better": "higher",
     "limits": [55.0],
+    "definition": "share of the points with at least 300 lx",
 }
 
 
 def of_daylight(value: float, error: float, **parts: Any) -> Explanation:
-    attribution = results.make(measure=SDA, verdict="at least 55 %")
-    attribution = dataclasses.replace(attribution, metric_value=value, metric_standard_error=error)
+    attribution = results.make(measure=SDA, verdict="at least 55 %", picture={"caution": "no blinds"})
+    attribution = dataclasses.replace(
+        attribution, metric_value=value, metric_standard_error=error, surfaces=None
+    )
     return Explanation(attribution, **parts)
 
 
-def test_the_value_by_the_definition_decides_and_the_relaxed_one_stands_beside_it():
-    exact = Definition(47.0, "below 55 %, the limit")
+def test_the_exact_value_is_to_be_quoted_and_cautions_stand_first():
+    exact = Definition(47.0, "below 55 %, the limit", points=50)
     (headline, notes), *_ = of_daylight(56.8, 0.5, definition=exact, premises=("weather: Oslo",)).sections()
     # 55 lies between the two.
-    assert headline == (
-        "spatial daylight autonomy = 47 %: below 55 %, the limit; too close to 55 to be sure; relaxed, for its "
-        "derivatives: 56.8 ± 0.5 %"
-    )
-    assert notes[0] == "weather: Oslo"
-    said = lines(of_daylight(46.0, 0.5, definition=exact, changes=(change(2.0, 0.1, predicted=2.1),)))
-    assert "sDA 46.0 → 48.0 %" in said["What would change it, in relaxed values"][0]
+    assert headline == ("spatial daylight autonomy = 47 %: below 55 %, the limit; too close to 55 to be sure")
+    assert notes == [
+        "caution: no blinds",
+        "sDA: share of the points with at least 300 lx",
+        "quote 47 %, the exact value by the definition (in steps of 2 %, one point); the relaxed value "
+        "56.8 ± 0.5 % only serves the derivatives",
+        "weather: Oslo",
+    ]
+    share_of_hours = of_daylight(56.8, 0.5, definition=Definition(47.0, ""))
+    assert not any("steps of" in note for note in share_of_hours.notes())
+    assert not any(note.startswith("quote") for note in of_daylight(56.8, 0.5).notes())
+
+
+def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
+    raised = dataclasses.replace(change(2.0, 0.1, predicted=2.1), exact=47.0 + 100 / 63)
+    said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(raised,)))
+    ((heading, (line,)),) = [item for item in said.items() if item[0].startswith("What would change it")]
+    assert "jump by whole points" in heading
+    assert line.endswith("sDA 47 → 48.6 % (relaxed: +2.00 ± 0.10 rendered, +2.10 ± 0.01 predicted)")
+    hours = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, ""), changes=(raised,)))
+    assert "What would change it: exact values and relaxed changes, by which changes compare" in hours
 
 
 def test_the_fewest_rows_with_most_of_the_effect_decide():
     rows = (
-        Row("y = 5", 7, 0.0, 0.0, 0.0),
-        Row("y = 4", 7, 7.5, 3.0, 0.3),
-        Row("y = 3", 7, 80.0, 2.5, 0.1),
-        Row("y = 2", 7, 100.0, 0.1, 0.2),
+        Row(1, "y = 5 m", "top", 7, 0.0437, 0.0, 0.0),
+        Row(2, "y = 4 m", "top", 7, 100 / 7, 3.0, 0.3),
+        Row(3, "y = 3 m", "top", 7, 80.0, 2.5, 0.1),
+        Row(4, "y = 2 m", "top", 7, 100.0, 0.1, 0.2),
     )
-    first, *others = lines(of_daylight(57.0, 0.5, rows=rows))["Which points decide"]
-    assert first == "y = 4 and y = 3 decide: 100 % of the effect of 10 % more light"
-    assert others[1] == "y = 4, 7 points: sDA 7.5 % there; with 10 % more light sDA +3.00 ± 0.30 %"
+    first, legend, *others = lines(of_daylight(57.0, 0.5, rows=rows))["Which points decide"]
+    assert first == "row 2 (y = 4 m) and row 3 (y = 3 m) decide: 100 % of the effect of 10 % more light"
+    assert legend == (
+        "below, sDA there, and how 10 % more light there changes sDA of all points; rows are counted from the top "
+        "of the plan, where y points up"
+    )
+    assert others[0] == "row 1 (y = 5 m), 7 points: 0.0 %; 0 % for all points"
+    assert others[1] == "row 2 (y = 4 m), 7 points: 14.3 %; +3.00 ± 0.30 % for all points"
     assert len(others) == 4
     three = tuple(dataclasses.replace(row, effect=1.0, effect_error=0.1) for row in rows[:3])
     assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0].startswith(
-        "y = 5, y = 4 and y = 3 decide: 100 %"
+        "row 1 (y = 5 m), row 2 (y = 4 m) and row 3 (y = 3 m) decide: 100 %"
     )
     dark = tuple(dataclasses.replace(row, effect=0.0) for row in rows)
     (nothing,) = lines(of_daylight(0.0, 0.0, rows=dark))["Which points decide"]
     assert nothing.startswith("none: ")
+
+
+def test_rows_beside_each_other_are_columns_of_the_plan():
+    column = Row(1, "x = 5 m", "right", 7, None, 1.0, 0.1)
+    first, legend, other = lines(of_daylight(57.0, 0.5, rows=(column,)))["Which points decide"]
+    assert first.startswith("column 1 (x = 5 m) decides")
+    assert legend == (
+        "below, how 10 % more light there changes sDA of all points; columns are counted from the right of the "
+        "plan, where x points to the right"
+    )
+    assert other == "column 1 (x = 5 m), 7 points: +1.00 ± 0.10 % for all points"

@@ -133,9 +133,11 @@ def test_the_headline_is_the_value_by_the_definition_with_the_weather(browser, t
     exact = Explanation(ranged(), definition=Definition(2.0, "low"), premises=("weather: Oslo",))
     path = written(tmp_path, exact)
     page = Page(browser, path)
-    _, value, meaning, weather = page.page.locator(".result").inner_text().splitlines()
+    _, value, meaning, quoted, weather = page.page.locator(".result").inner_text().splitlines()
     assert value == "2"
-    assert meaning == "low; relaxed, for its derivatives: 2.337 ± 0.001"
+    assert meaning == "low"
+    assert quoted.startswith("quote 2, the exact value")
+    assert "the relaxed value 2.337 ± 0.001 only serves the derivatives" in quoted
     assert weather == "weather: Oslo"
     page.check(path)
     page.context.close()

@@ -16,6 +16,7 @@ from ..visualization import (
     metric_symbol,
     metric_unit,
     noise_notes,
+    plain_number,
     pluralize,
     rounded,
     sentence_number,
@@ -72,6 +73,8 @@ class Change:
     measured, measured_error
         The effect of rendering the changed scene, with the same random numbers, and its standard error; None if it
         was not rendered.
+    exact
+        The metric of the changed scene by its published definition, if that differs from the metric.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Change:
     predicted_error: float
     measured: float | None = None
     measured_error: float | None = None
+    exact: float | None = None
 
     @property
     def is_clear(self) -> bool:
@@ -106,17 +110,23 @@ class Row:
 
     Attributes
     ----------
+    number
+        Its number, from 1.
     name
-        Its place: ``"y = 5"``.
+        Its place: ``"y = 5 m"``.
+    side
+        The side of the plan from which rows are counted: ``"top"``, or of columns ``"right"``.
     count
         The number of its points.
     value
-        The mean of the metric over its points; None for metrics that points do not have.
+        The mean of the metric over its points by the definition; None for metrics that points do not have.
     effect, effect_error
         The effect of 10 % more light at its points to first order, and its standard error.
     """
 
+    number: int
     name: str
+    side: str
     count: int
     value: float | None
     effect: float
@@ -133,10 +143,13 @@ class Definition:
         In the unit of the metric.
     verdict
         The meaning of its class; empty if the metric has no classes.
+    points
+        The number of points, if the value is the share of them that pass.
     """
 
     value: float
     verdict: str
+    points: int | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,18 +190,19 @@ class Explanation:
         is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
             (
-                ": ".join(filter(None, [self.headline(), self.meaning()])),
-                [*self.premises, *noise_notes(self.attribution)],
+                ": ".join(filter(None, [self.headline(), self.rating()])),
+                self.notes(),
             ),
             (
                 "Where the glare comes from" if is_glare else "What it sees in the picture",
                 self._source_lines(),
             ),
             (
-                f"What it depends on: {axis_label(self.attribution, width=None)}",
+                f"What it depends on: {axis_label(self.attribution, width=None)}"
+                f"{', of the relaxed value' if self.definition else ''}",
                 self._effect_lines(),
             ),
-            (f"What would change it{', in relaxed values' if self.definition else ''}", self._change_lines()),
+            (f"What would change it{self._relaxed_effects()}", self._change_lines()),
             ("Which points decide", self._row_lines()),
             (
                 f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
@@ -222,20 +236,30 @@ class Explanation:
     __repr__ = __str__
 
     def headline(self) -> str:
-        """Return the value of the metric: by its definition, if the attribution is that of a relaxed one."""
-        return f"{metric_name(self.attribution)} = {self._in_unit(self.value())}"
+        """Return the value of the metric: by its definition, if the attribution is that of a relaxed one.
 
-    def meaning(self) -> str:
+        With the rating of a picture stands the resolution, on which it depends.
+        """
+        return f"{metric_name(self.attribution)} = {self._in_unit(self.value())}{self._pixels()}"
+
+    def notes(self) -> list[str]:
+        """Return what belongs to the value: cautions, its definition, which value to quote, and the premises."""
+        definition = (self.attribution.info.get("measure") or {}).get("definition")
+        return [
+            *noise_notes(self.attribution),
+            *([f"{metric_symbol(self.attribution)}: {definition}"] if definition else []),
+            *([] if self.definition is None else [self._which_to_quote()]),
+            *self.premises,
+        ]
+
+    def rating(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error or 0.0
         measure = self.attribution.info.get("measure") or {}
-        low, high, means, relaxed = value, value, verdict(self.attribution), ""
+        low, high, means = value, value, verdict(self.attribution)
         if self.definition is not None:
             low, high = min(value, self.definition.value), max(value, self.definition.value)
             means = self.definition.verdict
-            relaxed = (
-                f"relaxed, for its derivatives: {self._in_unit(sentence_number(value, error, digits=4))}"
-            )
         near = [
             limit
             for limit in measure.get("limits", [])
@@ -243,14 +267,37 @@ class Explanation:
         ]
         doubt = f"too close to {near[0]:g} to be sure" if near and means else ""
         source = f" ({measure['source']})" if measure.get("source") and means else ""
-        return "; ".join(filter(None, [f"{means}{source}", doubt, relaxed]))
+        return "; ".join(filter(None, [f"{means}{source}", doubt]))
+
+    def _relaxed(self) -> str:
+        value, error = self.attribution.metric_value, self.attribution.metric_standard_error
+        return self._in_unit(sentence_number(value, error, digits=4))
+
+    def _which_to_quote(self) -> str:
+        assert self.definition is not None
+        points = self.definition.points
+        steps = (
+            "" if points is None else f" (in steps of {self._in_unit(self._plain(100 / points))}, one point)"
+        )
+        return (
+            f"quote {self._in_unit(self.value())}, the exact value by the definition{steps}; the relaxed value "
+            f"{self._relaxed()} only serves the derivatives"
+        )
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
         if self.definition is not None:
-            return rounded(self.definition.value)
+            return self._plain(self.definition.value)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return sentence_number(value, error, digits=4)
+
+    def _pixels(self) -> str:
+        """Return ``" at 160×90 pixels"`` for a rating of a picture; empty for other metrics, and of a grid."""
+        surfaces, measure = self.attribution.surfaces, self.attribution.info.get("measure") or {}
+        if surfaces is None or not measure.get("limits"):
+            return ""
+        height, width = surfaces.shape
+        return f" at {width}×{height} pixels"
 
     def _source_lines(self) -> list[str]:
         stated = [source for source in self.sources if source.share > SIGNIFICANT * source.share_error]
@@ -283,18 +330,36 @@ class Explanation:
             if sum(abs(one.effect) for one in deciding) < MOST * total:
                 deciding.append(row)
         share = sum(abs(one.effect) for one in deciding) / total
-        *names, last = [row.name for row in self.rows if row in deciding]
+        *names, last = [_row_name(row) for row in self.rows if row in deciding]
         return [
             f"{' and '.join(filter(None, [', '.join(names), last]))} {'decide' if names else 'decides'}: "
             f"{100 * share:.0f} % of the effect of 10 % more light",
+            self._row_legend(),
             *(self._row_line(row) for row in self.rows),
         ]
 
+    def _relaxed_effects(self) -> str:
+        """Say what of a change is exact, and what to compare."""
+        if self.definition is None:
+            return ""
+        jump = ", which jump by whole points," if self.definition.points else ""
+        return f": exact values{jump} and relaxed changes, by which changes compare"
+
+    def _row_legend(self) -> str:
+        """Say what stands behind each row of points, and how the rows are counted on the plan."""
+        first, symbol = self.rows[0], metric_symbol(self.attribution)
+        rows, towards = ("rows", "up") if first.side == "top" else ("columns", "to the right")
+        there = "" if first.value is None else f"{symbol} there, and "
+        relaxed = ", relaxed" if self.definition else ""
+        return (
+            f"below, {there}how 10 % more light there changes {symbol} of all points{relaxed}; {rows} are counted "
+            f"from the {first.side} of the plan, where {first.name[0]} points {towards}"
+        )
+
     def _row_line(self, row: Row) -> str:
-        symbol = metric_symbol(self.attribution)
         effect = self._in_unit(_signed(row.effect, row.effect_error))
-        there = "" if row.value is None else f"{symbol} {self._in_unit(rounded(row.value))} there; "
-        return f"{row.name}, {pluralize(row.count, 'point')}: {there}with 10 % more light {symbol} {effect}"
+        there = "" if row.value is None else f"{self._in_unit(self._plain(row.value))}; "
+        return f"{_row_name(row)}, {pluralize(row.count, 'point')}: {there}{effect} for all points"
 
     def _change_line(self, change: Change) -> str:
         predicted = _signed(change.predicted, change.predicted_error)
@@ -302,12 +367,22 @@ class Explanation:
         if change.measured is None:
             return f"{what} {self._in_unit(predicted)}, predicted"
         value = self.attribution.metric_value
-        before, after = (
-            with_error(number, change.measured, digits=2)[0] for number in (value, value + change.measured)
-        )
+        if self.definition is not None and change.exact is not None:
+            before, after, relaxed = (
+                self._plain(self.definition.value),
+                self._plain(change.exact),
+                "relaxed: ",
+            )
+        else:
+            before, after = (
+                with_error(number, change.measured, digits=2)[0]
+                for number in (value, value + change.measured)
+            )
+            relaxed = ""
         measured = _signed(change.measured, change.measured_error)
         bent = "" if change.is_linear else ", not linear"
-        return f"{what} {before} → {self._in_unit(after)} ({measured} rendered, {predicted} predicted{bent})"
+        effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
+        return f"{what} {before} → {self._in_unit(after)} {effects}"
 
     def _goal_lines(self) -> list[str]:
         if self.goal is None:
@@ -323,6 +398,10 @@ class Explanation:
         if component is None or self.attribution.scale_or_default() != "range":
             return ""
         return f" for {_move(component, self.attribution.weights()[name])}"
+
+    def _plain(self, number: float) -> str:
+        """Return a number without an error."""
+        return plain_number(number, metric_unit(self.attribution))
 
     def _in_unit(self, number: str) -> str:
         return f"{number} {metric_unit(self.attribution)}".rstrip()
@@ -370,6 +449,10 @@ class Explanation:
             f"{self._in_unit(rounded(smallest, 2))} or more within the error; {factor} times the "
             "samples would tell",
         ]
+
+
+def _row_name(row: Row) -> str:
+    return f"{'row' if row.side == 'top' else 'column'} {row.number} ({row.name})"
 
 
 def _step(change: Any) -> str:

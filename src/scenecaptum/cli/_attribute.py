@@ -26,6 +26,7 @@ from ._points import needed_coefficients, premises
 REPORT = "report.html"
 
 DENOISE: dict[str, Denoise] = {"auto": "auto", "on": True, "off": False}
+RELAXED = "the relaxed value above only serves the derivatives"
 
 
 def add(commands: Any) -> None:
@@ -206,7 +207,7 @@ def _write_result(
         return
     print(table_text(attribution, scale=options.scale))
     exact = by_definition(attribution, metric)
-    lines = [f"{exact}; relaxed above, for the derivative"] if exact else []
+    lines = [f"quote {exact}, the exact value by the definition; {RELAXED}"] if exact else []
     print("".join(f"\n{line}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
 

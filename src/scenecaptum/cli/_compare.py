@@ -49,6 +49,7 @@ MEASURED = (
     "The change comes from separate renders of both designs with the same random numbers, in which most of the "
     "noise cancels: it can differ from the difference of the two values, by about their errors."
 )
+RELAXED = "The change and the effects are those of the relaxed metric, which only serves the derivatives."
 
 
 def add(commands: Any) -> None:
@@ -91,12 +92,10 @@ class Compared:
     def notes(self) -> list[str]:
         """Return what belongs to the change: how it was measured, the definition, and the light."""
         exact = [
-            f"{title}: {side.exact}"
-            for title, side in zip(self.titles, self.sides, strict=True)
-            if side.exact
+            f"{title} {side.exact}" for title, side in zip(self.titles, self.sides, strict=True) if side.exact
         ]
-        relaxed = f"The values and the change are of the relaxed metric. {'; '.join(exact)}." if exact else ""
-        return [*filter(None, (self.measured, relaxed)), *self.sides[0].premises]
+        quoted = f"Exact, to be quoted: {', '.join(exact)}. {RELAXED}" if exact else ""
+        return [*filter(None, (quoted, self.measured)), *self.sides[0].premises]
 
 
 class ChangedEffect(NamedTuple):
@@ -239,10 +238,11 @@ def _lines(found: Compared) -> list[str]:
     suffix = f" {metric_unit(before)}".rstrip()
     text = [
         *(
-            f"{title}: {metric_line(one)}{f' relaxed, {side.exact}' if side.exact else ''}"
+            f"{title}: {_value_line(one, side)}"
             for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
         ),
         f"change: {signed_with_error(found.change, found.error)}{suffix}",
+        *(_note(RELAXED) if any(side.exact for side in found.sides) else []),
         *_note(found.measured),
         *found.sides[0].premises,
     ]
@@ -267,6 +267,15 @@ def _lines(found: Compared) -> list[str]:
     if table:
         text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
     return text
+
+
+def _value_line(attribution: SceneAttribution, side: Side) -> str:
+    """Return the metric and its value; by the definition, with the relaxed one behind it, if there are two."""
+    if not side.exact:
+        return metric_line(attribution)
+    relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
+    relaxed = f"{relaxed} {metric_unit(attribution)}"
+    return f"{metric_name(attribution)} = {side.exact} by the definition; relaxed {relaxed}"
 
 
 def _note(text: str) -> list[str]:

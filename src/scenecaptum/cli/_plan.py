@@ -12,7 +12,7 @@ from ..explanation import definition_of
 from ..metrics import MeanIlluminance
 from ..protocols import Attribution
 from ..rendering import SceneRenderer
-from ..visualization import LEVELS, metric_name, metric_unit, plot_plan, rounded
+from ..visualization import LEVELS, metric_unit, plain_number, plot_plan
 from ._files import OutputFormat, Result, figure_writer
 
 if TYPE_CHECKING:
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 
 def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
-    """Return the value of a relaxed metric by its definition, as ``"60.3 % by the definition"``; else nothing."""
-    exact = definition_of(metric, attribution)
-    return "" if exact is None else f"{rounded(exact.value)} {metric_unit(attribution)} by the definition"
+    """Return the value of a relaxed metric by its definition, as ``"60.3 %"``; else nothing."""
+    exact = None if attribution.image is None else definition_of(metric, attribution.image)
+    unit = metric_unit(attribution)
+    return "" if exact is None else f"{plain_number(exact.value, unit)} {unit}"
 
 
 def draw_plan(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure:
@@ -39,7 +40,7 @@ def draw_plan(attribution: Attribution, renderer: SceneRenderer, metric: Metric)
         grid.plan,
         grid.inside,
         levels=shown.levels,
-        title=metric_name(attribution),
+        title="\n".join(filter(None, [shown.label[0].upper() + shown.label[1:], shown.counts])),
         label=shown.label,
         axes=grid.axes,
     )

@@ -38,6 +38,8 @@ class AnnualSunlightExposure(PointMetric):
     6 pm, 3650 hours) and limits.
     """
 
+    counts_points = True
+
     def __init__(
         self,
         sky: SkyMatrix,
@@ -63,6 +65,8 @@ class AnnualSunlightExposure(PointMetric):
             bands=_LIMITS if standard else (),
             above="above 10 %, unsatisfactory visual comfort" if standard else "",
             source="IES LM-83" if standard else "",
+            definition=f"share of the points with more than {self.threshold:g} lx of direct sun in more than "
+            f"{self.hours:g} {self._period_in_full} of a year",
         )
 
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
@@ -71,8 +75,9 @@ class AnnualSunlightExposure(PointMetric):
 
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
         sunny = step(values, self.threshold, 0.0, exclusive=True).sum(-1, dtype=torch.float64)
-        label = f"hours with more than {self.threshold:g} lx of direct sun"
-        return PlanValues(sunny, label, (self.hours,))
+        label = f"{self.period} with more than {self.threshold:g} lx of direct sun"
+        counts = f"above {self.hours:g} hours (line), a point counts for {self.measure.symbol}"
+        return PlanValues(sunny, label, (self.hours,), counts)
 
     def extra_repr(self) -> str:
         """Show the settings."""

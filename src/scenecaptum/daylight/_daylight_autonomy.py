@@ -49,7 +49,14 @@ class DaylightAutonomy(PointMetric):
     @property
     def measure(self) -> Measure:
         """Name and unit."""
-        return Measure(f"daylight autonomy at {self.threshold:g} lx", "DA", unit="%", better="higher")
+        return Measure(
+            f"daylight autonomy at {self.threshold:g} lx",
+            "DA",
+            unit="%",
+            better="higher",
+            definition=f"share of the {self._period_in_full} with at least {self.threshold:g} lx, mean over "
+            "the points",
+        )
 
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         return 100 * mean_over_hours(step(values, self.threshold, relaxation))
@@ -85,7 +92,12 @@ class ContinuousDaylightAutonomy(PointMetric):
     def measure(self) -> Measure:
         """Name and unit."""
         return Measure(
-            f"continuous daylight autonomy at {self.threshold:g} lx", "cDA", unit="%", better="higher"
+            f"continuous daylight autonomy at {self.threshold:g} lx",
+            "cDA",
+            unit="%",
+            better="higher",
+            definition=f"share of the {self._period_in_full} with at least {self.threshold:g} lx, where "
+            "darker hours count in part; mean over the points",
         )
 
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:

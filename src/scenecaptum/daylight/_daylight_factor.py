@@ -60,7 +60,16 @@ class DaylightFactor(PointMetric):
     @property
     def measure(self) -> Measure:
         """Name and unit."""
-        return Measure(f"{self.statistic} daylight factor", "DF", unit="%", better="higher")
+        return Measure(
+            f"{self.statistic} daylight factor",
+            "DF",
+            unit="%",
+            better="higher",
+            definition=f"illuminance under an overcast sky in % of that outdoors, {self.statistic} of the points",
+        )
+
+    def _map_name(self) -> str:
+        return "daylight factor"
 
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         return 100 * values[:, 0].double() / self.outdoors

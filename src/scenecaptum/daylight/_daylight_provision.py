@@ -71,7 +71,15 @@ class DaylightProvision(DaylightMetric):
             bands=(Band(100.0, f"below the level {self.level}"),),
             above=f"at least the level {self.level}",
             source="EN 17037, table A.1",
+            definition=self._definition(),
         )
+
+    def _definition(self) -> str:
+        needs = " and ".join(
+            f"{100 * share:g} % of the points at least {illuminance:g} lx"
+            for illuminance, share in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
+        )
+        return f"100 % where {needs}, each for half of the {self._period_in_full}; less if fewer points have that"
 
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         target, minimum = (
@@ -83,7 +91,9 @@ class DaylightProvision(DaylightMetric):
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
         target, _ = _ILLUMINANCES[self.level]
         daylit = mean_over_hours(step(values, target, 0.0))
-        return PlanValues(100 * daylit, hours_with(target), (100 * _SHARE_OF_HOURS,))
+        level = 100 * _SHARE_OF_HOURS
+        counts = f"from {level:g} % on (line), a point reaches the target of the level {self.level}"
+        return PlanValues(100 * daylit, hours_with(target, self.period), (level,), counts)
 
     def extra_repr(self) -> str:
         """Show the settings."""

@@ -15,6 +15,8 @@ from ._plan_values import PlanValues
 from ._sky_matrix import SkyMatrix
 
 Hours: TypeAlias = "Literal['occupied', 'daylight', 'all'] | torch.Tensor"
+_PERIODS = {"occupied": "occupied hours", "daylight": "daylight hours", "all": "hours"}
+_IN_FULL = {"occupied hours": " (8 am to 6 pm)", "daylight hours": " (the 4380 brightest)"}
 
 # Measured in side-lit rooms (DaylightMetric, Notes). Spatial metrics need the width: with 3 % of noise in the
 # coefficients of 40 points, the derivative of sDA spreads by 60 % at 0.02, by 20 % at 0.05, and by 4 % at 0.1.
@@ -43,6 +45,10 @@ class DaylightMetric(torch.nn.Module):
     ----------
     sky
         The sky in the hours that count.
+    period
+        These hours in words, such as ``"occupied hours"``.
+    counts_points
+        Whether the published value is the share of the points that pass, which changes by whole points.
 
     Notes
     -----
@@ -58,15 +64,22 @@ class DaylightMetric(torch.nn.Module):
         coefficients do not fit the sky, or have values that are negative or not finite.
     """
 
+    counts_points = False
+
     def __init__(self, sky: SkyMatrix, *, during: Hours = "occupied", relaxation: float = RELAXATION) -> None:
         super().__init__()
         self.sky = sky.select(hours_mask(sky, during))
+        self.period = "chosen hours" if isinstance(during, torch.Tensor) else _PERIODS[during]
         self.relaxation = positive("relaxation", relaxation, or_zero=True)
 
     @property
     @abstractmethod
     def measure(self) -> Measure:
         """Name, unit, direction and classes."""
+
+    @property
+    def _period_in_full(self) -> str:
+        return self.period + _IN_FULL.get(self.period, "")
 
     def forward(self, coefficients: torch.Tensor) -> torch.Tensor:
         """Return the value for daylight coefficients ``(points, P, 3)``, a 0-d tensor."""
@@ -111,6 +124,11 @@ class PointMetric(DaylightMetric):
         """Return the value of each point, ``(points,)``, in the unit of the metric."""
         return _cast(self._of_points(illuminance(coefficients, self.sky), self.relaxation), coefficients)
 
+    def hard_of_points(self, coefficients: torch.Tensor) -> torch.Tensor:
+        """Return the value of each point by the published definition, without relaxation or derivative."""
+        with torch.no_grad():
+            return _cast(self._of_points(illuminance(coefficients, self.sky), 0.0), coefficients)
+
     @abstractmethod
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         """Return the value of each point for the illuminance ``(points, hours)`` in lx."""
@@ -119,9 +137,12 @@ class PointMetric(DaylightMetric):
         return self._of_points(values, relaxation).mean()
 
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
-        measure = self.measure
-        label = f"{measure.symbol or measure.name} in {measure.unit}"
+        label = f"{self._map_name()} in {self.measure.unit}"
         return PlanValues(self._of_points(values, 0.0), label, self.levels)
+
+    def _map_name(self) -> str:
+        """Return what a map shows of each point, without its unit."""
+        return self.measure.name
 
 
 def hours_mask(sky: SkyMatrix, during: Hours) -> torch.Tensor:

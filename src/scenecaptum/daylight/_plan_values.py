@@ -19,13 +19,16 @@ class PlanValues:
         Quantity and unit.
     levels
         Values at which a map has contours, such as the limit that the metric compares with.
+    counts
+        The meaning of such a limit, in a sentence; empty if there is none.
     """
 
     values: torch.Tensor
     label: str
     levels: tuple[float, ...] = ()
+    counts: str = ""
 
 
-def hours_with(threshold: float) -> str:
-    """Return the label of the share of the hours with at least an illuminance."""
-    return f"hours with at least {threshold:g} lx in %"
+def hours_with(threshold: float, period: str) -> str:
+    """Return the label of the share of the hours of a period with at least an illuminance."""
+    return f"{period} with at least {threshold:g} lx in %"

@@ -47,6 +47,7 @@ class SpatialDaylightAutonomy(PointMetric):
     """
 
     caution = NO_BLINDS
+    counts_points = True
 
     def __init__(
         self,
@@ -73,6 +74,8 @@ class SpatialDaylightAutonomy(PointMetric):
             bands=_LIMITS if standard else (),
             above="at least 75 %, preferred with blinds" if standard else "",
             source="limits of IES LM-83, which are for sDA with blinds" if standard else "",
+            definition=f"share of the points with at least {self.threshold:g} lx in at least "
+            f"{100 * self.fraction:g} % of the {self._period_in_full}",
         )
 
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
@@ -81,7 +84,13 @@ class SpatialDaylightAutonomy(PointMetric):
 
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
         autonomy = mean_over_hours(step(values, self.threshold, 0.0))
-        return PlanValues(100 * autonomy, hours_with(self.threshold), (100 * self.fraction,))
+        level = 100 * self.fraction
+        return PlanValues(
+            100 * autonomy,
+            hours_with(self.threshold, self.period),
+            (level,),
+            f"from {level:g} % on (line), a point counts for {self.measure.symbol}",
+        )
 
     def extra_repr(self) -> str:
         """Show the settings."""

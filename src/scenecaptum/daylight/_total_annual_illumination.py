@@ -25,7 +25,12 @@ class TotalAnnualIllumination(PointMetric):
     """
 
     levels = tuple(step * 1e6 for step in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0))
-    measure = Measure("total annual illumination", "TAI", unit="lx·h")
+    measure = Measure(
+        "total annual illumination",
+        "TAI",
+        unit="lx·h",
+        definition="illuminance, added up over the hours of a year; mean over the points",
+    )
 
     def __init__(self, sky: SkyMatrix, *, during: Hours = "all") -> None:
         super().__init__(sky, during=during, relaxation=0.0)

@@ -67,8 +67,24 @@ class UsefulDaylightIlluminance(PointMetric):
     def measure(self) -> Measure:
         """Name, unit and direction."""
         return Measure(
-            f"useful daylight illuminance, {self.band}", "UDI", unit="%", better=_BETTER[self.band]
+            f"useful daylight illuminance, {self.band}",
+            "UDI",
+            unit="%",
+            better=_BETTER[self.band],
+            definition=f"share of the {self._period_in_full} with {self._lux()}, mean over the points",
         )
+
+    def _map_name(self) -> str:
+        return f"{self.period} with {self._lux()}"
+
+    def _lux(self) -> str:
+        low, middle, high = self.limits
+        return {
+            "fell-short": f"less than {low:g} lx",
+            "supplementary": f"{low:g} lx to less than {middle:g} lx",
+            "autonomous": f"{middle:g} to {high:g} lx",
+            "exceeded": f"more than {high:g} lx",
+        }[self.band]
 
     def _of_points(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         low, middle, high = self.limits

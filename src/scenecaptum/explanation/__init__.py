@@ -3,5 +3,5 @@
 # What users see; the other name is for the rooms above.
 __all__ = ["explain"]
 
-from ._explain import definition_of as definition_of
+from ._definition import definition_of as definition_of
 from ._explain import explain as explain

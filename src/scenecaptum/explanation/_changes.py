@@ -9,11 +9,12 @@ from collections.abc import Mapping
 import torch
 
 from ..attr import Change, SceneAttribution
-from ..estimation import channel_totals
+from ..estimation import Metric, channel_totals
 from ..optimize import BOUND_MARGIN, design_bounds
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
+from ._definition import definition_of
 
 STEP = 0.1  # of a bounded range
 DIMMING = 0.25  # of an unbounded value, such as a radiance
@@ -58,11 +59,19 @@ def propose(
     return sorted(changes, key=lambda change: -abs(change.predicted))[:count]
 
 
-def rendered(scenes: Scenes, change: Change) -> Change:
-    """Return the change with its effect measured by rendering the changed scene."""
-    differences = scenes.measure({change.name: change.after}) - scenes.unmodified
+def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
+    """Return the change with its effect, and its value by the definition, of rendering the changed scene."""
+    changes = {change.name: change.after}
+    images = scenes.render(changes)
+    differences = scenes.measure_in(images, changes) - scenes.unmodified
     error = differences.std() / math.sqrt(len(differences))
-    return dataclasses.replace(change, measured=differences.mean().item(), measured_error=error.item())
+    exact = definition_of(metric, images.mean(0))
+    return dataclasses.replace(
+        change,
+        measured=differences.mean().item(),
+        measured_error=error.item(),
+        exact=None if exact is None else exact.value,
+    )
 
 
 def _moved(

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
+from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import DaylightMetric
 from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
@@ -18,6 +18,7 @@ from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
 from ._changes import propose, rendered
+from ._definition import definition_of
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 
@@ -100,10 +101,11 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     return Explanation(
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
-        definition=definition_of(metric, attribution),
+        # Of the pictures from which the changes are measured: before and after are values of the same points.
+        definition=definition_of(metric, scenes.images.mean(0)),
         premises=_premises(metric),
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
-        changes=tuple(rendered(scenes, change) for change in proposed),
+        changes=tuple(rendered(scenes, metric, change) for change in proposed),
         goal=None
         if below is None
         else _reach(below, renderer, metric, inputs=inputs, seed=goal_seed, **options),
@@ -114,14 +116,6 @@ def _reach(below: float, renderer: Renderer, metric: Metric, **options: Any) -> 
     """Search with the leading parameter alone, and with more where that is not enough."""
     alone = minimize(renderer, metric, below, top=1, steps=STEPS_ALONE, **options)
     return alone if alone.reached else minimize(renderer, metric, below, **options)
-
-
-def definition_of(metric: Metric, attribution: SceneAttribution) -> Definition | None:
-    """Return the value of a relaxed metric of daylight without relaxation, of the picture of a result."""
-    if not isinstance(metric, DaylightMetric) or not metric.relaxation or attribution.image is None:
-        return None
-    value = metric.hard(attribution.image).item()
-    return Definition(value, metric.measure.verdict(value))
 
 
 def _premises(metric: Metric) -> tuple[str, ...]:

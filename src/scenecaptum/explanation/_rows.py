@@ -31,10 +31,12 @@ def find_rows(metric: TargetedMetric, images: torch.Tensor, grid: GridPoints) ->
         return MORE_LIGHT * torch.stack([of_points[row].sum() for row in rows.values()])
 
     means, errors = delete_one_jackknife(effects, len(images))
-    values = metric.metric.of_points(images.mean(0)) if isinstance(metric.metric, PointMetric) else None
+    values = metric.metric.hard_of_points(images.mean(0)) if isinstance(metric.metric, PointMetric) else None
     return tuple(
         Row(
-            f"{axis} = {minus(f'{place:g}')}",
+            index + 1,
+            f"{axis} = {minus(f'{place:g}')} m",
+            "top" if axis == grid.axes[1] else "right",
             len(row),
             None if values is None else values[row].mean().item(),
             means[index].item(),

@@ -32,6 +32,9 @@ class Measure:
         The meaning of values above the last band.
     source
         Where the bands come from.
+    definition
+        What the symbol stands for, such as ``"share of the points with at least 300 lx …"``; empty where the name
+        says it.
     """
 
     name: str
@@ -41,6 +44,7 @@ class Measure:
     bands: tuple[Band, ...] = ()
     above: str = ""
     source: str = ""
+    definition: str = ""
 
     @property
     def half_class(self) -> float | None:
@@ -53,7 +57,7 @@ class Measure:
         return next((band.meaning for band in self.bands if value <= band.upper), self.above)
 
     def describe(self) -> dict[str, object]:
-        """Return name, symbol, unit, direction and the limits of the classes as plain values."""
+        """Return all but the meanings of the classes, of which the limits, as plain values."""
         return {
             "name": self.name,
             "symbol": self.symbol,
@@ -61,6 +65,7 @@ class Measure:
             "better": self.better,
             "limits": [band.upper for band in self.bands],
             "source": self.source,
+            "definition": self.definition,
         }
 
 

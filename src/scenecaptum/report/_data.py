@@ -32,6 +32,7 @@ from ..visualization import (
     metric_name,
     metric_symbol,
     metric_unit,
+    noise_notes,
     rounded,
     sampling_notes,
     scene_cautions,
@@ -189,8 +190,8 @@ def _result(
         "title": title,
         "metric": metric_name(attribution),
         "unit": metric_unit(attribution),
-        "verdict": verdict(attribution) if explanation is None else explanation.meaning(),
-        "premises": [] if explanation is None else list(explanation.premises),
+        "verdict": verdict(attribution) if explanation is None else explanation.rating(),
+        "premises": [] if explanation is None else _premises(explanation),
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
         # The first section is the headline, which stands on top anyway.
         "explanation": [] if explanation is None else explanation.sections()[1:],
@@ -229,6 +230,12 @@ def _result(
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(attribution.info),
     }
+
+
+def _premises(explanation: Explanation) -> list[str]:
+    """Return the notes on the value without those on noise, which every result has in another place."""
+    noise = noise_notes(explanation.attribution)
+    return [note for note in explanation.notes() if note not in noise]
 
 
 def _headline(attribution: Attribution, explanation: Explanation | None) -> tuple[str, str]:

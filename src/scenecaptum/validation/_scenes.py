@@ -56,22 +56,27 @@ class Scenes:
         self.seeds = derived_seeds(seed, Stream.SCENES, count)
         self.spp = spp and math.ceil(spp / count)
         require_memory(renderer, [self.spp], count)
-        targeted, self.images = TargetedMetric(metric, target), self._render({})
+        targeted, self.images = TargetedMetric(metric, target), self.render({})
         selector = TransformSelector(denoise, renderer, self.values, smoothed=targeted.is_smoothed)
         (self.metric,) = with_image_transform([targeted], list(self.images), selector)
         self.unmodified = self._pseudo_values(
             self.images, self.metric
         )  # what ``measure`` returns for no changes
 
-    def _render(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    def render(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return the pictures of the scene with changes, ``(replicates, H, W, 3)``."""
         values = {**self.values, **changes}
         with torch.no_grad():
             return torch.stack([self.renderer(values, seed=seed, spp=self.spp) for seed in self.seeds])
 
     def measure(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the metric's jackknife pseudo-values, ``(replicates,)`` in float64."""
+        return self.measure_in(self.render(changes), changes)
+
+    def measure_in(self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return what ``measure`` does, of the pictures that ``render`` has returned for the same changes."""
         metric = at_values(self.metric, self.renderer, {**self.values, **changes})
-        return self._pseudo_values(self._render(changes), metric)
+        return self._pseudo_values(images, metric)
 
     @staticmethod
     def _pseudo_values(images: torch.Tensor, metric: TargetedMetric) -> torch.Tensor:

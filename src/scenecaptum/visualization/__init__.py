@@ -61,6 +61,7 @@ from ._numbers import columns as columns
 from ._numbers import cut as cut
 from ._numbers import format_with_error as format_with_error
 from ._numbers import minus as minus
+from ._numbers import plain_number as plain_number
 from ._numbers import rounded as rounded
 from ._numbers import sentence_number as sentence_number
 from ._numbers import shorten as shorten

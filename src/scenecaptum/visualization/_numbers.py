@@ -82,6 +82,19 @@ def rounded(number: float, digits: int = 3) -> str:
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{e}{exponent}"
 
 
+def plain_number(number: float, unit: str) -> str:
+    """Return a number without an error: of three digits, or of one decimal if it is a percentage.
+
+    Example
+    -------
+    >>> plain_number(0.0437, "%"), plain_number(33.333, "%"), plain_number(100.0, "%"), plain_number(0.0437, "lx")
+    ('0.0', '33.3', '100', '0.0437')
+    """
+    if unit != "%" or not math.isfinite(number):
+        return rounded(number)
+    return minus(f"{number + 0.0:g}" if number == round(number) else f"{number:.1f}")
+
+
 def with_error(value: float, error: float | None, *, digits: int | None = None) -> tuple[str, str]:
     """Format a value and its error to the same decimal place, ``('0.0978', '0.0008')``.
 
