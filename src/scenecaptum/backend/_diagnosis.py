@@ -220,7 +220,7 @@ def _reinstallation(package: str, torch: str | None) -> str:
     if package != "torchvision" or torch is None:
         return f"{pip} install --force-reinstall --no-deps {package}"
     build = torch.partition("+")[2]  # such as cpu or cu128; none for wheels of PyPI
-    index = f" --index-url https://download.pytorch.org/whl/{build}" if build else ""
+    index = f" --index-url … (pytorch.org/get-started shows that of {build})" if build else ""
     return f"{pip} uninstall -y torchvision && {pip} install torch=={torch} torchvision{index}"
 
 
