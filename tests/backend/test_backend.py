@@ -440,7 +440,10 @@ def test_an_optional_package_that_is_missing_is_not_a_problem(monkeypatch):
 @pytest.mark.parametrize(
     ("torch", "command"),
     [
-        ("2.13.0+cpu", "torch==2.13.0+cpu torchvision --index-url … (pytorch.org/get-started shows that of cpu)"),
+        (
+            "2.13.0+cpu",
+            "torch==2.13.0+cpu torchvision --index-url … (pytorch.org/get-started shows that of cpu)",
+        ),
         ("2.13.0", "torch==2.13.0 torchvision"),
     ],
 )
