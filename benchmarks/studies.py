@@ -36,6 +36,7 @@ import torch
 
 from scenecaptum.studies import Study, StudyResult
 from scenecaptum.studies._random_effects import Observation, combine
+from scenecaptum.visualization import pluralize
 
 WITHOUT_MEANING = ("seconds", "host")
 SMALL = {"resolution": (32, 18), "spp": 8, "max_depth": 4}
@@ -288,30 +289,44 @@ def overhead(options: argparse.Namespace) -> int:
     return 0
 
 
+# Standard deviation between rooms, that of the noise in each room, and the number of cameras.
+SIMULATED = (
+    (1.0, (0.3,) * 6, 3),
+    (1.0, (1.0,) * 4, 1),
+    (0.1, (0.1, 0.2, 0.5, 1.0, 1.0, 2.0), 1),
+    (0.5, (0.1, 0.2, 0.5, 1.0, 1.0, 2.0), 1),
+)
+
+
 def intervals(options: argparse.Namespace) -> int:
     """Count the simulated studies whose intervals hold the mean of all rooms, and a new room."""
     generator = np.random.default_rng(options.seed)
-    for rooms, cameras, noise in ((6, 3, 0.3), (4, 1, 1.0)):
-        held = []
+    for between, noise, cameras in SIMULATED:
+        held, rooms = [], len(noise)
         for _ in range(options.studies):
-            room = generator.standard_normal(rooms + 1)
-            view = 0.5 * generator.standard_normal((rooms + 1, cameras))
+            room = between * generator.standard_normal(rooms + 1)
+            view = between / 2 * generator.standard_normal((rooms + 1, cameras))
             truth = 1 + room[:, None] + view
-            effects = truth + noise * generator.standard_normal(truth.shape)
+            effects = truth[:rooms] + np.array(noise)[:, None] * generator.standard_normal((rooms, cameras))
             found = combine(
                 [
-                    Observation(str(i), str(j), effects[i, j], noise, 7)
+                    Observation(str(i), str(j), effects[i, j], noise[i], 7)
                     for i in range(rooms)
                     for j in range(cameras)
                 ]
             )
             new = truth[rooms].mean()
             held.append([found.low <= 1 <= found.high, found.new_low <= new <= found.new_high])
-        of_mean, of_new = np.mean(held, 0)
-        error = max(np.sqrt(p * (1 - p) / options.studies) for p in (of_mean, of_new))
+        shares = np.mean(held, 0)
+        of_mean, of_new = (
+            f"{100 * share:.1f} ± {100 * np.sqrt(share * (1 - share) / options.studies):.1f} %"
+            for share in shares
+        )
         print(
-            f"{rooms} rooms, {cameras} cameras, noise {noise}: {100 * of_mean:.1f} % of the 95 % intervals hold "
-            f"the mean, {100 * of_new:.1f} % a new room, ± {100 * error:.1f} %"
+            f"{rooms} rooms that differ by {between}, {pluralize(cameras, 'camera')}, noise "
+            f"{', '.join(map(str, dict.fromkeys(noise)))}: {of_mean} of the 95 % intervals hold the mean, "
+            f"{of_new} a new room",
+            flush=True,
         )
     return 0
 

@@ -39,9 +39,43 @@ def test_means_are_those_of_statsmodels(factor: float) -> None:
     expected = combine_effects(effects, errors**2, method_re="pm", use_t=True)
     found = combine(observed(effects, errors))
     assert found.mean == pytest.approx(expected.mean_effect_re, rel=1e-4)
-    assert (found.low, found.high) == pytest.approx(tuple(expected.conf_int()[3]), rel=1e-4)
+    # Its intervals with the factor 1 and with that of Hartung and Knapp: the wider one.
+    of_one, of_factor = expected.conf_int()[1], expected.conf_int()[3]
+    wider = of_one if np.ptp(of_one) > np.ptp(of_factor) else of_factor
+    assert (found.low, found.high) == pytest.approx(tuple(wider), rel=1e-4)
     assert found.between == pytest.approx(math.sqrt(expected.tau2), rel=1e-4)
     assert found.within is None
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [[0.0188, 0.020, 0.028], [0.0188, 0.0188, 0.0188], [0.0188, 0.0188 + 1e-15, 0.0188]],
+    ids=["rooms that agree by chance", "the same number", "almost the same number"],
+)
+def test_rooms_that_agree_by_chance_are_as_uncertain_as_their_noise(effects: list[float]) -> None:
+    errors = np.array([0.0028, 0.070, 0.065])
+    found = combine(observed(np.array(effects), errors))
+    weights = 1 / errors**2
+    error_of_fixed_effect = 1 / math.sqrt(weights.sum())
+    assert found.mean == pytest.approx(weights @ effects / weights.sum(), rel=1e-6)
+    assert found.error == pytest.approx(error_of_fixed_effect, rel=1e-6)
+    assert found.between == 0
+    half = student_t(0.95, 2) * error_of_fixed_effect
+    assert (found.low, found.high) == pytest.approx((found.mean - half, found.mean + half), rel=1e-6)
+    assert (found.new_low, found.new_high) == (found.low, found.high)
+
+
+def test_intervals_hold_the_mean_where_some_rooms_are_noisier_than_others() -> None:
+    # The rooms differ as much as the smallest of their errors, and in most studies less than can be seen.
+    runs, between, errors = 1000, 0.1, np.array([0.1, 0.2, 0.5, 1.0, 1.0, 2.0])
+    generator = np.random.default_rng(shifted())
+    held = []
+    for of_room, noise in generator.standard_normal((runs, 2, len(errors))):
+        found = combine(observed(1 + between * of_room + errors * noise, errors))
+        held.append(found.low <= 1 <= found.high)
+    assert np.mean(held) > 0.95 - binomial_margin(0.95, runs), (
+        f"95 % interval of the mean: {np.mean(held):.3f}"
+    )
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])

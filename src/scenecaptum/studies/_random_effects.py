@@ -27,7 +27,7 @@ from . import _extras as extras
 LEVEL = 0.95
 MIN_ROOMS_FOR_NEW_ROOM = 3
 
-# Relative to the spread of the rooms: a variance of 0 would have an infinite weight.
+# Relative to the square of the unit: a variance of 0 would have an infinite weight.
 _SMALLEST_VARIANCE = 1e-6
 
 Array = NDArray[np.float64]
@@ -122,8 +122,11 @@ def combine(observations: Sequence[Observation]) -> Combined:
     Paule and Mandel, "Consensus values and weighting factors", Journal of Research of the National Bureau of
     Standards 87(5), 1982 (the variance between rooms); IntHout, Ioannidis and Borm, "The Hartung-Knapp-Sidik-
     Jonkman method for random effects meta-analysis", BMC Medical Research Methodology 14:25, 2014 (the interval of
-    the mean); IntHout et al., "Plea for routinely presenting prediction intervals in meta-analysis", BMJ Open 6,
-    2016 (that of a new room).
+    the mean); Knapp and Hartung, "Improved tests for a random effects meta-regression with a single covariate",
+    Statistics in Medicine 22(17), 2003, and Röver, Knapp and Friede, "Hartung-Knapp-Sidik-Jonkman approach and its
+    modification for random-effects meta-analysis with few studies", BMC Medical Research Methodology 15:99, 2015
+    (no factor below 1); IntHout et al., "Plea for routinely presenting prediction intervals in meta-analysis", BMJ
+    Open 6, 2016 (that of a new room).
     """
     seed_spread = _spread_of_seeds(observations)
     has_errors = all(one.error is not None for one in observations)
@@ -156,26 +159,35 @@ def combine(observations: Sequence[Observation]) -> Combined:
 def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None]:
     """Return the mean, its standard error by Hartung, Knapp, Sidik and Jonkman, and the deviation of rooms.
 
+    Their factor q compares the spread of the rooms with what their variances predict. Where rooms agree by chance
+    it is far below 1; here it is at least 1 (Knapp and Hartung's ad hoc correction), so that the error is never
+    smaller than that of a mean of rooms that do not differ. The interval of a new room contains the same error.
+
     statsmodels estimates all three, in units of the rooms' spread because its tolerances are absolute.
     """
     index = views.room_index
     counts = np.bincount(index)
     effects = np.bincount(index, views.effects) / counts
-    spread = float(effects.std(ddof=1)) if len(effects) > 1 else math.nan
-    if not spread > 0:  # one room, or the same number in all
-        zero = None if math.isnan(spread) else 0.0
-        return float(effects.mean()), zero, zero
+    if len(effects) == 1:
+        return float(effects[0]), None, None
     common = _variance_between_cameras(views, remove_common=True)
     variances = np.bincount(index, views.variances) / counts**2 + (common or 0.0) / counts
-    scaled = np.maximum(variances / spread**2, _SMALLEST_VARIANCE)
-    centre = effects.mean()
-    found: Any = extras.meta_analysis().combine_effects(
-        (effects - centre) / spread, scaled, method_re="pm", use_t=True
-    )
+    # With a spread below the smallest error, the variance between rooms is 0 in any unit.
+    unit = max(float(effects.std(ddof=1)), math.sqrt(variances.min()))
+    centre = float(effects.mean())
+    if unit == 0:
+        return centre, 0.0, 0.0
+    scaled = np.maximum(variances / unit**2, _SMALLEST_VARIANCE)
+    with np.errstate(
+        divide="ignore"
+    ):  # in a number that is not used here, where all rooms have the same effect
+        found: Any = extras.meta_analysis().combine_effects(
+            (effects - centre) / unit, scaled, method_re="pm", use_t=True
+        )
     return (
-        float(centre + spread * found.mean_effect_re),
-        float(spread * found.sd_eff_w_re_hksj),
-        float(spread * math.sqrt(found.tau2)),
+        float(centre + unit * found.mean_effect_re),
+        float(unit * max(found.sd_eff_w_re_hksj, found.sd_eff_w_re)),  # with q, and with 1
+        float(unit * math.sqrt(found.tau2)),
     )
 
 

@@ -42,11 +42,12 @@ class GroupEffect(Combined):
     ----------
     mean, error
         The mean effect over the rooms, in the metric's unit, and its standard error by Hartung, Knapp, Sidik and
-        Jonkman: of the mean over all rooms of which these are a sample.
+        Jonkman: of the mean over all rooms of which these are a sample. Rooms that agree by chance do not make it
+        smaller than their noise does: the factor q is at least 1 (Knapp and Hartung's ad hoc correction).
     low, high
         95 % confidence interval of the mean (Student's t).
     new_low, new_high
-        95 % prediction interval: where the effect in another room would be.
+        95 % prediction interval: where the effect in another room would be, with the same error of the mean.
     between, within
         Standard deviation between rooms (Paule and Mandel), and between the cameras of one room, both less what
         the noise adds. Their squares are the components of variance.
