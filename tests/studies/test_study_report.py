@@ -143,6 +143,12 @@ def test_a_phone_scrolls_down_only(browser: Any, index: Path, scheme: str) -> No
     opened.on("console", lambda message: problems.append(message.text))
     opened.goto(index.as_uri())
     assert opened.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    # Nothing is cut off: pictures fit the window, and each table has a box that scrolls.
+    right = "(one) => one.getBoundingClientRect().right <= innerWidth"
+    assert opened.evaluate(f"document.images.length > 1 && [...document.images].every({right})")
+    boxes = "[...document.querySelectorAll('table')].map((one) => one.parentElement)"
+    assert opened.evaluate(f"{boxes}.every({right})")
+    assert opened.evaluate(f"{boxes}.every((one) => getComputedStyle(one).overflowX === 'auto')")
     dark = opened.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (dark == "rgb(19, 21, 23)") == (scheme == "dark")
     assert not problems
