@@ -114,10 +114,30 @@ def test_a_gallery_has_a_map_for_each_room_and_camera(tmp_path: Path) -> None:
     text = all_text(figure)
     assert "no picture" in text
     assert "10.00 ± 0.10 cd/m²" in text
+    assert "Effects on mean luminance of the objects in each pixel" in text.replace("\n", " ")
     assert "blue: raising it raises the metric" in text.replace("\n", " ")
     assert outside(figure) == []
     assert "2 more rooms not shown" in all_text(result.plot_gallery(1))
     assert "largest of all" in all_text(result.plot_gallery(shared=True))
+
+
+@pytest.mark.parametrize(
+    ("cameras", "headings"),
+    [
+        (["0"], []),
+        (["front"], []),
+        (["0", "1"], ["camera 0", "camera 1"]),
+        (["0", "left"], ["camera 0", "left"]),
+    ],
+)
+def test_cameras_are_named_where_there_are_several(
+    cameras: list[str], headings: list[str], tmp_path: Path
+) -> None:
+    result = made.study(tmp_path, made.random_effects(made.cells(["office", "attic"], cameras), 0))
+    titles = [ax.get_title() for ax in result.plot_gallery().axes if ax.images]
+    value = "10.00 ± 0.10 cd/m²"
+    below = [value] * len(cameras)
+    assert titles == [*([f"{heading}\n{value}" for heading in headings] or below), *below]
 
 
 def test_a_gallery_needs_pictures(tmp_path: Path) -> None:

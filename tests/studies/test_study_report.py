@@ -131,7 +131,7 @@ def test_links_lead_to_pages_that_draw(page: Any) -> None:
 def test_figures_have_alternative_texts(page: Any) -> None:
     texts = [image.get_attribute("alt") for image in page.locator("figure img").all()]
     assert texts
-    assert all(re.search("rooms|room|pixels", text) for text in texts)
+    assert all(re.search("rooms|room|each pixel", text) for text in texts)
     assert page.evaluate("[...document.images].every((one) => one.naturalWidth > 0)")
 
 

@@ -374,7 +374,7 @@ def _draw_gallery(
                 ax, attribution, heatmap(attribution, signed=True, maximum=maximum), signed=True
             )
         value = "" if attribution is None else _value(attribution)
-        heading = f"{shorten([camera], 24)[0]}\n{value}" if row == 0 else value
+        heading = f"{_camera_name(camera)}\n{value}" if row == 0 and len(cameras) > 1 else value
         ax.set_title(heading, fontsize=SMALL, parse_math=False)
         if column == 0:
             name = shorten([room], max(10, characters_per_line(width * ratio, SMALL)))[0]
@@ -392,11 +392,16 @@ def _draw_gallery(
     )
     bar.set_label(f"relative to the largest {'of all' if maximum else 'in each'}", fontsize=SMALL)
     raises, lowers = sign_labels(some) or ("positive", "negative")
-    title = f"Effects on {metric_name(some)} of what pixels show; blue: {raises}, orange: {lowers}"
+    title = f"Effects on {metric_name(some)} of the objects in each pixel; blue: {raises}, orange: {lowers}"
     more = [f"{pluralize(hidden, 'more room')} not shown"] if hidden else []
     lines = [*wrapped_lines(title, characters_per_line(inches[0] - 0.3, TITLE)), *more]
     part.suptitle("\n".join(lines), fontsize=TITLE, x=0.02, ha="left", parse_math=False)
     return figure_of(part)
+
+
+def _camera_name(camera: str) -> str:
+    """Return the name above a column; one without a name is a number."""
+    return f"camera {camera}" if camera.isdigit() else shorten([camera], 24)[0]
 
 
 def _value(attribution: SceneAttribution) -> str:
