@@ -101,8 +101,21 @@ def test_rankings_differ_where_the_effects_do(tmp_path: Path) -> None:
 
 
 def test_rankings_of_too_few_groups_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneCaptumError, match="at least 3 groups in common"):
-        by_room(tmp_path).plot_stability()
+    result = by_room(tmp_path)
+    with pytest.raises(SceneCaptumError, match=r"at least 3 groups in common.*group=None for each parameter"):
+        result.plot_stability()
+    with pytest.raises(SceneCaptumError, match=r"at least 3 parameters in common whose effects .* equal\.$"):
+        result.plot_stability(None)
+
+
+def test_pairs_that_are_left_out_are_counted(tmp_path: Path) -> None:
+    many = {"a.alpha": 1.0, "b.alpha": 2.0, "c.alpha": 3.0}
+    cells = made.cells(["office", "attic", "kitchen"], ["front", "left"])
+    effects = {cell: many if cell.scene == "office" else {"a.alpha": 1.0} for cell in cells}
+    text = all_text(made.study(tmp_path, effects).plot_stability(None)).replace("\n", " ")
+    reason = "with fewer than 3 parameters in common, or with all effects equal"
+    assert f"left out: 2 pairs of cameras, 6 pairs of rooms {reason}" in text
+    assert "Rankings of the parameters between cameras" in text
 
 
 def test_a_gallery_has_a_map_for_each_room_and_camera(tmp_path: Path) -> None:

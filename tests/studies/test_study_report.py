@@ -84,6 +84,25 @@ def test_a_study_of_values_has_a_table_only(tmp_path: Path) -> None:
     assert text.count("finished</td>") == 3
 
 
+@pytest.mark.parametrize("group", ["kind", None])
+def test_rankings_of_too_few_groups_are_those_of_the_parameters(
+    study: StudyResult, tmp_path: Path, group: str | None
+) -> None:
+    # Four parameters of two kinds.
+    text = study.write_report(tmp_path, group, pages=False).read_text(encoding="utf-8")
+    of_parameters = "How stable the rankings of single parameters are (fewer than 3 groups in common)"
+    assert f"<h2>{of_parameters if group else 'How stable the rankings are'}</h2>" in text
+    assert re.search('alt="Rankings of the parameters (between|differ)', text)
+
+
+def test_a_single_cell_has_no_stability(tmp_path: Path) -> None:
+    result = made.study(tmp_path, made.random_effects(made.cells(["office"]), 0))
+    text = result.write_report(tmp_path, pages=False).read_text(encoding="utf-8")
+    assert "<h2>How stable the rankings are</h2>" in text
+    assert "The stability of a ranking needs two cells" in text
+    assert "group=None" not in text
+
+
 def test_a_folder_that_cannot_be_written_is_named(study: StudyResult, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneCaptumError, match=r"file/index\.html cannot be written"):

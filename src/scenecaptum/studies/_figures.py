@@ -218,15 +218,16 @@ def plot_rank_stability(
     effects: dict[Cell, dict[str, float]] = {}
     for one in cell_effects(result, cells, group):
         effects.setdefault(one.cell, {})[one.group] = abs(one.effect)
-    taus, notes = _taus(effects)
+    ranked = "parameters" if group is None else "groups"
+    taus, notes = _taus(effects, ranked)
     if not taus:
+        advice = "" if group is None else " Use other groups, such as group=None for each parameter."
         raise SceneCaptumError(
             "The stability of a ranking needs two cells that differ in one thing only, such as their seed, and "
-            f"have at least {MIN_GROUPS} groups in common whose effects are not all equal. Use other groups, "
-            "such as group=None for each parameter."
+            f"have at least {MIN_GROUPS} {ranked} in common whose effects are not all equal.{advice}"
         )
     means = {source: sum(values) / len(values) for source, values in taus.items()}
-    title = wrapped_lines(_stability_finding(means), characters_per_line(0.75 * WIDTH, TITLE))
+    title = wrapped_lines(_stability_finding(means, ranked), characters_per_line(0.75 * WIDTH, TITLE))
     ax = axes_or_new(ax, WIDTH, 1.2 + 0.17 * len(title) + 0.42 * len(taus) + 0.15 * len(notes))
     style_axes(
         ax, "\n".join(title), x="Kendall's τ of two rankings: 1 the same order, 0 unrelated, −1 reversed"
@@ -252,23 +253,25 @@ def plot_rank_stability(
     return figure_of(ax)
 
 
-def _taus(effects: Mapping[Cell, Mapping[str, float]]) -> tuple[dict[str, list[float]], list[str]]:
+def _taus(
+    effects: Mapping[Cell, Mapping[str, float]], ranked: str
+) -> tuple[dict[str, list[float]], list[str]]:
     """Return Kendall's τ of the pairs by their source of variation, and what was left out."""
     taus: dict[str, list[float]] = {}
     sampled, left_out = [], []
     for source, plural in _SOURCES.items():
         pairs = _pairs([*effects], source)
         if len(pairs) > MAX_PAIRS:
-            sampled.append(f"{MAX_PAIRS} of {len(pairs)} pairs of {plural}")
+            sampled.append(f"drawn at random: {MAX_PAIRS} of {len(pairs)} pairs of {plural}")
             pairs = random.Random(0).sample(pairs, MAX_PAIRS)
         found = [_tau(effects[a], effects[b]) for a, b in pairs]
         kept = [tau for tau in found if not math.isnan(tau)]
         if kept:
             taus[source] = kept
         if len(kept) < len(found):
-            left_out.append(f"{len(found) - len(kept)} of {plural}")
-    reason = f"left out, with fewer than {MIN_GROUPS} groups in common or all effects equal: pairs, "
-    return taus, [*sampled, *([reason + ", ".join(left_out)] if left_out else [])]
+            left_out.append(f"{pluralize(len(found) - len(kept), 'pair')} of {plural}")
+    reason = f"with fewer than {MIN_GROUPS} {ranked} in common, or with all effects equal"
+    return taus, [*sampled, *([f"left out: {', '.join(left_out)} {reason}"] if left_out else [])]
 
 
 def _pairs(cells: Sequence[Cell], source: str) -> list[tuple[Cell, Cell]]:
@@ -288,14 +291,16 @@ def _tau(a: Mapping[str, float], b: Mapping[str, float]) -> float:
     return kendall_tau([a[name] for name in common], [b[name] for name in common])
 
 
-def _stability_finding(means: Mapping[str, float]) -> str:
+def _stability_finding(means: Mapping[str, float], ranked: str) -> str:
     written = {
         _SOURCES[source]: rounded(means[source], 2) for source in sorted(means, key=lambda one: means[one])
     }
     if len(set(written.values())) == 1:
-        return f"Rankings of the groups between {', '.join(written)}: mean τ {max(written.values())}"
+        return f"Rankings of the {ranked} between {', '.join(written)}: mean τ {max(written.values())}"
     (worst, low), *_, (best, high) = written.items()
-    return f"Rankings of the groups differ most between {worst} (mean τ {low}), least between {best} ({high})"
+    return (
+        f"Rankings of the {ranked} differ most between {worst} (mean τ {low}), least between {best} ({high})"
+    )
 
 
 def plot_gallery(

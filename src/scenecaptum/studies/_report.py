@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..files import atomic_write, write_error
 from ..report import encode_figure, fill_template, write_report
 from ..visualization import format_with_error, pluralize, rounded
 from ._cell_effects import CellResults, Group
-from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
+from ._figures import MIN_GROUPS, plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._recipe import Cell
 from ._summary import GroupEffect, Summary, heading, summarize_effects, table_columns
 
@@ -177,23 +178,37 @@ def _figures(result: Reported, summary: Summary, group: Group) -> str:
             for row in rows[:MAX_EFFECTS]
         ]
         gallery = partial(plot_gallery, result, metric=metric, design=design, method=method)
-        parts.append(_section(heading(rows), [*draws, gallery]))
-    parts.append(_section("How stable the rankings are", [partial(plot_rank_stability, result, group)]))
-    return "\n".join(parts)
+        parts.append(_section(heading(rows), map(_figure, [*draws, gallery])))
+    return "\n".join([*parts, _rankings(result, group)])
 
 
-def _section(title: str, draws: Sequence[Callable[[], Figure]]) -> str:
-    figures = "\n".join(map(_figure, draws))
-    text = html.escape(title)
-    return f'<section aria-label="{text}"><h2>{text}</h2>\n<div class="drawn">{figures}</div></section>'
+def _rankings(result: Reported, group: Group) -> str:
+    """Return the section on rankings: of the groups or, where too few are in common, of single parameters."""
+    title = "How stable the rankings are"
+    of_parameters = (
+        f"How stable the rankings of single parameters are (fewer than {MIN_GROUPS} groups in common)"
+    )
+    for text, one in ((title, group), (of_parameters, None)):
+        with contextlib.suppress(SceneCaptumError):
+            return _section(text, [_image(plot_rank_stability(result, one))])
+    return _section(title, [_figure(partial(plot_rank_stability, result, None))])
+
+
+def _section(title: str, figures: Iterable[str]) -> str:
+    text, drawn = html.escape(title), "\n".join(figures)
+    return f'<section aria-label="{text}"><h2>{text}</h2>\n<div class="drawn">{drawn}</div></section>'
 
 
 def _figure(draw: Callable[[], Figure]) -> str:
-    """Return a figure with its title as alternative text, or the reason why there is none."""
+    """Return a figure, or the reason why there is none."""
     try:
-        figure = draw()
+        return _image(draw())
     except SceneCaptumError as error:
         return f'<p class="muted">{html.escape(str(error))}</p>'
+
+
+def _image(figure: Figure) -> str:
+    """Return a figure with its title as alternative text."""
     source, (height, width) = encode_figure(figure)
     titles = [figure.get_suptitle(), *(ax.get_title(loc="left") for ax in figure.axes)]
     text = html.escape(" ".join(next(filter(None, titles), "figure").split()))
