@@ -38,6 +38,8 @@ Tensors = Mapping[str, torch.Tensor]
 # bias of the metric's derivative is larger than the jackknife can remove.
 MIN_METRIC_SPP = 16
 
+Graph = Callable[[], torch.Tensor]  # returns the image of a replicate with its graph
+
 
 @dataclass(frozen=True)
 class Point:
@@ -248,7 +250,7 @@ class GradientEstimator:
         self.image_spp: int | None = None  # of each of its images
         self.extra_spp = 0  # added for the metric images, over all points
         self._first_adjoints: list[Adjoints] = []
-        # A renderer without seed_grad is called twice per replicate.
+        # Another renderer is called twice per replicate, and again for each gradient but the first.
         self._render_with_seed_grad = Capabilities(renderer).with_seed_grad
 
     @property
@@ -336,12 +338,11 @@ class GradientEstimator:
         """Whether there is no time for another backward pass."""
         return False
 
-    def _render(
-        self, index: int, values: dict[str, torch.Tensor]
-    ) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    def _render(self, index: int, values: dict[str, torch.Tensor]) -> tuple[list[torch.Tensor], list[Graph]]:
         """Render every replicate; return the images for the metric and the images to differentiate."""
         spp = self.budget.spp[index]
-        images, graphs = [], []
+        images: list[torch.Tensor] = []
+        graphs: list[Graph] = []
         # A point may have more image seeds than replicates.
         seeds = list(zip(self.budget.gradient_seeds[index], self.budget.seeds[index], strict=False))
         begun = begin_passes(self.renderer, values, [RenderPass(one) for one in self._options(index)])
@@ -349,13 +350,15 @@ class GradientEstimator:
             with error_context(f"In replicate {number} of {len(seeds)}"):
                 wait()
                 if self._render_with_seed_grad is not None:
-                    graph = self._render_with_seed_grad(values, seed=seed, spp=spp, seed_grad=seed_grad)
-                    images.append(graph.detach())
+                    image = self._render_with_seed_grad(values, seed=seed, spp=spp, seed_grad=seed_grad)
+                    graphs.append(partial(_same, image))
                 else:
-                    graph = self.renderer(values, seed=seed_grad, spp=spp)
-                    images.append(self.renderer(values, seed=seed, spp=spp).detach())
+                    with torch.no_grad():
+                        image = self.renderer(values, seed=seed, spp=spp)
+                    # Not before it is differentiated: a graph of dr.wrap lasts only until the next one.
+                    graphs.append(partial(self.renderer, values, seed=seed_grad, spp=spp))
+                images.append(image.detach())
                 check_image(images[-1], f"The render with seed {seed}")
-            graphs.append(graph)
             self.bar.rendered()
         return images, graphs
 
@@ -508,7 +511,7 @@ def require_memory(renderer: Renderer, spp: Iterable[int | None], pictures: int)
 def _add_replicate(
     results: Sequence[PointGradient],
     number: int,
-    graph: torch.Tensor,
+    graph: Graph,
     leaves: dict[str, torch.Tensor],
     point: Point,
 ) -> None:
@@ -516,7 +519,7 @@ def _add_replicate(
 
     They are freed before the next backward pass needs the memory.
     """
-    gradients = [vjp(graph, leaves, result.adjoints.per_replicate[number], point) for result in results]
+    gradients = [vjp(graph(), leaves, result.adjoints.per_replicate[number], point) for result in results]
     # Finite totals show that all elements are finite.
     totals = [{name: channel_totals(gradient) for name, gradient in by_name.items()} for by_name in gradients]
     for by_name, own_totals in zip(gradients, totals, strict=True):
@@ -526,6 +529,10 @@ def _add_replicate(
     for result, by_name, own_totals in zip(results, gradients, totals, strict=True):
         for name, gradient in by_name.items():
             result.statistics[name].add(gradient, own_totals[name])
+
+
+def _same(image: torch.Tensor) -> torch.Tensor:
+    return image
 
 
 def _do_nothing() -> None:
@@ -553,14 +560,14 @@ def vjp(
 
 
 def _bias(
-    graph: torch.Tensor, leaves: dict[str, torch.Tensor], adjoints: Adjoints, point: Point
+    graph: Graph, leaves: dict[str, torch.Tensor], adjoints: Adjoints, point: Point
 ) -> dict[str, torch.Tensor] | None:
     """Return the bias due to image noise of each gradient, estimated with the samples of one replicate."""
     if adjoints.bias is None:
         return None
     if adjoints.bias_adjoint is None:
         return {}
-    bias = vjp(graph, leaves, adjoints.bias_adjoint, point)
+    bias = vjp(graph(), leaves, adjoints.bias_adjoint, point)
     for name, gradient in bias.items():
         _check_gradient(name, gradient)
     return bias

@@ -111,7 +111,7 @@ class Pilot(GradientEstimator):
 
         def propagate(adjoint: torch.Tensor) -> torch.Tensor:
             """Return the effects ``(replicates, effects)``."""
-            return torch.stack([_effects(vjp(graph, leaves, adjoint, point), compared) for graph in graphs])
+            return torch.stack([_effects(vjp(graph(), leaves, adjoint, point), compared) for graph in graphs])
 
         total = torch.stack(adjoints.per_replicate)
         backward = propagate(total.mean(0)).var(0).sum().item()

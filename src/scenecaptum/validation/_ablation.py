@@ -318,6 +318,8 @@ class AblationTest:
     def verdict(self) -> str:
         """The result in one sentence."""
         measurable = [row for row in self.rows if row.above_noise]
+        if not measurable:
+            return f"Nothing to test: no parameter changes {self.metric} by more than the noise"
         agreeing = sum(row.agrees for row in measurable)
         tau = self.kendall_tau
         order = "no resolved pair to rank" if tau is None else f"Kendall's τ {tau:.2f}"
