@@ -153,7 +153,9 @@ class Rooms(NamedTuple):
         import drjit as dr
 
         pictures, labels = [], [seed % len(CLASSES) for seed in range(first_seed, first_seed + count)]
-        for seed, label in enumerate(tqdm(labels, desc="rendering", leave=False), start=first_seed):
+        for seed, label in enumerate(
+            tqdm(labels, desc="rendering", leave=False, disable=None), start=first_seed
+        ):
             room = random_room(CLASSES[label], np.random.default_rng(seed))
             for lamp, radiance in RADIANCE.items():
                 scene = mi.load_dict(lit(room, {lamp: torch.full((3,), radiance)}))
@@ -482,11 +484,15 @@ if __name__ == "__main__":
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     options.add_argument("--out", type=Path, default=Path("out/shortcut"), help="output folder")
-    options.add_argument("--trainings", type=int, default=10, help="with and without the shortcut each")
+    options.add_argument(
+        "--trainings", type=int, default=10, help="with and without the shortcut each (default: %(default)s)"
+    )
     options.add_argument("--first-seed", type=int, default=0, help="of the trainings (default: %(default)s)")
     options.add_argument("--rooms", type=int, default=1600, help="of the training (default: %(default)s)")
     options.add_argument("--epochs", type=int, default=25, help="(default: %(default)s)")
-    options.add_argument("--spp", type=int, default=1024, help="samples per pixel of an attribution")
+    options.add_argument(
+        "--spp", type=int, default=1024, help="samples per pixel of an attribution (default: %(default)s)"
+    )
     chosen = options.parse_args()
     torch.set_num_threads(1)  # the network is so small that threads would mostly wait for each other
     main(chosen.out, chosen.trainings, chosen.first_seed, chosen.rooms, chosen.epochs, chosen.spp)

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from numbers import Real
+
+_MOST_LISTED = 20  # names in a message
 
 
 class SceneCaptumError(Exception):
@@ -37,6 +39,11 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
     close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)
     close = list(dict.fromkeys(close))[:limit]
     return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else ""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return ``': a, b, c'``, or an empty string if there are more than 20 names."""
+    return f": {', '.join(names)}" if len(names) <= _MOST_LISTED else ""
 
 
 def whole_number(name: str, value: int, low: int = 1, high: int | None = None) -> int:

@@ -431,9 +431,7 @@ def test_the_diagnosis_without_llvm_names_the_fix(library, monkeypatch, capsys):
 def test_an_optional_package_that_is_missing_is_not_a_problem(monkeypatch):
     monkeypatch.setattr(_diagnosis, "_installed", lambda _: None)
     assert _diagnosis._import_failure("torchvision") is None
-    assert _diagnosis._optional("torchvision", None) == (
-        "not installed (optional, for pretrained classifiers)"
-    )
+    assert _diagnosis._optional("torchvision", None) == ("not installed (optional, for torchvision's models)")
 
 
 @needs_llvm
@@ -456,9 +454,7 @@ def test_a_torchvision_for_another_torch_is_not_well(monkeypatch, tmp_path, caps
     *table, verdict, fix = capsys.readouterr().out.splitlines()
     (row,) = [line for line in table if line.startswith("torchvision")]
     assert row.endswith("0.28.0, cannot be imported: operator torchvision::nms does not exist")
-    assert verdict == (
-        "Scenes can be rendered and differentiated. What does not work: pretrained classifiers."
-    )
+    assert verdict == ("Scenes can be rendered and differentiated. What does not work: torchvision's models.")
     assert "uninstall -y torchvision && " in fix
     assert fix.endswith(f"install {command}")
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 from extending import PAGE, code, entry, section
 
-from scenecaptum import SceneRenderer, cli, metrics
+from scenecaptum import SceneCaptumError, SceneRenderer, cli, metrics
 from scenecaptum.attr import METHODS, NamedMethod
 from scenecaptum.cli import _formats
 from scenecaptum.cli._files import OutputFormat
@@ -73,13 +73,21 @@ def test_an_attribution_method(
 def test_an_integrator(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     title = "An integrator"
     module = code(title)
-    for name, kind in entry(title, module, IntegratorKind=IntegratorKind).items():
+    (line,) = re.findall(r"^        (IntegratorKind\(.*\)),$", section(title), re.MULTILINE)
+    for kind in eval(f"({line},)", {"IntegratorKind": IntegratorKind}):
+        name = kind.plugin
         monkeypatch.setitem(INTEGRATORS, name, kind)
         monkeypatch.setitem(sys.modules, f"scenecaptum.rendering.integrators.{kind.module}", module)
         renderer = SceneRenderer("cornell-box", resolution=(8, 8), spp=16, max_depth=5)
         direct = renderer.replace(max_depth=2)
         assert torch.equal(renderer.replace(integrator=name)(seed=1), direct(seed=1))
         assert not torch.equal(renderer(seed=1), direct(seed=1))
+
+
+def test_an_integrator_that_is_not_listed_is_refused_with_a_hint() -> None:
+    renderer = SceneRenderer("cornell-box", resolution=(8, 8), spp=1)
+    with pytest.raises(SceneCaptumError, match=r"not 'mine'\. To use one of your own, list it"):
+        renderer.replace(integrator="mine")
 
 
 TITLES = re.findall(r"^## (.*)$", PAGE.read_text(), re.MULTILINE)

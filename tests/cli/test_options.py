@@ -395,7 +395,11 @@ def test_a_class_that_is_unknown_is_named_before_rendering(
 ) -> None:
     command = f"attribute cornell-box {VIEW} --inputs emitters --out out"
     assert cli.main(shlex.split(f"{command} --metric shape-logit --target cylindre")) == 2
-    assert "no class called 'cylindre'. It has 3 classes. Did you mean 'cylinder'?" in capsys.readouterr().err
+    known = "It has 3 classes: sphere, cube, cylinder. Did you mean 'cylinder'?"
+    assert f"no class called 'cylindre'. {known}" in capsys.readouterr().err
+    assert cli.main(shlex.split(f"{command} --metric shape-logit")) == 2
+    choice = "choose one with --target on the command line or target= in Python: sphere, cube, cylinder."
+    assert choice in capsys.readouterr().err
     assert cli.main(shlex.split(f"{command} --metric luminance --target cube")) == 2
     assert "only the metrics of classifiers, such as ClassLogit, have elements" in capsys.readouterr().err
 

@@ -163,6 +163,27 @@ def test_images_of_linear_metrics_are_not_denoised():
         assert torch.equal(plain[name], other[name])
 
 
+def test_the_caution_says_that_differences_of_values_are_biased_too():
+    def noisy(inputs, *, seed, spp):
+        noise = torch.randn(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(seed)) / math.sqrt(spp)
+        return inputs["light"] * (0.5 + noise)
+
+    def glaring(image):
+        return (image - 1).relu().mean()
+
+    light = {"light": torch.tensor(1.0)}
+    found, gradients = (
+        method(noisy, glaring).attribute(light, seed=shifted(0), spp=16, denoise=False, **options)
+        for method, options in ((FeatureAblationScene, {"baselines": 0.0}), (VanillaSceneGradient, {}))
+    )
+    biased = "; the effects are biased, too, and their errors do not include it"
+    caution = found.info["picture"]["caution"]
+    assert caution.startswith("the picture is too noisy for this metric: ")
+    assert caution.endswith(biased)
+    assert caution in " ".join(str(found).split())
+    assert biased not in gradients.info["picture"]["caution"]
+
+
 def test_the_caution_is_printed_and_saved(tmp_path):
     found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=shifted(0), denoise=False)
     caution = found.info["picture"]["caution"]

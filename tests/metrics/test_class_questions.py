@@ -57,7 +57,7 @@ def test_names_say_what_is_compared():
     assert logit("lamp", against="desk", classes=names).measure.name == "logit of lamp minus that of desk"
     margin = logit(against="best", classes=names, smoothing=0.1)
     assert margin.measure_of(1).name == "smoothed margin of lamp over the best other class"
-    assert margin.verdict(WHITE, 1).startswith("1.5 without smoothing; probability")
+    assert margin.verdict(WHITE, 1).startswith("of one noisy picture: 1.5 without smoothing; probability")
     assert "against=2 (desk)" in repr(logit(0, against="desk", classes=names))
     assert "against=best" in repr(margin)
 

@@ -127,7 +127,8 @@ def test_names_and_verdicts_say_what_smoothing_changes():
     assert metric.measure.name == "smoothed logit of cube"
     value = metrics.ClassLogit(metric.model, "cube")(image).item()
     text = metric.verdict(image)
-    assert text.startswith(f"{value:.3g} without smoothing; probability".replace("-", "−"))
+    said = f"of one noisy picture: {value:.2g} without smoothing; probability"
+    assert text.startswith(said.replace("-", "−"))
     of_all = metrics.Smoothed(metrics.ClassLogit(metric.model), 0.5)
     assert of_all.measure_of(1).name == "smoothed logit of cube"
     assert of_all.verdict(image, 1) == text

@@ -13,7 +13,7 @@ import torch
 from results import CASES, all_text, make, surfaces
 
 from scenecaptum import SceneCaptumError
-from scenecaptum.visualization import display_image, plot_bars, plot_heatmap
+from scenecaptum.visualization import display_image, plot_bars, plot_heatmap, plot_overlay
 
 
 def whiskers(axes: Any) -> list[float]:
@@ -92,6 +92,17 @@ def test_heatmap_shows_the_saliency_beside_the_render() -> None:
     assert bar.get_window_extent().height == pytest.approx(right.get_window_extent().height)
     assert "Glare = 2.3369 ± 0.0005" in all_text(figure)
     assert "VanillaSceneGradient" in all_text(figure)
+
+
+def test_a_signed_map_counts_the_objects_whose_sign_is_lost_in_the_noise() -> None:
+    def text(left: str, right: str, **options: Any) -> str:
+        seen = dataclasses.replace(make(), surfaces=surfaces(left, right))
+        return all_text(plot_heatmap(seen, **options)) + all_text(plot_overlay(seen, **options))
+
+    assert text("noisy", "floor", signed=True).count("1 object: sign lost in the noise") == 2
+    assert "lost in the noise" not in text("noisy", "floor")
+    assert "lost in the noise" not in text("rough", "floor", signed=True)
+    assert "lost in the noise" not in text("noisy", "floor", signed=True, parameter="floor")
 
 
 def test_heatmap_names_salient_invisible_parameters() -> None:

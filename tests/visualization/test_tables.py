@@ -81,6 +81,16 @@ def test_shortened_names_stay_different() -> None:
     assert shorten(["a\nb\x1b[2J"], 20) == ["a�b�[2J"]
 
 
+def test_names_are_cut_at_words_and_stay_different() -> None:
+    assert shorten(["smoothed margin of cube over the best other class"], 36) == [
+        "smoothed margin … best other class"
+    ]
+    assert shorten(["of averyveryveryveryveryverylongword only"], 20) == ["of averyve…word only"]
+    alike = shorten([f"smoothed logit of {name} minus that of cube" for name in ("cylinder", "spheres")], 36)
+    assert len(set(alike)) == 2
+    assert max(map(len, alike)) <= 36
+
+
 # -- tables ----------------------------------------------------------------------------------------------
 
 

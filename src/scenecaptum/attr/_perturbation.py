@@ -191,7 +191,12 @@ class Perturbation:
             },
             "metric_bias": bias,
             "picture": describe_picture(
-                measured.metrics[index].transform, value, drift, spp_per_arm, metric=measured.metrics[index]
+                measured.metrics[index].transform,
+                value,
+                drift,
+                spp_per_arm,
+                metric=measured.metrics[index],
+                compares=True,
             ),
             "seen_through": seen_through(self.renderer, surfaces, measured.inputs, measured.inputs),
             "interrupted": measured.interrupted,

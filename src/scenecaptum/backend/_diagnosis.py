@@ -155,7 +155,7 @@ def diagnose() -> Diagnosis:
     torch        2.13.0
     Mitsuba      3.9.1
     Dr.Jit       1.5.0
-    torchvision  not installed (optional, for pretrained classifiers)
+    torchvision  not installed (optional, for torchvision's models)
     captum       0.9.0
     LLVM 19      usable, chosen: /usr/lib/x86_64-linux-gnu/libLLVM.so.19.1
     LLVM 15      too old, Dr.Jit aborts on it (needs 17+): /usr/lib/x86_64-linux-gnu/libLLVM-15.so.1
@@ -192,7 +192,7 @@ def diagnose() -> Diagnosis:
 _PACKAGES = {"torch": "torch", "Mitsuba": "mitsuba", "Dr.Jit": "drjit"}
 
 
-_OPTIONAL = {"torchvision": "pretrained classifiers", "captum": "comparisons with Captum's own classes"}
+_OPTIONAL = {"torchvision": "torchvision's models", "captum": "comparisons with Captum's own classes"}
 
 
 def _optional(package: str, failure: str | None) -> str:

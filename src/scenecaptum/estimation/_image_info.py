@@ -19,22 +19,28 @@ def describe_picture(
     spp: int | None,
     denoised: float | None = None,
     interval: tuple[float, float] | None = None,
+    *,
     metric: TargetedMetric | None = None,
+    compares: bool = False,
 ) -> dict[str, Any]:
     """Return a plain description of the metric image.
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
-    of the value, and ``metric`` may have classes of its values and cautions of its own.
+    of the value, and ``metric`` may have classes of its values and cautions of its own. ``compares`` says that the
+    effects are differences of values, which have its bias.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
     half_class = None if measure is None else measure.half_class
+    noisy = _caution(value, drift, spp, denoised) or _too_wide(interval, half_class)
+    if noisy and compares:
+        noisy += "; the effects are biased, too, and their errors do not include it"
     return {
         "spp": spp,
         "denoised": transform.denoises,
         "relative_error": None if raw is None else raw**0.5,
         "relative_error_denoised": None if smooth is None else smooth**0.5,
-        "caution": own or _caution(value, drift, spp, denoised) or _too_wide(interval, half_class),
+        "caution": own or noisy,
     }
 
 

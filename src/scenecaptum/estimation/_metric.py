@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, cast
 
 import torch
 
-from ..errors import SceneCaptumError
+from ..errors import SceneCaptumError, listed
 from ..finite import NotFiniteError, describe_location
 from ..protocols import Capabilities, Measure, Renderer, takes_keyword
 from ._metric_image import IDENTITY, ImageTransform
@@ -245,10 +245,20 @@ class TargetedMetric:
         if output.numel() != 1:
             raise SceneCaptumError(
                 f"The metric {self.name} must return a scalar; it returned shape {tuple(output.shape)}. "
-                "Select an element with target=, or reduce it, for example with .mean()."
+                f"{self._how_to_select()}"
             )
         scalar: torch.Tensor = output.reshape(())
         return scalar
+
+    def _how_to_select(self) -> str:
+        """Return how to choose an element of an output: by the names of the classes, if the metric knows them."""
+        classes = getattr(self.metric, "classes", None)
+        if not isinstance(classes, tuple) or not classes:
+            return "Select an element with target=, or reduce it, for example with .mean()."
+        return (
+            f"It has a value for each of {len(classes)} classes: choose one with --target on the command line or "
+            f"target= in Python{listed(classes)}."
+        )
 
     def _at_target(self, output: torch.Tensor) -> torch.Tensor:
         index: Any = self.target  # no name any more

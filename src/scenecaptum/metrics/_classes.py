@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..errors import SceneCaptumError, near_misses, whole_number
+from ..errors import SceneCaptumError, listed, near_misses, whole_number
 
 
 def class_names(model: object, classes: Sequence[str] | None) -> tuple[str, ...]:
@@ -20,7 +20,7 @@ def class_index(target: int | str, classes: Sequence[str], setting: str = "targe
     if target in classes:
         return classes.index(target)
     known = (
-        f"It has {len(classes)} classes.{near_misses(target, classes)}"
+        f"It has {len(classes)} classes{listed(classes)}.{near_misses(target, classes)}"
         if classes
         else "Give the names of its classes with classes=, or the class's index."
     )

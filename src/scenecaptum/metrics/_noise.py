@@ -93,8 +93,11 @@ def smoothed_measure(measure: Measure) -> Measure:
 
 
 def without_smoothing(value: float, meaning: str) -> str:
-    """Return the verdict on a value without smoothing, and what it means."""
-    text = f"{rounded(value, 3)} without smoothing"
+    """Return the verdict on the value of one picture without smoothing, and what it means.
+
+    One picture has no spread, so that few digits are shown, and the text says that its noise is in them.
+    """
+    text = f"of one noisy picture: {rounded(value, 2)} without smoothing"
     return f"{text}; {meaning}" if meaning else text
 
 

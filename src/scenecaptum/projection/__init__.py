@@ -20,6 +20,7 @@ from ._projection import DEFAULT_NORM as DEFAULT_NORM
 from ._projection import MapNorm as MapNorm
 from ._projection import heatmap as heatmap
 from ._projection import normalized as normalized
+from ._projection import objects_of_unclear_sign as objects_of_unclear_sign
 from ._projection import shared_maximum as shared_maximum
 from ._projection import used_by_objects as used_by_objects
 from ._surfaces import SurfaceMap as SurfaceMap

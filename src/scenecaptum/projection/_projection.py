@@ -146,6 +146,32 @@ def shared_maximum(
     )
 
 
+def objects_of_unclear_sign(
+    attribution: Attribution,
+    *,
+    parameter: Names = None,
+    scale: Scale | None = None,
+    surfaces: SurfaceMap | None = None,
+) -> list[str]:
+    """Return the visible objects whose effect, the sum over their parameters, is less than two errors from zero.
+
+    A signed map colours them nevertheless. Objects without an effect are not counted; the options are those of
+    ``heatmap``.
+    """
+    surfaces = surfaces_of(attribution, surfaces)
+    selected = set(_select(attribution, parameter)) - set(attribution.info.get("jumps", {}))
+    rows = {row.name: row for row in attribution.ranking(scale=scale) if row.name in selected}
+    visible = np.unique(surfaces.object_index[surfaces.fraction > 0])
+    used = used_by_objects(attribution, surfaces, rows)
+    unclear = []
+    for index in visible:
+        own = [rows[name] for name in used[index]]
+        error = math.hypot(*(row.effect_error or 0.0 for row in own))
+        if any(row.saliency for row in own) and abs(math.fsum(row.effect for row in own)) <= 2 * error:
+            unclear.append(surfaces.objects[index])
+    return unclear
+
+
 def surfaces_of(attribution: Attribution, given: SurfaceMap | None) -> SurfaceMap:
     surfaces = attribution.surfaces if given is None else given
     if surfaces is None:

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from ..backend import activate
+from ..errors import SceneCaptumError
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,15 @@ INTEGRATORS = {
 }
 
 STOCK_INTEGRATORS = tuple(plugin for plugin, kind in INTEGRATORS.items() if kind.is_stock)
+
+
+def check_integrator(plugin: str) -> None:
+    """Raise if there is no integrator of this name."""
+    if plugin not in INTEGRATORS:
+        raise SceneCaptumError(
+            f"integrator must be one of {', '.join(INTEGRATORS)}, not {plugin!r}. To use one of your own, "
+            'list it: see "An integrator" on the page Extending scenecaptum.'
+        )
 
 
 def choose_integrator(*, media: bool, stock: bool = False) -> IntegratorKind:

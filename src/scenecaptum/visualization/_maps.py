@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..denoising import denoise
 from ..errors import SceneCaptumError
-from ..projection import DECADES, DEFAULT_NORM, MapNorm, heatmap, normalized
+from ..projection import DECADES, DEFAULT_NORM, MapNorm, heatmap, normalized, objects_of_unclear_sign
 from ..protocols import Attribution, Scale
 from ._arrows import arrows, draw_arrows
 from ._figures import (
@@ -23,7 +23,7 @@ from ._figures import (
 )
 from ._layout import wrapped_lines
 from ._numbers import format_with_error, rounded, shorten
-from ._text import axis_label, color_meanings, method_name, metric_unit, noise_notes, pack
+from ._text import axis_label, color_meanings, method_name, metric_unit, noise_notes, pack, pluralize
 from ._tonemap import display_image
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ def plot_heatmap(
     bar = None
     if ax is None:
         render = _displayed_render(attribution)
-        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"))
+        unclear = _unclear_note(attribution, options) if signed else ""
+        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"), unclear)
         left.imshow(render)
         left.set_title("render, denoised" if _is_denoised(attribution) else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
@@ -125,7 +126,8 @@ def plot_overlay(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
-        ax, bar = _panels(attribution, heat, 1, figsize, title, options.get("scale"))
+        unclear = _unclear_note(attribution, options) if signed else ""
+        ax, bar = _panels(attribution, heat, 1, figsize, title, options.get("scale"), unclear)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
@@ -249,6 +251,7 @@ def _panels(
     limits: tuple[float, float],
     heading: str,
     scale: Scale | None,
+    unclear: str,
 ) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
     w = _width(None, heat, count, limits)
@@ -258,6 +261,7 @@ def _panels(
     pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
     notes = [
         _invisible_note(attribution, scale),
+        unclear,
         pointing,
         method_name(attribution),
         *noise_notes(attribution),
@@ -280,6 +284,15 @@ def _panels(
     for axes in images:
         axes.set_axis_off()
     return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
+
+
+def _unclear_note(attribution: Attribution, options: dict[str, Any]) -> str:
+    """Return how many objects of the picture have a colour whose sign is lost in the noise."""
+    if options.get("texels"):
+        return ""
+    kept = {name: options[name] for name in ("parameter", "scale", "surfaces") if name in options}
+    count = len(objects_of_unclear_sign(attribution, **kept))
+    return f"{pluralize(count, 'object')}: sign lost in the noise" if count else ""
 
 
 def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:

@@ -161,13 +161,16 @@ def align_decimals(numbers: Sequence[str]) -> list[str]:
 def shorten(names: Sequence[str], width: int) -> list[str]:
     """Shorten names to ``width`` columns, and replace unprintable characters.
 
-    A label ``object: property`` keeps both parts; the middle of the object's name is removed first. If two
-    different names would become equal, they are cut elsewhere.
+    A label ``object: property`` keeps both parts; the middle of the object's name is removed first. Of other names
+    whole words are removed where that leaves enough. If two different names would become equal, they are cut
+    elsewhere.
 
     Example
     -------
     >>> shorten(["mat-Wall White painted.001: diffuse reflectance", "lamp: radiance"], 36)
     ['mat-Wal…ted.001: diffuse reflectance', 'lamp: radiance']
+    >>> shorten(["smoothed cosine distance of embeddings"], 36)
+    ['smoothed cosine … of embeddings']
     """
     names = ["".join(c if c.isprintable() else "�" for c in name) for name in names]
     middle = max(width - 1, 0) // 2
@@ -205,9 +208,28 @@ def _cut_label(label: str, width: int, shift: int) -> str:
         suffix = separator + cut(suffix, available, available // 2) if available > 0 else ""
     else:
         name, suffix = label, ""
+        if shift == 0 and (short := _cut_at_words(label, width)):
+            return short
     name_width = width - columns(suffix)
     tail = min(max((name_width - 1) // 2 + shift, 0), max(name_width - 1, 0))
     return cut(name, name_width, tail) + suffix
+
+
+def _cut_at_words(name: str, width: int) -> str:
+    """Replace the middle words by an ellipsis; return an empty string if half the width is lost."""
+    words, head, tail = name.split(" "), "", ""
+    while words:
+        longer_head, longer_tail = f"{head} {words[0]}".strip(), f"{words[-1]} {tail}".strip()
+        if columns(longer_head) <= columns(longer_tail) and columns(f"{longer_head} … {tail}") <= width:
+            head = longer_head
+            del words[0]
+        elif columns(f"{head} … {longer_tail}") <= width:
+            tail = longer_tail
+            del words[-1]
+        else:
+            break
+    short = f"{head} … {tail}"
+    return short if head and tail and 2 * columns(short) >= width else ""
 
 
 def cut(name: str, width: int, tail: int) -> str:
