@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import results
@@ -94,6 +95,12 @@ def test_lines_of_text_do_not_break_inside_a_number():
     text = Explanation(rated(24.8, 0.05), changes=(change(-0.68),)).text(width=60)
     assert all(len(line) <= 60 for line in text.splitlines())
     assert not any(line.rstrip().endswith("±") or line.lstrip().startswith("±") for line in text.splitlines())
+
+
+def test_the_note_on_a_goal_stands_below_its_line():
+    goal = SimpleNamespace(moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True)
+    said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What reaches the goal"]
+    assert said == ["UGR 25 → 18, below 19, in other renders", "rate it again"]
 
 
 def test_without_error_bars_it_says_so():

@@ -390,6 +390,7 @@ class Explanation:
         return [
             *(f"{_step(one)}: {one.extent}" for one in self.goal.moved),
             f"{self.goal.outcome}, in other renders",
+            *([self.goal.note] if self.goal.note else []),
         ]
 
     def _along(self, name: str) -> str:

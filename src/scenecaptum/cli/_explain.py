@@ -22,7 +22,8 @@ from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
-from ._optimize import optimization_numbers, write_design
+from ._optimize import DESIGN as DESIGN_FILE
+from ._optimize import optimization_numbers, with_design_option, write_design
 from ._plan import plan_format, plan_of
 from ._points import needed_coefficients, premises
 
@@ -76,6 +77,9 @@ def run(options: argparse.Namespace) -> int:
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
         if explanation.goal is not None:
+            explanation = dataclasses.replace(
+                explanation, goal=with_design_option(explanation.goal, options.out)
+            )
             formats = [*formats, DESIGN]
         write_files(explanation, options.out, formats)
         if options.report:
@@ -192,7 +196,7 @@ def _write_design(explanation: Explanation, path: Path) -> None:
     write_design(explanation.goal, path)
 
 
-DESIGN = OutputFormat("design.json", "the values of the goal, for --design", _write_design)
+DESIGN = OutputFormat(DESIGN_FILE, "the values of the goal, for --design", _write_design)
 FORMATS = [
     OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
     OutputFormat("explanation.json", "the numbers", _write_json),
