@@ -134,13 +134,23 @@ def test_the_exact_value_is_to_be_quoted_and_cautions_stand_first():
     assert notes == [
         "caution: no blinds",
         "sDA: share of the points with at least 300 lx",
-        "quote 47 %, the exact value by the definition (in steps of 2 %, one point); the relaxed value "
+        "quote 47 %, the value by the definition (in steps of 2 %, one point); the relaxed value "
         "56.8 ± 0.5 % only serves the derivatives",
         "weather: Oslo",
     ]
     share_of_hours = of_daylight(56.8, 0.5, definition=Definition(47.0, ""))
     assert not any("steps of" in note for note in share_of_hours.notes())
     assert not any(note.startswith("quote") for note in of_daylight(56.8, 0.5).notes())
+
+
+def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
+    near = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=2.0))
+    assert near.headline() == "spatial daylight autonomy = 58.7 ± 2.0 %"
+    assert near.rating().endswith("too close to 55 to be sure")
+    clear = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=1.6))
+    assert clear.rating() == "at least 55 %"
+    assert any(note.startswith("quote 58.7 ± 1.6 %, the value by the definition") for note in clear.notes())
+    assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63, error=0.0)).value() == "60"
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
@@ -150,7 +160,10 @@ def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     assert "jump by whole points" in heading
     assert line.endswith("sDA 47 → 48.6 % (relaxed: +2.00 ± 0.10 rendered, +2.10 ± 0.01 predicted)")
     hours = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, ""), changes=(raised,)))
-    assert "What would change it: exact values and relaxed changes, by which changes compare" in hours
+    assert (
+        "What would change it: values by the definition and relaxed changes, by which changes compare"
+        in hours
+    )
 
 
 def test_the_fewest_rows_with_most_of_the_effect_decide():

@@ -145,11 +145,14 @@ class Definition:
         The meaning of its class; empty if the metric has no classes.
     points
         The number of points, if the value is the share of them that pass.
+    error
+        The standard error of the value; None if it is not known.
     """
 
     value: float
     verdict: str
     points: int | None = None
+    error: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,17 +257,15 @@ class Explanation:
 
     def rating(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
-        value, error = self.attribution.metric_value, self.attribution.metric_standard_error or 0.0
+        numbers = [(self.attribution.metric_value, self.attribution.metric_standard_error or 0.0)]
         measure = self.attribution.info.get("measure") or {}
-        low, high, means = value, value, verdict(self.attribution)
+        means = verdict(self.attribution)
         if self.definition is not None:
-            low, high = min(value, self.definition.value), max(value, self.definition.value)
+            numbers.append((self.definition.value, self.definition.error or 0.0))
             means = self.definition.verdict
-        near = [
-            limit
-            for limit in measure.get("limits", [])
-            if low - SIGNIFICANT * error <= limit <= high + SIGNIFICANT * error
-        ]
+        low = min(value - SIGNIFICANT * error for value, error in numbers)
+        high = max(value + SIGNIFICANT * error for value, error in numbers)
+        near = [limit for limit in measure.get("limits", []) if low <= limit <= high]
         doubt = f"too close to {near[0]:g} to be sure" if near and means else ""
         source = f" ({measure['source']})" if measure.get("source") and means else ""
         return "; ".join(filter(None, [f"{means}{source}", doubt]))
@@ -280,14 +281,15 @@ class Explanation:
             "" if points is None else f" (in steps of {self._in_unit(self._plain(100 / points))}, one point)"
         )
         return (
-            f"quote {self._in_unit(self.value())}, the exact value by the definition{steps}; the relaxed value "
+            f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
             f"{self._relaxed()} only serves the derivatives"
         )
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
         if self.definition is not None:
-            return self._plain(self.definition.value)
+            value, error = self.definition.value, self.definition.error
+            return sentence_number(value, error) if error else self._plain(value)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return sentence_number(value, error, digits=4)
 
@@ -339,11 +341,11 @@ class Explanation:
         ]
 
     def _relaxed_effects(self) -> str:
-        """Say what of a change is exact, and what to compare."""
+        """Say which of the values of a change is by the definition, and what to compare."""
         if self.definition is None:
             return ""
         jump = ", which jump by whole points," if self.definition.points else ""
-        return f": exact values{jump} and relaxed changes, by which changes compare"
+        return f": values by the definition{jump} and relaxed changes, by which changes compare"
 
     def _row_legend(self) -> str:
         """Say what stands behind each row of points, and how the rows are counted on the plan."""

@@ -102,7 +102,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
         # Of the pictures from which the changes are measured: before and after are values of the same points.
-        definition=definition_of(metric, scenes.images.mean(0)),
+        definition=definition_of(metric, scenes.images),
         premises=_premises(metric),
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, metric, change) for change in proposed),
