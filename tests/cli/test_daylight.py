@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import json
+import re
 import shlex
 from pathlib import Path
 
@@ -112,3 +114,27 @@ def test_the_kinds_that_a_designer_chooses_are_the_inputs_of_the_command() -> No
     assert not {name for name in chosen if "roughness" in name or "legs.eta" in name or "sky" in name}
     everything = _daylight._values(renderer, argparse.Namespace(**{**given, "inputs": ["all"]}))
     assert set(everything) == set(renderer.inputs)
+
+
+def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_change(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"compare {TINY} --metric sda --set ceiling.reflectance.value=0.3 --out {tmp_path} --json"
+    assert cli.main(shlex.split(text)) == 0
+    printed = json.loads(capsys.readouterr().out)
+    (found,) = re.findall(
+        r'<script[^>]*type="application/json"[^>]*>(.*?)</script>', page(tmp_path), re.DOTALL
+    )
+    shown = json.loads(found)
+    values = [one["definition"]["value"] for one in printed["results"]]
+    assert [float(one["written"][0]) for one in shown["results"]] == pytest.approx(values, abs=0.5)
+    assert shown["comparison"]["change"] == pytest.approx(values[1] - values[0])
+    assert printed["change"]["definition"]["value"] == pytest.approx(values[1] - values[0])
+    assert any("relaxed metric" in note and "changes by" in note for note in shown["comparison"]["notes"])
+    assert all(
+        any("only serves the derivatives" in one for one in card["premises"]) for card in shown["results"]
+    )
+
+
+def page(folder: Path) -> str:
+    return (folder / "comparison.html").read_text()

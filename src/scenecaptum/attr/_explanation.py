@@ -170,7 +170,7 @@ class Explanation:
     goal
         The outcome of an optimization towards a goal, if there is one.
     count
-        The number of effects that are stated.
+        The number of effects that are stated; with 0, nothing is said of those in the noise either.
     rows
         The rows of points of a metric of daylight.
     definition
@@ -411,6 +411,8 @@ class Explanation:
 
     def _unclear_lines(self) -> list[str]:
         """Return how many effects are in the noise, and the samples that would resolve them."""
+        if not self.count:
+            return []
         rows = self.attribution.ranking()
         if self.attribution.covariance is None:
             return ["which effects are due to noise: there are no error bars"]

@@ -29,8 +29,8 @@ from ._points import needed_coefficients, premises
 
 REPORT = "report.html"
 SEPARATE = (
-    "The change comes from renders of their own, of both designs: it can differ from the difference of the two "
-    "values, by about their errors."
+    "Both values of this change come from separate renders: it can differ from the difference of the two values, "
+    "by about their errors."
 )
 
 
