@@ -9,9 +9,12 @@ import shlex
 from pathlib import Path
 
 import pytest
+import results
 
 from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
+from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _daylight
+from scenecaptum.cli._explain import explanation_numbers
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -138,3 +141,11 @@ def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_chang
 
 def page(folder: Path) -> str:
     return (folder / "comparison.html").read_text()
+
+
+def test_the_verdict_of_the_numbers_is_that_of_the_definition() -> None:
+    attribution = results.make(measure={"name": "sDA", "unit": "%", "limits": [55.0]}, verdict="below 55 %")
+    definition = Definition(57.1, "at least 55 %", 63, error=0.5)
+    numbers = explanation_numbers(Explanation(attribution, definition=definition))["metric"]
+    assert numbers["verdict"] == numbers["definition"]["verdict"] == "at least 55 %"
+    assert explanation_numbers(Explanation(attribution))["metric"]["verdict"] == "below 55 %"

@@ -153,7 +153,7 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
 
 def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
     """Return an explanation as plain values."""
-    attribution, goal = explanation.attribution, explanation.goal
+    attribution, goal, definition = explanation.attribution, explanation.goal, explanation.definition
     changes = [
         {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
         for change in explanation.changes
@@ -164,8 +164,8 @@ def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
             "unit": metric_unit(attribution),
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
-            "verdict": verdict(attribution),
-            "definition": None if explanation.definition is None else vars(explanation.definition),
+            "verdict": verdict(attribution) if definition is None else definition.verdict,
+            "definition": None if definition is None else vars(definition),
         },
         "premises": list(explanation.premises),
         "sources": [vars(source) for source in explanation.sources],
