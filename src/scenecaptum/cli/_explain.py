@@ -17,7 +17,7 @@ from ..estimation import Metric
 from ..explanation import explain
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
-from ..visualization import metric_name, metric_unit, verdict
+from ..visualization import metric_name, metric_unit, sentence_number, verdict
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
@@ -29,8 +29,8 @@ from ._points import needed_coefficients, premises
 
 REPORT = "report.html"
 SEPARATE = (
-    "Both values of this change come from separate renders: it can differ from the difference of the two values, "
-    "by about their errors."
+    "Both values of this change come from separate renders: {} and {}. Those of the results below are of other "
+    "renders, and can differ by about their errors."
 )
 
 
@@ -109,7 +109,9 @@ def _write_report(
         )
         titles = ["as it is", f"below {goal.below:g}"]
         change = goal.after.value - goal.before.value
-        comparison = Comparison(change, math.hypot(goal.after.error, goal.before.error), [SEPARATE])
+        values = [sentence_number(one.value, one.error, digits=4) for one in (goal.before, goal.after)]
+        error = math.hypot(goal.after.error, goal.before.error)
+        comparison = Comparison(change, error, [SEPARATE.format(*values)])
     attributions = [one.attribution if isinstance(one, Explanation) else one for one in results]
     write_report(
         results,
