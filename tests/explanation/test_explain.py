@@ -50,7 +50,7 @@ def test_only_effects_that_are_clear_of_the_noise_are_stated(explained):
     assert "cd/m²" in text.splitlines()[0]
     for row in explained.attribution.ranking():
         if abs(row.effect) <= 2 * row.effect_error:
-            assert row.label not in text.split("What could not be told")[0]
+            assert row.label not in text.split("Too noisy to say")[0]
     assert all(len(line) <= 100 for line in text.splitlines())
 
 

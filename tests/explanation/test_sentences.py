@@ -68,7 +68,7 @@ def test_a_change_that_is_not_linear_is_marked():
 def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
     said = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.03),)))
     assert "What would change it" not in said
-    assert any("within its noise" in line for line in said["What could not be told"])
+    assert any("within its noise" in line for line in said["Too noisy to say"])
 
 
 def test_effects_and_shares_within_their_noise_are_not_said():
@@ -81,6 +81,19 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     (effects,) = (value for heading, value in said.items() if heading.startswith("What it depends on"))
     assert not any(line.startswith(("noisy", results.NASTY)) for line in effects)
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
+
+
+def test_samples_are_advised_up_to_a_hundred_times_as_many():
+    def advice(error: float) -> str:
+        attribution = rated(24.8, 0.05)
+        covariance = {**attribution.covariance, "noisy": torch.full((1, 1), error**2)}
+        errors = {**attribution.standard_error, "noisy": torch.tensor(error)}
+        noisy = dataclasses.replace(attribution, covariance=covariance, standard_error=errors)
+        (line,) = lines(Explanation(noisy))["Too noisy to say"]
+        return line
+
+    assert "times the samples would tell" in advice(0.2)
+    assert advice(20.0).endswith("within the error; it cannot be measured with this scene and resolution")
 
 
 def test_markdown_has_the_same_sentences():
@@ -105,7 +118,7 @@ def test_the_note_on_a_goal_stands_below_its_line():
 
 def test_without_error_bars_it_says_so():
     attribution = results.make(barred=False)
-    assert any("no error bars" in line for line in lines(Explanation(attribution))["What could not be told"])
+    assert any("no error bars" in line for line in lines(Explanation(attribution))["Too noisy to say"])
 
 
 SDA = {

@@ -29,6 +29,7 @@ from ..visualization import (
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
+MOST_SAMPLES = 100  # times those of a result: more are no advice
 NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
@@ -211,7 +212,7 @@ class Explanation:
                 f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
                 self._goal_lines(),
             ),
-            ("What could not be told", self._unclear_lines()),
+            ("Too noisy to say", self._unclear_lines()),
         ]
         return [section for index, section in enumerate(sections) if index == 0 or section[1]]
 
@@ -443,6 +444,11 @@ class Explanation:
             return lines
         largest = max(row.effect_error or 0.0 for row in hiding)
         factor = math.ceil((SIGNIFICANT * largest / smallest) ** 2)
+        remedy = (
+            f"{factor} times the samples would tell"
+            if factor <= MOST_SAMPLES
+            else "it cannot be measured with this scene and resolution"
+        )
         which = (
             f"{_in_words(hiding[0].label)} ({_signed(hiding[0].effect, hiding[0].effect_error)})"
             if len(hiding) == 1
@@ -451,8 +457,7 @@ class Explanation:
         return [
             *lines,
             f"{which} may have an effect of "
-            f"{self._in_unit(rounded(smallest, 2))} or more within the error; {factor} times the "
-            "samples would tell",
+            f"{self._in_unit(rounded(smallest, 2))} or more within the error; {remedy}",
         ]
 
 
