@@ -43,6 +43,11 @@ REFUSED = {
         "bad.epw is not an EPW file: line 1 must be LOCATION",
     ),
     "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor_shape'"),
+    "no floor of this name": (f"daylight {TINY} --floor nowhere", "The largest level shapes are"),
+    "too many points": (
+        "daylight classroom --spacing 0.05",
+        "points on floor_shape",
+    ),
     "too high": (f"daylight {TINY} --height 3.5", "No point of the sensor grid is in the room"),
     "no sky": ("daylight cornell-box --spacing 2 --height 0.1", 'in XML <emitter type="constant"/>'),
     "heatmap": (
@@ -149,3 +154,19 @@ def test_the_verdict_of_the_numbers_is_that_of_the_definition() -> None:
     numbers = explanation_numbers(Explanation(attribution, definition=definition))["metric"]
     assert numbers["verdict"] == numbers["definition"]["verdict"] == "at least 55 %"
     assert explanation_numbers(Explanation(attribution))["metric"]["verdict"] == "below 55 %"
+
+
+def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (
+        f"explain {TINY} --metric daylight-factor --height 0.7 --changes 0 --json --report --out {tmp_path}"
+    )
+    assert cli.main(shlex.split(text)) == 0
+    (grid,) = [one for one in json.loads(capsys.readouterr().out)["premises"] if one.startswith("grid: ")]
+    assert re.fullmatch(
+        r"grid: \d+ points on floor_shape, [\d.]+ × [\d.]+ m, 0.7 m high, [\d.]+ m apart", grid
+    )
+    report = (tmp_path / "report.html").read_text()
+    assert '"height":"0.7"' in report
+    assert f'"sensor grid":"{grid.removeprefix("grid: ")}"'.replace("×", "\\u00d7") in report

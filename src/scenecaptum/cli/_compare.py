@@ -39,7 +39,7 @@ from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._metrics import add_metric, find_metrics
 from ._plan import plan_of
-from ._points import needed_coefficients, premises
+from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -176,7 +176,11 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     design = designed_values(options, renderer)
     method, progress = VanillaSceneGradient(renderer, metric), _arguments.shows_progress(options)
     before, after = (
-        method.attribute(values, target=options.target, seed=options.seed, show_progress=progress)
+        with_settings(
+            method.attribute(values, target=options.target, seed=options.seed, show_progress=progress),
+            renderer,
+            options,
+        )
         for values in (origin, design)
     )
     scenes = Scenes(
@@ -197,7 +201,7 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     change = mean_and_error(scenes.measure_in(images, design or {}) - scenes.unmodified)
     definitions = [definition_of(metric, one) for one in (scenes.images, images)]
     sides = [
-        Side(plan_of(one, renderer, metric), definition, premises(metric, options))
+        Side(plan_of(one, renderer, metric), definition, premises(metric, options) + grid_premises(renderer))
         for one, definition in zip((before, after), definitions, strict=True)
     ]
     found = Compared(before, after, titles, *change, sides, MEASURED)
@@ -254,13 +258,17 @@ def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[Scen
             renderer, metric, options.target, seed=options.seed, spp=None, replicates=DEFAULT_REPLICATES
         )
         definition = definition_of(metric, scenes.images)
-    return result, Side(plan_of(result, renderer, metric), definition, premises(metric, options))
+    side = Side(
+        plan_of(result, renderer, metric), definition, premises(metric, options) + grid_premises(renderer)
+    )
+    return with_settings(result, renderer, options), side
 
 
 def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
     (create,) = find_metrics([options.metric], options).values()
     coefficients = needed_coefficients([options.metric], options)
     renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}), coefficients)
+    check_grid(renderer)
     return renderer, create(renderer)
 
 

@@ -25,7 +25,7 @@ from ._metrics import add_metric, find_metrics
 from ._optimize import DESIGN as DESIGN_FILE
 from ._optimize import optimization_numbers, with_design_option, write_design
 from ._plan import plan_format, plan_of
-from ._points import needed_coefficients, premises
+from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
 SEPARATE = (
@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
     coefficients = needed_coefficients([options.metric], options)
     with writable(options.out):
         renderer = _arguments.make_renderer(options, coefficients)
+        check_grid(renderer)
         metric = create(renderer)
         values = designed_values(options, renderer)
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
@@ -143,7 +144,13 @@ def explained(
         seed=options.seed,
         show_progress=_arguments.shows_progress(options),
     )
-    return dataclasses.replace(explanation, premises=explanation.premises + premises(metric, options))
+    attribution = explanation.attribution
+    assert isinstance(attribution, SceneAttribution), "explain returns that of a gradient method"
+    return dataclasses.replace(
+        explanation,
+        attribution=with_settings(attribution, renderer, options),
+        premises=explanation.premises + premises(metric, options) + grid_premises(renderer),
+    )
 
 
 def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputFormat[Explanation]]:
