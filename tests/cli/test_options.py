@@ -559,6 +559,9 @@ def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> No
     design = json.loads((folder / "out" / "design.json").read_text())
     assert {one["name"] for one in found["values"]} <= set(design)
     assert found["change"] < 0
+    goal_values = json.loads((folder / "out" / "explanation.json").read_text())["goal"]
+    (note,) = found["notes"]
+    assert all(f"{goal_values[side]['value']:.1f}" in note for side in ("before", "after"))
 
 
 def test_titles_stand_in_the_report(folder: Path) -> None:
