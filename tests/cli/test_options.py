@@ -178,7 +178,7 @@ CASES: dict[str, Case] = {
             "as it is: daylight autonomy",
             "by the definition",
             "change: −",
-            "it changes by −",
+            "The effects are those of the relaxed",
             "both plans",
             "SYNTHETIC",
             "comparison.html",
