@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 
@@ -230,18 +230,24 @@ class GridPoints:
         ``(H, W)`` bool: whether a pixel is a point. The others are 0 in the picture.
     plan
         ``(H, W, 2)`` float64: the coordinates of the points in the plan of the room, across and up.
+    floor, sides, above
+        The shape of the floor that the points are above, its size across and up, and their height above it; empty
+        of other points.
     """
 
     positions: torch.Tensor = field(repr=False)
     normals: torch.Tensor = field(repr=False)
     inside: torch.Tensor = field(repr=False)
     plan: torch.Tensor = field(repr=False)
+    floor: str = ""
+    sides: tuple[float, ...] = ()
+    above: float = 0.0
 
     def as_list(self) -> GridPoints:
         """Return the points that are inside, in rows of one point."""
         inside = self.inside
-        rest = (part[inside][:, None] for part in (self.positions, self.normals, self.inside, self.plan))
-        return GridPoints(*rest)
+        names = ("positions", "normals", "inside", "plan")
+        return replace(self, **{name: getattr(self, name)[inside][:, None] for name in names})
 
     def spread(self, values: torch.Tensor) -> torch.Tensor:
         """Return values of the points inside, ``(points,)``, in rows and columns, ``(H, W)``, and 0 elsewhere."""

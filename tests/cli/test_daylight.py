@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import json
+import re
 import shlex
 from pathlib import Path
 
 import pytest
+import results
 
 from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
+from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _daylight
+from scenecaptum.cli._explain import explanation_numbers
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -38,6 +43,11 @@ REFUSED = {
         "bad.epw is not an EPW file: line 1 must be LOCATION",
     ),
     "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor_shape'"),
+    "no floor of this name": (f"daylight {TINY} --floor nowhere", "The largest level shapes are"),
+    "too many points": (
+        "daylight classroom --spacing 0.05",
+        "points on floor_shape",
+    ),
     "too high": (f"daylight {TINY} --height 3.5", "No point of the sensor grid is in the room"),
     "no sky": ("daylight cornell-box --spacing 2 --height 0.1", 'in XML <emitter type="constant"/>'),
     "heatmap": (
@@ -112,3 +122,51 @@ def test_the_kinds_that_a_designer_chooses_are_the_inputs_of_the_command() -> No
     assert not {name for name in chosen if "roughness" in name or "legs.eta" in name or "sky" in name}
     everything = _daylight._values(renderer, argparse.Namespace(**{**given, "inputs": ["all"]}))
     assert set(everything) == set(renderer.inputs)
+
+
+def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_change(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"compare {TINY} --metric sda --set ceiling.reflectance.value=0.3 --out {tmp_path} --json"
+    assert cli.main(shlex.split(text)) == 0
+    printed = json.loads(capsys.readouterr().out)
+    (found,) = re.findall(
+        r'<script[^>]*type="application/json"[^>]*>(.*?)</script>', page(tmp_path), re.DOTALL
+    )
+    shown = json.loads(found)
+    values = [one["definition"]["value"] for one in printed["results"]]
+    assert [float(one["written"][0]) for one in shown["results"]] == pytest.approx(values, abs=0.5)
+    assert shown["comparison"]["change"] == pytest.approx(values[1] - values[0])
+    assert printed["change"]["definition"]["value"] == pytest.approx(values[1] - values[0])
+    assert any("relaxed metric" in note and "changes by" in note for note in shown["comparison"]["notes"])
+    assert all(
+        any("only serves the derivatives" in one for one in card["premises"]) for card in shown["results"]
+    )
+
+
+def page(folder: Path) -> str:
+    return (folder / "comparison.html").read_text()
+
+
+def test_the_verdict_of_the_numbers_is_that_of_the_definition() -> None:
+    attribution = results.make(measure={"name": "sDA", "unit": "%", "limits": [55.0]}, verdict="below 55 %")
+    definition = Definition(57.1, "at least 55 %", 63, error=0.5)
+    numbers = explanation_numbers(Explanation(attribution, definition=definition))["metric"]
+    assert numbers["verdict"] == numbers["definition"]["verdict"] == "at least 55 %"
+    assert explanation_numbers(Explanation(attribution))["metric"]["verdict"] == "below 55 %"
+
+
+def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (
+        f"explain {TINY} --metric daylight-factor --height 0.7 --changes 0 --json --report --out {tmp_path}"
+    )
+    assert cli.main(shlex.split(text)) == 0
+    (grid,) = [one for one in json.loads(capsys.readouterr().out)["premises"] if one.startswith("grid: ")]
+    assert re.fullmatch(
+        r"grid: \d+ points on floor_shape, [\d.]+ × [\d.]+ m, 0.7 m high, [\d.]+ m apart", grid
+    )
+    report = (tmp_path / "report.html").read_text()
+    assert '"height":"0.7"' in report
+    assert f'"sensor grid":"{grid.removeprefix("grid: ")}"'.replace("×", "\\u00d7") in report

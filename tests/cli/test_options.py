@@ -174,7 +174,15 @@ CASES: dict[str, Case] = {
     "compare daylight": (
         f"compare {DAYLIGHT} --metric da --set roof.bsdf.specular_transmittance.value=0.01 --out out",
         0,
-        ["as it is: daylight autonomy", "by the definition", "change: −", "SYNTHETIC", "comparison.html"],
+        [
+            "as it is: daylight autonomy",
+            "by the definition",
+            "change: −",
+            "The effects are those of the relaxed",
+            "both plans",
+            "SYNTHETIC",
+            "comparison.html",
+        ],
         ["comparison.html"],
     ),
     "compare an element": (
@@ -555,6 +563,9 @@ def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> No
     design = json.loads((folder / "out" / "design.json").read_text())
     assert {one["name"] for one in found["values"]} <= set(design)
     assert found["change"] < 0
+    goal_values = json.loads((folder / "out" / "explanation.json").read_text())["goal"]
+    (note,) = found["notes"]
+    assert all(f"{goal_values[side]['value']:.1f}" in note for side in ("before", "after"))
 
 
 def test_titles_stand_in_the_report(folder: Path) -> None:

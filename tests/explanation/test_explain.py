@@ -50,7 +50,7 @@ def test_only_effects_that_are_clear_of_the_noise_are_stated(explained):
     assert "cd/m²" in text.splitlines()[0]
     for row in explained.attribution.ranking():
         if abs(row.effect) <= 2 * row.effect_error:
-            assert row.label not in text.split("What could not be told")[0]
+            assert row.label not in text.split("Too noisy to say")[0]
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
@@ -117,3 +117,17 @@ def test_a_goal_is_reached_by_the_leading_parameter_alone_if_that_is_enough(mi):
     assert [moved.name for moved in easy.moved] == ["light.emitter.radiance.value"]
     assert easy.reached
     assert len(hard.moved) == 2
+
+
+def test_a_daylight_glare_probability_outside_its_range_has_a_caution_with_the_illuminance():
+    eye = SceneRenderer("office", "emitters", sensor="fisheye", resolution=(24, 24), spp=16, max_depth=3)
+    dgp = metrics.DaylightGlareProbability(eye.camera)
+    lit = explain(eye, dgp, changes=0).notes()
+    assert any(note.startswith("vertical illuminance at the eye: ") for note in lit)
+    assert not any("caution: DGP is valid" in note for note in lit)
+    dark = {name: value / 10 for name, value in eye.inputs.items()}
+    (caution,) = [note for note in explain(eye, dgp, dark, changes=0).notes() if "DGP is valid" in note]
+    assert caution.startswith(
+        "caution: DGP is valid from 0.2 to 0.8, and above 380 lx at the eye; here DGP is 0.1"
+    )
+    assert caution.endswith(" lx")

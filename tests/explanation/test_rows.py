@@ -61,7 +61,7 @@ def test_rows_with_enough_light_do_not_matter_and_rows_are_named_by_their_axis()
 
 
 def test_the_value_of_a_row_is_that_by_the_definition_and_columns_are_counted_from_the_right() -> None:
-    across = GridPoints(*(part.transpose(0, 1) for part in vars(grid()).values()))
+    across = GridPoints(*(part.transpose(0, 1) for part in list(vars(grid()).values())[:4]))
     across = GridPoints(
         across.positions[..., [1, 0, 2]], across.normals, across.inside, across.plan[..., [1, 0]]
     )

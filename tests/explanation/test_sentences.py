@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import results
@@ -67,7 +68,7 @@ def test_a_change_that_is_not_linear_is_marked():
 def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
     said = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.03),)))
     assert "What would change it" not in said
-    assert any("within its noise" in line for line in said["What could not be told"])
+    assert any("within its noise" in line for line in said["Too noisy to say"])
 
 
 def test_effects_and_shares_within_their_noise_are_not_said():
@@ -80,6 +81,19 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     (effects,) = (value for heading, value in said.items() if heading.startswith("What it depends on"))
     assert not any(line.startswith(("noisy", results.NASTY)) for line in effects)
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
+
+
+def test_samples_are_advised_up_to_a_hundred_times_as_many():
+    def advice(error: float) -> str:
+        attribution = rated(24.8, 0.05)
+        covariance = {**attribution.covariance, "noisy": torch.full((1, 1), error**2)}
+        errors = {**attribution.standard_error, "noisy": torch.tensor(error)}
+        noisy = dataclasses.replace(attribution, covariance=covariance, standard_error=errors)
+        (line,) = lines(Explanation(noisy))["Too noisy to say"]
+        return line
+
+    assert "times the samples would tell" in advice(0.2)
+    assert advice(20.0).endswith("within the error; it cannot be measured with this scene and resolution")
 
 
 def test_markdown_has_the_same_sentences():
@@ -96,9 +110,15 @@ def test_lines_of_text_do_not_break_inside_a_number():
     assert not any(line.rstrip().endswith("±") or line.lstrip().startswith("±") for line in text.splitlines())
 
 
+def test_the_note_on_a_goal_stands_below_its_line():
+    goal = SimpleNamespace(moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True)
+    said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What reaches the goal"]
+    assert said == ["UGR 25 → 18, below 19, in other renders", "rate it again"]
+
+
 def test_without_error_bars_it_says_so():
     attribution = results.make(barred=False)
-    assert any("no error bars" in line for line in lines(Explanation(attribution))["What could not be told"])
+    assert any("no error bars" in line for line in lines(Explanation(attribution))["Too noisy to say"])
 
 
 SDA = {
@@ -127,13 +147,23 @@ def test_the_exact_value_is_to_be_quoted_and_cautions_stand_first():
     assert notes == [
         "caution: no blinds",
         "sDA: share of the points with at least 300 lx",
-        "quote 47 %, the exact value by the definition (in steps of 2 %, one point); the relaxed value "
+        "quote 47 %, the value by the definition (in steps of 2 %, one point); the relaxed value "
         "56.8 ± 0.5 % only serves the derivatives",
         "weather: Oslo",
     ]
     share_of_hours = of_daylight(56.8, 0.5, definition=Definition(47.0, ""))
     assert not any("steps of" in note for note in share_of_hours.notes())
     assert not any(note.startswith("quote") for note in of_daylight(56.8, 0.5).notes())
+
+
+def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
+    near = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=2.0))
+    assert near.headline() == "spatial daylight autonomy = 58.7 ± 2.0 %"
+    assert near.rating().endswith("too close to 55 to be sure")
+    clear = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=1.6))
+    assert clear.rating() == "at least 55 %"
+    assert any(note.startswith("quote 58.7 ± 1.6 %, the value by the definition") for note in clear.notes())
+    assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63, error=0.0)).value() == "60"
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
@@ -143,7 +173,10 @@ def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     assert "jump by whole points" in heading
     assert line.endswith("sDA 47 → 48.6 % (relaxed: +2.00 ± 0.10 rendered, +2.10 ± 0.01 predicted)")
     hours = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, ""), changes=(raised,)))
-    assert "What would change it: exact values and relaxed changes, by which changes compare" in hours
+    assert (
+        "What would change it: values by the definition and relaxed changes, by which changes compare"
+        in hours
+    )
 
 
 def test_the_fewest_rows_with_most_of_the_effect_decide():

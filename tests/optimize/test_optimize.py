@@ -240,3 +240,16 @@ def test_no_object_is_moved_into_another(mi: Any) -> None:
     reached = optimizer.values()[name].detach()
     assert reached[0] < -0.1, "it has not moved at all"
     assert wall not in renderer.collisions({name: reached})
+
+
+def test_a_rating_that_reaches_its_goal_is_to_be_confirmed_at_another_resolution():
+    def run(metric: Any, below: float) -> optimize.Optimization:
+        return optimize.minimize(room, metric, below, top=1, steps=8)
+
+    room = SceneRenderer("office", "emitters", resolution=(24, 14), spp=16, max_depth=2)
+    glare = metrics.UnifiedGlareRating(room.camera)
+    reached = run(glare, 100.0)
+    assert str(reached).splitlines()[-1] == reached.note
+    assert reached.note.endswith("rate the design again at twice the resolution")
+    assert not run(glare, -100.0).note
+    assert not run(metrics.MeanLuminance(), 1e6).note  # it has no classes

@@ -29,6 +29,7 @@ from ..visualization import (
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
+MOST_SAMPLES = 100  # times those of a result: more are no advice
 NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
@@ -145,11 +146,14 @@ class Definition:
         The meaning of its class; empty if the metric has no classes.
     points
         The number of points, if the value is the share of them that pass.
+    error
+        The standard error of the value; None if it is not known.
     """
 
     value: float
     verdict: str
     points: int | None = None
+    error: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -167,7 +171,7 @@ class Explanation:
     goal
         The outcome of an optimization towards a goal, if there is one.
     count
-        The number of effects that are stated.
+        The number of effects that are stated; with 0, nothing is said of those in the noise either.
     rows
         The rows of points of a metric of daylight.
     definition
@@ -208,7 +212,7 @@ class Explanation:
                 f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
                 self._goal_lines(),
             ),
-            ("What could not be told", self._unclear_lines()),
+            ("Too noisy to say", self._unclear_lines()),
         ]
         return [section for index, section in enumerate(sections) if index == 0 or section[1]]
 
@@ -254,17 +258,15 @@ class Explanation:
 
     def rating(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
-        value, error = self.attribution.metric_value, self.attribution.metric_standard_error or 0.0
+        numbers = [(self.attribution.metric_value, self.attribution.metric_standard_error or 0.0)]
         measure = self.attribution.info.get("measure") or {}
-        low, high, means = value, value, verdict(self.attribution)
+        means = verdict(self.attribution)
         if self.definition is not None:
-            low, high = min(value, self.definition.value), max(value, self.definition.value)
+            numbers.append((self.definition.value, self.definition.error or 0.0))
             means = self.definition.verdict
-        near = [
-            limit
-            for limit in measure.get("limits", [])
-            if low - SIGNIFICANT * error <= limit <= high + SIGNIFICANT * error
-        ]
+        low = min(value - SIGNIFICANT * error for value, error in numbers)
+        high = max(value + SIGNIFICANT * error for value, error in numbers)
+        near = [limit for limit in measure.get("limits", []) if low <= limit <= high]
         doubt = f"too close to {near[0]:g} to be sure" if near and means else ""
         source = f" ({measure['source']})" if measure.get("source") and means else ""
         return "; ".join(filter(None, [f"{means}{source}", doubt]))
@@ -280,14 +282,15 @@ class Explanation:
             "" if points is None else f" (in steps of {self._in_unit(self._plain(100 / points))}, one point)"
         )
         return (
-            f"quote {self._in_unit(self.value())}, the exact value by the definition{steps}; the relaxed value "
+            f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
             f"{self._relaxed()} only serves the derivatives"
         )
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
         if self.definition is not None:
-            return self._plain(self.definition.value)
+            value, error = self.definition.value, self.definition.error
+            return sentence_number(value, error) if error else self._plain(value)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return sentence_number(value, error, digits=4)
 
@@ -339,11 +342,11 @@ class Explanation:
         ]
 
     def _relaxed_effects(self) -> str:
-        """Say what of a change is exact, and what to compare."""
+        """Say which of the values of a change is by the definition, and what to compare."""
         if self.definition is None:
             return ""
         jump = ", which jump by whole points," if self.definition.points else ""
-        return f": exact values{jump} and relaxed changes, by which changes compare"
+        return f": values by the definition{jump} and relaxed changes, by which changes compare"
 
     def _row_legend(self) -> str:
         """Say what stands behind each row of points, and how the rows are counted on the plan."""
@@ -390,6 +393,7 @@ class Explanation:
         return [
             *(f"{_step(one)}: {one.extent}" for one in self.goal.moved),
             f"{self.goal.outcome}, in other renders",
+            *([self.goal.note] if self.goal.note else []),
         ]
 
     def _along(self, name: str) -> str:
@@ -408,6 +412,8 @@ class Explanation:
 
     def _unclear_lines(self) -> list[str]:
         """Return how many effects are in the noise, and the samples that would resolve them."""
+        if not self.count:
+            return []
         rows = self.attribution.ranking()
         if self.attribution.covariance is None:
             return ["which effects are due to noise: there are no error bars"]
@@ -438,6 +444,11 @@ class Explanation:
             return lines
         largest = max(row.effect_error or 0.0 for row in hiding)
         factor = math.ceil((SIGNIFICANT * largest / smallest) ** 2)
+        remedy = (
+            f"{factor} times the samples would tell"
+            if factor <= MOST_SAMPLES
+            else "it cannot be measured with this scene and resolution"
+        )
         which = (
             f"{_in_words(hiding[0].label)} ({_signed(hiding[0].effect, hiding[0].effect_error)})"
             if len(hiding) == 1
@@ -446,8 +457,7 @@ class Explanation:
         return [
             *lines,
             f"{which} may have an effect of "
-            f"{self._in_unit(rounded(smallest, 2))} or more within the error; {factor} times the "
-            "samples would tell",
+            f"{self._in_unit(rounded(smallest, 2))} or more within the error; {remedy}",
         ]
 
 

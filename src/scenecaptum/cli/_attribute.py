@@ -207,7 +207,7 @@ def _write_result(
         return
     print(table_text(attribution, scale=options.scale))
     exact = by_definition(attribution, metric)
-    lines = [f"quote {exact}, the exact value by the definition; {RELAXED}"] if exact else []
+    lines = [f"quote {exact}, the value by the definition; {RELAXED}"] if exact else []
     print("".join(f"\n{line}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -12,10 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient
+from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
+from ..daylight import DaylightMetric
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
+from ..explanation import definition_of, half_sample_error
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
 from ..validation import Scenes, denoise_of
@@ -35,8 +38,8 @@ from . import _arguments
 from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._metrics import add_metric, find_metrics
-from ._plan import by_definition, plan_of
-from ._points import needed_coefficients, premises
+from ._plan import plan_of
+from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,7 +52,11 @@ MEASURED = (
     "The change comes from separate renders of both designs with the same random numbers, in which most of the "
     "noise cancels: it can differ from the difference of the two values, by about their errors."
 )
-RELAXED = "The change and the effects are those of the relaxed metric, which only serves the derivatives."
+BY_DEFINITION = (
+    "The values by the definition come from separate renders of both designs with the same random numbers, in "
+    "which most of the noise of their change cancels."
+)
+RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
 
 
 def add(commands: Any) -> None:
@@ -78,7 +85,7 @@ class Compared:
     """Two results of one metric, their titles, and the change of the metric with its standard error.
 
     ``measured`` says how, where the change is not the difference of the two values. Of metrics of daylight, also
-    the values by the definition, under which light, and the plans.
+    the change by the definition and its error, both values by the definition, under which light, and the plans.
     """
 
     before: SceneAttribution
@@ -88,14 +95,25 @@ class Compared:
     error: float | None
     sides: Sequence[Side]
     measured: str = ""
+    by_definition: tuple[float, float | None] | None = None
 
     def notes(self) -> list[str]:
-        """Return what belongs to the change: how it was measured, the definition, and the light."""
-        exact = [
-            f"{title} {side.exact}" for title, side in zip(self.titles, self.sides, strict=True) if side.exact
+        """Return what belongs to the change: how it was measured, that of the relaxed metric, and the light."""
+        return [*filter(None, (self.measured, self.relaxed())), *self.sides[0].premises]
+
+    def relaxed(self) -> str:
+        """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
+        if self.by_definition is None:
+            return ""
+        unit = metric_unit(self.before)
+        return f"{RELAXED}: it changes by {signed_with_error(self.change, self.error)} {unit}."
+
+    def shown(self) -> list[Explanation | SceneAttribution]:
+        """Return both results for the page, with their values by the definition if there are such."""
+        return [
+            one if side.definition is None else Explanation(one, definition=side.definition, count=0)
+            for one, side in zip((self.before, self.after), self.sides, strict=True)
         ]
-        quoted = f"Exact, to be quoted: {', '.join(exact)}. {RELAXED}" if exact else ""
-        return [*filter(None, (quoted, self.measured)), *self.sides[0].premises]
 
 
 class ChangedEffect(NamedTuple):
@@ -114,7 +132,7 @@ class Side:
     """What belongs to one of the two results: its plan, its value by the definition, and under which light."""
 
     plan: Figure | None = None
-    exact: str = ""
+    definition: Definition | None = None
     premises: Sequence[str] = ()
 
 
@@ -123,9 +141,10 @@ def run(options: argparse.Namespace) -> int:
     with writable(options.out):
         found = _compare(options)
         plans = [side.plan for side in found.sides]
-        comparison = Comparison(found.change, found.error, found.notes())
+        change = found.by_definition or (found.change, found.error)
+        comparison = Comparison(*change, found.notes())
         write_report(
-            [found.before, found.after],
+            found.shown(),
             options.out / REPORT,
             found.titles,
             title=options.title,
@@ -137,7 +156,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     print("\n".join(_lines(found)))
     print_files(options.out, [])
-    print(f"{options.out / REPORT}  the change, what was set, and both pictures and maps")
+    shown = "both plans" if any(plans) else "both pictures and maps"
+    print(f"{options.out / REPORT}  the change, what was set, and {shown}")
     return 0
 
 
@@ -156,7 +176,11 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     design = designed_values(options, renderer)
     method, progress = VanillaSceneGradient(renderer, metric), _arguments.shows_progress(options)
     before, after = (
-        method.attribute(values, target=options.target, seed=options.seed, show_progress=progress)
+        with_settings(
+            method.attribute(values, target=options.target, seed=options.seed, show_progress=progress),
+            renderer,
+            options,
+        )
         for values in (origin, design)
     )
     scenes = Scenes(
@@ -173,16 +197,23 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         "as it is" if options.origin is None else options.origin.stem,
         "the design" if options.design is None else options.design.stem,
     ]
-    change = mean_and_error(scenes.measure(design or {}) - scenes.unmodified)
-    sides = [_side(one, renderer, metric, options) for one in (before, after)]
-    return Compared(before, after, titles, *change, sides, MEASURED)
+    images = scenes.render(design or {})
+    change = mean_and_error(scenes.measure_in(images, design or {}) - scenes.unmodified)
+    definitions = [definition_of(metric, one) for one in (scenes.images, images)]
+    sides = [
+        Side(plan_of(one, renderer, metric), definition, premises(metric, options) + grid_premises(renderer))
+        for one, definition in zip((before, after), definitions, strict=True)
+    ]
+    found = Compared(before, after, titles, *change, sides, MEASURED)
+    if not isinstance(metric, DaylightMetric) or definitions[0] is None:
+        return found
 
+    def by_definition(kept: torch.Tensor) -> float:
+        first, second = (metric.hard(one[kept].mean(0)).item() for one in (scenes.images, images))
+        return second - first
 
-def _side(
-    attribution: SceneAttribution, renderer: SceneRenderer, metric: Metric, options: argparse.Namespace
-) -> Side:
-    plan = plan_of(attribution, renderer, metric)
-    return Side(plan, by_definition(attribution, metric), premises(metric, options))
+    exact = by_definition(torch.arange(len(images))), half_sample_error(by_definition, len(images))
+    return dataclasses.replace(found, measured=BY_DEFINITION, by_definition=exact)
 
 
 def _compare_scenes(options: argparse.Namespace) -> Compared:
@@ -202,7 +233,11 @@ def _compare_scenes(options: argparse.Namespace) -> Compared:
     error = None if a is None or b is None else math.hypot(a, b)
     titles = options.titles or [_name(options.scene), _name(options.other)]
     change = after.metric_value - before.metric_value
-    return Compared(before, after, titles, change, error, [side, other])
+    exact = None
+    if side.definition is not None and other.definition is not None:
+        errors = [one.definition.error or 0.0 for one in (side, other) if one.definition is not None]
+        exact = other.definition.value - side.definition.value, math.hypot(*errors)
+    return Compared(before, after, titles, change, error, [side, other], by_definition=exact)
 
 
 def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[SceneAttribution, Side]:
@@ -217,13 +252,23 @@ def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[Scen
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
-    return result, _side(result, renderer, metric, options)
+    definition = None
+    if isinstance(metric, DaylightMetric):
+        scenes = Scenes(
+            renderer, metric, options.target, seed=options.seed, spp=None, replicates=DEFAULT_REPLICATES
+        )
+        definition = definition_of(metric, scenes.images)
+    side = Side(
+        plan_of(result, renderer, metric), definition, premises(metric, options) + grid_premises(renderer)
+    )
+    return with_settings(result, renderer, options), side
 
 
 def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
     (create,) = find_metrics([options.metric], options).values()
     coefficients = needed_coefficients([options.metric], options)
     renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}), coefficients)
+    check_grid(renderer)
     return renderer, create(renderer)
 
 
@@ -241,9 +286,9 @@ def _lines(found: Compared) -> list[str]:
             f"{title}: {_value_line(one, side)}"
             for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
         ),
-        f"change: {signed_with_error(found.change, found.error)}{suffix}",
-        *(_note(RELAXED) if any(side.exact for side in found.sides) else []),
+        f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
         *_note(found.measured),
+        *_note(found.relaxed()),
         *found.sides[0].premises,
     ]
     moved = [
@@ -271,11 +316,12 @@ def _lines(found: Compared) -> list[str]:
 
 def _value_line(attribution: SceneAttribution, side: Side) -> str:
     """Return the metric and its value; by the definition, with the relaxed one behind it, if there are two."""
-    if not side.exact:
+    if side.definition is None:
         return metric_line(attribution)
     relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
     relaxed = f"{relaxed} {metric_unit(attribution)}"
-    return f"{metric_name(attribution)} = {side.exact} by the definition; relaxed {relaxed}"
+    headline = Explanation(attribution, definition=side.definition).headline()
+    return f"{headline} by the definition; relaxed {relaxed}"
 
 
 def _note(text: str) -> list[str]:
@@ -291,10 +337,21 @@ def _numbers(found: Compared) -> dict[str, Any]:
         "metric": metric_name(before),
         "unit": metric_unit(before),
         "results": [
-            {"title": title, "value": one.metric_value, "standard_error": one.metric_standard_error}
-            for title, one in zip(found.titles, (before, after), strict=True)
+            {
+                "title": title,
+                "value": one.metric_value,
+                "standard_error": one.metric_standard_error,
+                "definition": None if side.definition is None else vars(side.definition),
+            }
+            for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
         ],
-        "change": {"value": found.change, "standard_error": found.error},
+        "change": {
+            "value": found.change,
+            "standard_error": found.error,
+            "definition": None
+            if found.by_definition is None
+            else dict(zip(("value", "error"), found.by_definition, strict=True)),
+        },
         "values": {
             name: [one.parameter_values[name].tolist() for one in (before, after)]
             for name in different_values(before, after)

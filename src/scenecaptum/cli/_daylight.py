@@ -22,7 +22,7 @@ from ._explain import REPORT, add_changes, explained, explanation_formats, expla
 from ._files import print_files, writable, write_files
 from ._metrics import create_of_daylight
 from ._plan import draw_plan
-from ._points import add_points, check_options, coefficients_of, read_weather
+from ._points import add_points, check_grid, check_options, coefficients_of, read_weather
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,6 +70,8 @@ def run(options: argparse.Namespace) -> int:
     needed = {name: coefficients_of(name, options) for name in names}
     with writable(options.out):
         renderers = {one: _arguments.make_renderer(options, one) for one in dict.fromkeys(needed.values())}
+        for renderer in renderers.values():
+            check_grid(renderer)
         # All of them before the first run, which takes long.
         metrics = {
             name: create_of_daylight(name, weather, options.north, renderers[needed[name]]) for name in names

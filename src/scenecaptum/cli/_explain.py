@@ -17,19 +17,20 @@ from ..estimation import Metric
 from ..explanation import explain
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
-from ..visualization import metric_name, metric_unit, verdict
+from ..visualization import metric_name, metric_unit, sentence_number, verdict
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
-from ._optimize import optimization_numbers, write_design
+from ._optimize import DESIGN as DESIGN_FILE
+from ._optimize import optimization_numbers, with_design_option, write_design
 from ._plan import plan_format, plan_of
-from ._points import needed_coefficients, premises
+from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
 SEPARATE = (
-    "The change comes from renders of their own, of both designs: it can differ from the difference of the two "
-    "values, by about their errors."
+    "Both values of this change come from separate renders: {} and {}. Those of the results below are of other "
+    "renders, and can differ by about their errors."
 )
 
 
@@ -71,11 +72,15 @@ def run(options: argparse.Namespace) -> int:
     coefficients = needed_coefficients([options.metric], options)
     with writable(options.out):
         renderer = _arguments.make_renderer(options, coefficients)
+        check_grid(renderer)
         metric = create(renderer)
         values = designed_values(options, renderer)
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
         if explanation.goal is not None:
+            explanation = dataclasses.replace(
+                explanation, goal=with_design_option(explanation.goal, options.out)
+            )
             formats = [*formats, DESIGN]
         write_files(explanation, options.out, formats)
         if options.report:
@@ -105,7 +110,9 @@ def _write_report(
         )
         titles = ["as it is", f"below {goal.below:g}"]
         change = goal.after.value - goal.before.value
-        comparison = Comparison(change, math.hypot(goal.after.error, goal.before.error), [SEPARATE])
+        values = [sentence_number(one.value, one.error, digits=4) for one in (goal.before, goal.after)]
+        error = math.hypot(goal.after.error, goal.before.error)
+        comparison = Comparison(change, error, [SEPARATE.format(*values)])
     attributions = [one.attribution if isinstance(one, Explanation) else one for one in results]
     write_report(
         results,
@@ -137,7 +144,13 @@ def explained(
         seed=options.seed,
         show_progress=_arguments.shows_progress(options),
     )
-    return dataclasses.replace(explanation, premises=explanation.premises + premises(metric, options))
+    attribution = explanation.attribution
+    assert isinstance(attribution, SceneAttribution), "explain returns that of a gradient method"
+    return dataclasses.replace(
+        explanation,
+        attribution=with_settings(attribution, renderer, options),
+        premises=explanation.premises + premises(metric, options) + grid_premises(renderer),
+    )
 
 
 def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputFormat[Explanation]]:
@@ -149,7 +162,7 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
 
 def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
     """Return an explanation as plain values."""
-    attribution, goal = explanation.attribution, explanation.goal
+    attribution, goal, definition = explanation.attribution, explanation.goal, explanation.definition
     changes = [
         {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
         for change in explanation.changes
@@ -160,8 +173,8 @@ def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
             "unit": metric_unit(attribution),
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
-            "verdict": verdict(attribution),
-            "definition": None if explanation.definition is None else vars(explanation.definition),
+            "verdict": verdict(attribution) if definition is None else definition.verdict,
+            "definition": None if definition is None else vars(definition),
         },
         "premises": list(explanation.premises),
         "sources": [vars(source) for source in explanation.sources],
@@ -192,7 +205,7 @@ def _write_design(explanation: Explanation, path: Path) -> None:
     write_design(explanation.goal, path)
 
 
-DESIGN = OutputFormat("design.json", "the values of the goal, for --design", _write_design)
+DESIGN = OutputFormat(DESIGN_FILE, "the values of the goal, for --design", _write_design)
 FORMATS = [
     OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
     OutputFormat("explanation.json", "the numbers", _write_json),

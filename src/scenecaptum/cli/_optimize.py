@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from ._files import OutputFormat, figure_writer, print_files, writable, write_fi
 from ._metrics import add_metric, find_metrics
 
 NOT_REACHED = 1
+DESIGN = "design.json"
 
 
 def add(commands: Any) -> None:
@@ -61,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
+        found = with_design_option(found, options.out)
         write_files(found, options.out, FORMATS)
     print(json.dumps(optimization_numbers(found), indent=1) if options.json else found)
     if not options.json:
@@ -78,6 +81,12 @@ def optimization_numbers(found: Optimization) -> dict[str, Any]:
     return {**numbers, "design": _design(found)}
 
 
+def with_design_option(found: Optimization, folder: Path) -> Optimization:
+    """Return a result whose note names the option that reads its design."""
+    option = f" (--design {folder / DESIGN})" if found.note else ""
+    return dataclasses.replace(found, note=f"{found.note}{option}")
+
+
 def _design(found: Optimization) -> dict[str, Any]:
     """Return the changed values, of textures their means, as ``--design`` reads them."""
     return {moved.name: moved.after.tolist() for moved in found.moved}
@@ -89,6 +98,6 @@ def write_design(found: Optimization, path: Path) -> None:
 
 
 FORMATS: list[OutputFormat[Optimization]] = [
-    OutputFormat("design.json", "the changed values, for --design", write_design),
+    OutputFormat(DESIGN, "the changed values, for --design", write_design),
     OutputFormat("optimization.png", "both pictures and every step", figure_writer(Optimization.plot)),
 ]

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
+from ..attr import SceneAttribution
 from ..daylight import (
     BY_NAME,
     DaylightMetric,
@@ -16,9 +20,12 @@ from ..daylight import (
 )
 from ..errors import SceneCaptumError
 from ..estimation import Metric
-from ..grid import SensorGrid
+from ..grid import GridPoints, SensorGrid
+from ..rendering import SceneRenderer
+from ..visualization import rounded
 
 GRID, WEATHER, SKY = ("height", "spacing", "margin", "floor"), ("weather", "north"), ("subdivision",)
+MOST_POINTS = 2000  # of a floor: more take hours
 SYNTHETIC = "made-up, of no real place; the results hold for your place only with its own weather file"
 
 
@@ -140,6 +147,44 @@ def check_options(names: list[str], options: argparse.Namespace) -> None:
 def read_weather(options: argparse.Namespace) -> Weather:
     """Return the weather of ``--weather``, or a made-up year."""
     return synthetic_weather() if options.weather is None else Weather.from_epw(options.weather)
+
+
+def check_grid(renderer: SceneRenderer) -> None:
+    """Raise if a sensor grid over a floor has so many points that a run would take hours."""
+    if renderer.shows_a_view or not renderer.grid.sides or renderer.grid.inside.sum() <= MOST_POINTS:
+        return
+    raise SceneCaptumError(
+        f"The sensor grid has {_grid_size(renderer.grid)}: too many, more than {MOST_POINTS}. Choose a "
+        "larger --spacing, or the floor of the room with --floor."
+    )
+
+
+def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
+    """Return a line that says where the points of a grid over a floor are; none of other sensors."""
+    if renderer.shows_a_view or not renderer.grid.sides:
+        return ()
+    return (f"grid: {_grid_size(renderer.grid)}",)
+
+
+def with_settings(
+    attribution: SceneAttribution, renderer: SceneRenderer, options: argparse.Namespace
+) -> SceneAttribution:
+    """Return a result whose ``info`` has the settings of the grid and of daylight, too."""
+    if renderer.shows_a_view:
+        return attribution
+    given = {name: str(value) for name, value in _given(options, (*GRID, *WEATHER, *SKY)).items()}
+    if renderer.grid.sides:
+        given["sensor grid"] = _grid_size(renderer.grid)
+    return dataclasses.replace(attribution, info={**attribution.info, **given})
+
+
+def _grid_size(points: GridPoints) -> str:
+    """Return ``"63 points on floor_shape, 7 × 5 m, 0.8 m high, 0.78 m apart"``, the larger distance of the two."""
+    width, depth = (rounded(side) for side in points.sides)
+    gaps = torch.cat([points.plan[0, :, 0].diff(), points.plan[:, 0, 1].diff()]).abs()
+    apart = [f"{rounded(gaps.max().item(), 2)} m apart"] if len(gaps) else []
+    size = [f"{width} × {depth} m", f"{rounded(points.above)} m high", *apart]
+    return f"{int(points.inside.sum())} points on {points.floor}, {', '.join(size)}"
 
 
 def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:

@@ -76,7 +76,7 @@ class DaylightProvision(DaylightMetric):
 
     def _definition(self) -> str:
         needs = " and ".join(
-            f"{100 * share:g} % of the points at least {illuminance:g} lx"
+            f"{100 * share:g} % of the points have at least {illuminance:g} lx"
             for illuminance, share in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
         return f"100 % where {needs}, each for half of the {self._period_in_full}; less if fewer points have that"

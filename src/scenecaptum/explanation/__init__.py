@@ -4,4 +4,5 @@
 __all__ = ["explain"]
 
 from ._definition import definition_of as definition_of
+from ._definition import half_sample_error as half_sample_error
 from ._explain import explain as explain

@@ -65,7 +65,7 @@ def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
     images = scenes.render(changes)
     differences = scenes.measure_in(images, changes) - scenes.unmodified
     error = differences.std() / math.sqrt(len(differences))
-    exact = definition_of(metric, images.mean(0))
+    exact = definition_of(metric, images.mean(0, keepdim=True))
     return dataclasses.replace(
         change,
         measured=differences.mean().item(),

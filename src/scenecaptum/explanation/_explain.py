@@ -11,17 +11,20 @@ from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import DaylightMetric
 from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
-from ..metrics import UnifiedGlareRating
+from ..metrics import DaylightGlareProbability, UnifiedGlareRating, VerticalIlluminance
 from ..optimize import Optimization, minimize
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
+from ..visualization import rounded
 from ._changes import propose, rendered
 from ._definition import definition_of
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 
+# Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
+DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
@@ -102,8 +105,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
         # Of the pictures from which the changes are measured: before and after are values of the same points.
-        definition=definition_of(metric, scenes.images.mean(0)),
-        premises=_premises(metric),
+        definition=definition_of(metric, scenes.images),
+        premises=_premises(metric, scenes.images.mean(0), attribution.metric_value),
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, metric, change) for change in proposed),
         goal=None
@@ -118,7 +121,7 @@ def _reach(below: float, renderer: Renderer, metric: Metric, **options: Any) -> 
     return alone if alone.reached else minimize(renderer, metric, below, **options)
 
 
-def _premises(metric: Metric) -> tuple[str, ...]:
+def _premises(metric: Metric, image: torch.Tensor, value: float) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene."""
     premises = []
     efficacy = getattr(metric, "efficacy", 1)
@@ -130,7 +133,23 @@ def _premises(metric: Metric) -> tuple[str, ...]:
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
+    if isinstance(metric, DaylightGlareProbability):
+        premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)
+
+
+def _validity(value: float, lux: float) -> list[str]:
+    """Return the vertical illuminance, and a caution where a daylight glare probability is not valid."""
+    low, high = DGP_VALUES
+    outside = [
+        *([f"DGP is {value:.2f}"] if not low <= value <= high else []),
+        *([f"there are {lux:.0f} lx"] if lux <= DGP_ILLUMINANCE else []),
+    ]
+    valid = f"DGP is valid from {low:g} to {high:g}, and above {DGP_ILLUMINANCE:g} lx at the eye"
+    return [
+        f"vertical illuminance at the eye: {rounded(lux)} lx",
+        *([f"caution: {valid}; here {' and '.join(outside)}"] if outside else []),
+    ]
 
 
 def _surfaces(renderer: Renderer, attribution: SceneAttribution) -> SurfaceMap | None:

@@ -32,6 +32,7 @@ from ._bounds import Limit, chosen_limits, construction
 from ._result import Measured, Optimization
 
 BISECTIONS = 3  # of the last step
+NOISE_ONLY = "the errors are of noise only: rate the design again at twice the resolution"
 
 
 def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
@@ -163,6 +164,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         optimizer.step(image, adjoint)
     else:
         after = measure(optimized())
+    rates_picture = ranked.surfaces is not None and (ranked.info.get("measure") or {}).get("limits")
     return Optimization(
         values=optimized(),
         moved=optimizer.summary({row.name: row.label for row in top_rows}),
@@ -172,6 +174,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         below=below,
         metric=name,
         unit=metric_unit(ranked),
+        note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
     )
 
 

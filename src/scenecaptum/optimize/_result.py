@@ -105,6 +105,8 @@ class Optimization:
         The goal.
     metric, unit
         Name and unit of the metric.
+    note
+        What the errors of a goal that was reached leave out: for a rating of a picture, the resolution.
     """
 
     values: Mapping[str, torch.Tensor]
@@ -115,6 +117,7 @@ class Optimization:
     below: float
     metric: str
     unit: str = ""
+    note: str = ""
 
     @property
     def reached(self) -> bool:
@@ -151,7 +154,8 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", self.outcome])
+        end = filter(None, [self.outcome, self.note])
+        return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", *end])
 
     __repr__ = __str__
 

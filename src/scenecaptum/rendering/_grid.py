@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections.abc import Callable, Mapping
@@ -20,6 +21,7 @@ Array = npt.NDArray[np.float64]
 
 MOST_MARGIN = 0.25  # of the shorter side of a floor: a small room would have no points otherwise
 FACES_UP = 0.99  # cosine of the largest tilt of a floor
+LISTED = 5  # shapes in a message
 LARGE = 0.5  # of the largest level shape: the lowest of those is the floor
 FACING = math.cos(math.radians(45))
 RAY_OFFSET = (
@@ -130,14 +132,22 @@ def _floor_points(grid: SensorGrid, shapes: Mapping[str, Any], scene: Any) -> Gr
     if level < top < level + grid.height:
         inside[:] = False
     return _open_points(
-        torch.from_numpy(positions), up, torch.from_numpy(inside), torch.from_numpy(plan), scene
+        GridPoints(
+            torch.from_numpy(positions),
+            torch.eye(3, dtype=torch.float64)[up].expand(positions.shape),
+            torch.from_numpy(inside),
+            torch.from_numpy(plan),
+            name,
+            tuple(sides.tolist()),
+            grid.height,
+        ),
+        scene,
     )
 
 
-def _open_points(
-    positions: torch.Tensor, up: int, inside: torch.Tensor, plan: torch.Tensor, scene: Any
-) -> GridPoints:
+def _open_points(points: GridPoints, scene: Any) -> GridPoints:
     """Return the points of a floor without those inside objects."""
+    positions, inside = points.positions, points.inside
     if not (inside & _within(scene, positions)).any():
         raise SceneCaptumError(
             "No point of the sensor grid is in the room: check height=, margin= and rectangle= against the "
@@ -150,9 +160,7 @@ def _open_points(
             "and are left out.",
             stacklevel=2,
         )
-    normals = torch.zeros_like(positions)
-    normals[..., up] = 1.0
-    return GridPoints(positions, normals, inside & ~hidden, plan)
+    return dataclasses.replace(points, inside=inside & ~hidden)
 
 
 def _centres(low: Array, high: Array, spacing: float | None) -> list[Array]:
@@ -183,7 +191,12 @@ def _plan_axes(up: int) -> tuple[int, int]:
 
 def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, Array]:
     """Return the name of the floor and its level triangles, ``(N, 3, 3)``."""
-    given = {} if grid.floor is None else {grid.floor: _shape_of(shapes, grid.floor, "floor")}
+    if grid.floor is not None and grid.floor not in shapes:
+        raise SceneCaptumError(
+            f"SensorGrid(floor={grid.floor!r}): the scene has no shape of this name."
+            f"{near_misses(grid.floor, shapes)} The largest level shapes are {_largest_level(shapes, up)}."
+        )
+    given = {} if grid.floor is None else {grid.floor: shapes[grid.floor]}
     chosen = given or shapes
     facing = {name: _level_triangles(shape, up) for name, shape in chosen.items()}
     areas = {name: _area(triangles, up) for name, triangles in facing.items()}
@@ -198,6 +211,21 @@ def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, A
         )
     name = min(large, key=lambda name: facing[name][..., up].max())
     return name, facing[name]
+
+
+def _largest_level(shapes: Mapping[str, Any], up: int) -> str:
+    """Return the names of the largest level shapes with material and size, for a message."""
+    level = {
+        name: triangles for name, shape in shapes.items() if len(triangles := _level_triangles(shape, up))
+    }
+    largest = sorted(level, key=lambda name: -_area(level[name], up))[:LISTED]
+    across, along = _plan_axes(up)
+    found = []
+    for name in largest:
+        corners = level[name][..., [across, along]].reshape(-1, 2)
+        width, depth = corners.max(0) - corners.min(0)
+        found.append(f"{name} ({shapes[name].bsdf().id()}, {width:.3g} × {depth:.3g} m)")
+    return ", ".join(found) or "none"
 
 
 def _level_triangles(shape: Any, up: int) -> Array:

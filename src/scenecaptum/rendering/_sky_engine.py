@@ -123,8 +123,8 @@ def sky_of(scene: Any, parameters: SceneParameters) -> str:
         )
     if sky.class_name() != "ConstantBackgroundEmitter":
         raise SceneCaptumError(
-            f"Daylight coefficients need a sky of the same radiance everywhere, not a {sky.class_name()}: use a "
-            "constant emitter. Metrics bring the radiances of the sky."
+            f"Daylight coefficients need a sky of the same radiance everywhere, not a {sky.class_name()}: replace "
+            'it by <emitter type="constant"/>; the weather file supplies the sky and the sun.'
         )
     return next(
         name for name, one in parameters.items() if one.plugin == sky.class_name() and one.role == "radiance"

@@ -116,20 +116,21 @@ def signed_with_error(value: float, error: float | None) -> str:
 
 
 def sentence_number(value: float, error: float | None, *, digits: int = 3, signed: bool = False) -> str:
-    """Return ``'−0.157 ± 0.001'``: a value of few digits, and its error rounded up to the same place.
+    """Return ``'−0.157 ± 0.001'``: a value of few digits, and its error rounded to the same place, never to 0.
 
-    For sentences: a person has no use for the fifth digit, however small the error. Tables show all digits.
+    For sentences: a person has no use for the fifth digit, however small the error. Tables show all digits, of
+    which these are the first.
 
     Example
     -------
     >>> sentence_number(89.08, 0.13), sentence_number(-0.1572, 0.0005), sentence_number(24.778, 0.01, digits=4)
-    ('89.1 ± 0.2', '−0.157 ± 0.001', '24.78 ± 0.01')
+    ('89.1 ± 0.1', '−0.157 ± 0.001', '24.78 ± 0.01')
     """
     full = Format.of(value, error)
     style = full.at_most(digits, max(abs(value), error or 0.0))
     if error and math.isfinite(error) and style.place < full.place:
         unit = 10.0**-style.place
-        error = math.ceil(error / unit) * unit
+        error = max(round(error / unit), 1) * unit
     text = style.write_signed(value) if signed else style.write(value)
     return f"{text} ± {style.write(error)}" if error else text
 
