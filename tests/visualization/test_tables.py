@@ -124,10 +124,23 @@ def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
             )
         )
 
-    note = "!  metal.alpha.value: a small roughness acts most near 0"
+    note = "~  metal.alpha.value: a small roughness acts most near 0"
     assert note in text(0.02, 1.0)
     assert "overstated" not in text(0.3, 1.0)
     assert "overstated" not in text(0.02, 0.1), "the range is that of the user"
+
+
+def test_table_says_that_the_scale_of_a_map_is_the_effect_of_its_light() -> None:
+    sky = {"sky.data": torch.ones(2, 3, 3), "sky.scale": torch.tensor(1.0)}
+    result = dataclasses.replace(
+        make(barred=False),
+        attributions=sky,
+        parameter_values={"sky.data": torch.ones(3), "sky.scale": torch.tensor(1.0)},
+        extents={"sky.data": torch.ones(3), "sky.scale": torch.ones(1)},
+    )
+    note = "~  sky.data: of the same change in all texels; sky.scale is of its light"
+    assert note in table_text(result).splitlines()
+    assert "all texels" not in table_text(result, scale="unit")
 
 
 def test_table_ranks_with_sign_error_and_channels() -> None:

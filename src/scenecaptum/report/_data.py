@@ -27,12 +27,12 @@ from ..visualization import (
     caution_groups,
     color_of,
     convergence_notes,
-    extrapolation_notes,
     method_name,
     metric_name,
     metric_symbol,
     metric_unit,
     noise_notes,
+    range_notes,
     rounded,
     sampling_notes,
     scene_cautions,
@@ -205,7 +205,8 @@ def _result(
         "sampling": sampling_notes(attribution),
         "convergence": convergence_notes(attribution),
         "cautions": list(cautions),
-        "sceneCautions": [*extrapolation_notes(attribution), *scene_cautions(attribution)],
+        "rangeNotes": range_notes(attribution),
+        "sceneCautions": scene_cautions(attribution),
         "doubts": list(untrusted),
         "rows": [
             {

@@ -137,6 +137,7 @@ function drawNotes(result) {
     return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
   }));
   notes.push(...cautioned(result.sceneCautions));
+  notes.push(...result.rangeNotes.map((text) => make("p", {}, make("span", { class: "mark" }, "~"), ` ${text}`)));
   notes.push(...result.convergence.map((text) => make("p", {}, text)));
   if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {

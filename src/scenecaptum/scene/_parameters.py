@@ -28,6 +28,8 @@ from ._roles import (
     MaterialRole,
 )
 
+MAX_DIFFERENCES = 3  # numbers of a parameter that finite differences are made of
+
 # Parts of a parameter's name that its label leaves out.
 _OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
 
@@ -80,7 +82,13 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     shape = stored_shape = _shape(value, mesh_attribute_size(node, own_name))
     if _is_scalar(graph, node, shape):
         shape = (*shape[:-1], 1) if len(shape) > 1 else ()
-    tracked = _is_array(value) and not flags & _untracked_flags() and not _has_untracked_tables(user, role)
+    tracked = (
+        _is_array(value)
+        and not flags & _untracked_flags()
+        and not _has_untracked_tables(user, role)
+        # Differences are right whatever the plugin's sampling depends on, but only cheap for a few numbers.
+        and not (_is_foreign_and_specular(user) and math.prod(shape) <= MAX_DIFFERENCES)
+    )
     problem = _problem(kind, role, user, shape, value, tracked)
     fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
     return Parameter(
@@ -161,13 +169,15 @@ def _problem(
         return (
             "it rotates perfectly specular reflections, whose directions path replay does not differentiate"
         )
-    if not tracked and math.prod(shape) > 3:
+    if not tracked and math.prod(shape) > MAX_DIFFERENCES:
         return "Mitsuba keeps it outside the derivative graph, and it has too many entries for finite differences"
     return None
 
 
 def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | None:
     """Return a known error in a texture's derivative; a texture is too large for finite differences."""
+    if _is_foreign_and_specular(user) and math.prod(shape) > MAX_DIFFERENCES:
+        return "its plugin of your own is perfectly specular: the derivative is right only for what weights a lobe"
     if _is_array(value) and len(shape) > 1 and _is_specular(user) and role in ("opacity", "weight"):
         return "it blends a perfectly specular lobe with others, so the magnitude of its derivative is biased"
     return None
@@ -181,6 +191,16 @@ def _is_specular(user: Any) -> bool:
     lobes = (user.flags(component) for component in range(user.component_count()))
     specular = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission
     return any(lobe & specular for lobe in lobes)
+
+
+def _is_foreign_and_specular(user: Any) -> bool:
+    """Whether a material is neither Mitsuba's nor ours, and has lobes whose directions may depend on parameters.
+
+    What is known of Mitsuba's own perfectly specular materials does not hold for others.
+    """
+    return type(user).__module__.split(".")[0] not in ("mitsuba", __package__.split(".")[0]) and _is_specular(
+        user
+    )
 
 
 def _has_untracked_tables(user: Any, role: str) -> bool:

@@ -77,7 +77,6 @@ from ._table import table_text as table_text
 from ._text import axis_label as axis_label
 from ._text import caution_groups as caution_groups
 from ._text import convergence_notes as convergence_notes
-from ._text import extrapolation_notes as extrapolation_notes
 from ._text import method_name as method_name
 from ._text import metric_line as metric_line
 from ._text import metric_name as metric_name
@@ -86,6 +85,7 @@ from ._text import metric_unit as metric_unit
 from ._text import noise_notes as noise_notes
 from ._text import pack as pack
 from ._text import pluralize as pluralize
+from ._text import range_notes as range_notes
 from ._text import sampling_notes as sampling_notes
 from ._text import scene_cautions as scene_cautions
 from ._text import sign_labels as sign_labels

@@ -16,12 +16,12 @@ from ._text import (
     axis_label,
     caution_groups,
     convergence_notes,
-    extrapolation_notes,
     jump_notes,
     method_name,
     metric_line,
     pack,
     pluralize,
+    range_notes,
     sampling_notes,
     scene_cautions,
     untrusted_groups,
@@ -171,9 +171,8 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
             f"?  {reason} ({'all parameters' if all_of_them else pluralize(len(names), 'parameter')})"
         )
     notes += jump_notes(attribution)
-    notes += [
-        f"!  {text}" for text in [*extrapolation_notes(attribution, scale), *scene_cautions(attribution)]
-    ]
+    notes += [f"~  {text}" for text in range_notes(attribution, scale)]
+    notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
         heading=[*filter(None, heading), *sampling_notes(attribution), *convergence_notes(attribution)],
         columns=_Row(

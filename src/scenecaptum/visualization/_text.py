@@ -14,6 +14,7 @@ _MAX_CAUTIONS = 5
 _LARGE_ERROR = 0.3  # of the norm of all effects
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 _MANY_TIMES = 8  # the roughness: the length of a range over which a tangent holds no longer
+_MAP_NDIM = 3
 _NOTABLE = 0.1  # of the largest effect
 _NAMED = 3
 _ROUNDING = 1e-6  # relative to the explained difference
@@ -232,10 +233,30 @@ def scene_cautions(attribution: Attribution) -> list[str]:
     return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
 
 
-def extrapolation_notes(attribution: Attribution, scale: Scale | None = None) -> list[str]:
-    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
+def range_notes(attribution: Attribution, scale: Scale | None = None) -> list[str]:
+    """Return notes on effects over a range that may be read for something else."""
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is not ResultKind.EFFECT:
         return []
+    return [*_sky_notes(attribution), *_roughness_notes(attribution, scale)]
+
+
+def _sky_notes(attribution: Attribution) -> list[str]:
+    """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
+    labels = attribution.labels
+    scales = {
+        name: f"{name.rpartition('.')[0]}.scale"
+        for name in attribution
+        if attribution[name].ndim == _MAP_NDIM
+    }
+    return [
+        f"{labels.get(name, name)}: of the same change in all texels; {labels.get(scale, scale)} is of its light"
+        for name, scale in scales.items()
+        if scale in attribution
+    ]
+
+
+def _roughness_notes(attribution: Attribution, scale: Scale | None) -> list[str]:
+    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
     effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
     notable = _NOTABLE * max(effects.values(), default=0.0)
     small = [

@@ -1,0 +1,90 @@
+"""Materials that a user registers: their derivatives are right, or marked."""
+
+from __future__ import annotations
+
+import pytest
+from seeds import shifted
+
+from scenecaptum import SceneRenderer, activate
+
+
+@pytest.fixture(scope="module")
+def tinted() -> str:
+    """Register smooth tinted glass of Mitsuba's tutorial, with its index of refraction as a parameter."""
+    mi = activate()
+    import drjit as dr
+
+    class TintedGlass(mi.BSDF):
+        def __init__(self, props: mi.Properties) -> None:
+            mi.BSDF.__init__(self, props)
+            self.tint = mi.Color3f(props.get("tint", 0.8))
+            self.eta = mi.Float(props.get("eta", 1.33))
+            reflection = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            transmission = mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            self.m_components = [reflection, transmission]
+            self.m_flags = reflection | transmission
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            cos_i = mi.Frame3f.cos_theta(si.wi)
+            reflectance, cos_t, eta_it, eta_ti = mi.fresnel(cos_i, self.eta)
+            reflects = (sample1 <= reflectance) & active
+            found = mi.BSDFSample3f()
+            found.wo = dr.select(reflects, mi.reflect(si.wi), mi.refract(si.wi, cos_t, eta_ti))
+            found.pdf = dr.select(reflects, reflectance, 1 - reflectance)
+            found.eta = dr.select(reflects, 1, eta_it)
+            found.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            found.sampled_type = dr.select(
+                reflects, mi.UInt32(+mi.BSDFFlags.DeltaReflection), mi.UInt32(+mi.BSDFFlags.DeltaTransmission)
+            )
+            return found, dr.select(reflects, mi.Color3f(1), self.tint * dr.square(eta_ti)) & active
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Color3f(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return mi.Color3f(0), mi.Float(0)
+
+        def traverse(self, callback) -> None:
+            callback.put("tint", self.tint, mi.ParamFlags.Differentiable)
+            callback.put("eta", self.eta, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys) -> None:
+            dr.make_opaque(self.tint, self.eta)
+
+    mi.register_bsdf("tinted_glass", TintedGlass)
+    return "tinted_glass"
+
+
+def test_a_specular_material_of_a_user_is_differentiated_by_differences(tinted: str) -> None:
+    scene = {
+        "type": "scene",
+        "ball": {"type": "sphere", "bsdf": {"type": tinted, "tint": 0.6}},
+        "sky": {"type": "envmap", "bitmap": _stripes(), "to_world": activate().ScalarTransform4f()},
+        "camera": {
+            "type": "perspective",
+            "fov": 30,
+            "to_world": activate().ScalarTransform4f().look_at([0, -5, 1], [0, 0, 0], [0, 0, 1]),
+        },
+    }
+    renderer = SceneRenderer(scene, inputs="ball.*", resolution=(16, 16), spp=256, max_depth=5)
+    assert set(dict(renderer.plan.differences)) == set(renderer.inputs)
+    leaves, step = renderer.leaves(), 0.02
+    renderer(leaves, seed=shifted(1)).mean().backward()
+    for name, leaf in leaves.items():
+        higher, lower = (
+            renderer({name: renderer.inputs[name] + sign * step}, seed=shifted(1)).mean() for sign in (1, -1)
+        )
+        difference = (higher - lower).item() / (2 * step)
+        assert abs(difference) > 0.005
+        assert leaf.grad.sum().item() == pytest.approx(difference, rel=0.1), name
+
+
+def _stripes():
+    """A sky that is brighter on one side, so that refraction matters."""
+    import numpy as np
+
+    across = np.linspace(0.1, 1.0, 32, dtype=np.float32)
+    return activate().Bitmap(np.tile(across[None, :, None], (16, 1, 3)))
