@@ -78,9 +78,6 @@ def run(options: argparse.Namespace) -> int:
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
         if explanation.goal is not None:
-            explanation = dataclasses.replace(
-                explanation, goal=with_design_option(explanation.goal, options.out)
-            )
             formats = [*formats, DESIGN]
         write_files(explanation, options.out, formats)
         if options.report:
@@ -88,6 +85,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(_json(explanation))
         return 0
+    if explanation.goal is not None:
+        explanation = dataclasses.replace(explanation, goal=with_design_option(explanation.goal, options.out))
     print(explanation)
     print_files(options.out, formats)
     if options.report:
