@@ -17,7 +17,7 @@ from ..errors import SceneCaptumError
 from ..scene import SceneGraph, SceneParameters
 from ..visualization import STYLE, group_by_text, html_cells, pluralize, terminal_width, wrap
 from ._derivative_routes import derivative_routes, low_roughness_names
-from ._integrators import INTEGRATORS, IntegratorKind, choose_integrator
+from ._integrators import INTEGRATORS, IntegratorKind, check_integrator, choose_integrator
 from ._memory import format_bytes
 
 # Up to this depth there is no Russian roulette: the last bounces cost little, and without random termination the
@@ -211,8 +211,7 @@ def with_integrator(plan: RenderPlan, plugin: str, surfaces: Sequence[str]) -> R
 
     ``surfaces`` are the inputs of materials: the derivatives of Mitsuba's own integrators are not right for all.
     """
-    if plugin not in INTEGRATORS:
-        raise SceneCaptumError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {plugin!r}.")
+    check_integrator(plugin)
     kind = INTEGRATORS[plugin]
     if kind.is_stock:
         kind = choose_integrator(media=plan.kind.media, stock=True)

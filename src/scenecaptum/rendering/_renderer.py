@@ -48,7 +48,6 @@ from ..scene import (
     touching,
 )
 from ._autograd import RenderCall, render
-from ._integrators import check_integrator
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
 from ._sensors import (
@@ -411,7 +410,6 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             unchanged = max_depth is None and integrator is None
             plan = self.plan if unchanged else self._plan_for(depth)
             wanted = self.plan.integrator if integrator is None else integrator
-            check_integrator(wanted)
             if wanted != plan.integrator:
                 surfaces = [name for name in self._names if self._table[name].is_of_surface]
                 plan = with_integrator(plan, wanted, surfaces)
