@@ -150,7 +150,7 @@ def read_weather(options: argparse.Namespace) -> Weather:
 
 
 def check_grid(renderer: SceneRenderer) -> None:
-    """Raise if a sensor grid over a floor has so many points that a run would take hours."""
+    """Raise if a sensor grid on a floor has more than 2000 points, which take hours."""
     if renderer.shows_a_view or not renderer.grid.sides or renderer.grid.inside.sum() <= MOST_POINTS:
         return
     raise SceneCaptumError(

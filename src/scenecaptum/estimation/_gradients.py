@@ -250,7 +250,7 @@ class GradientEstimator:
         self.image_spp: int | None = None  # of each of its images
         self.extra_spp = 0  # added for the metric images, over all points
         self._first_adjoints: list[Adjoints] = []
-        # Another renderer is called twice per replicate, and again for each gradient but the first.
+        # A renderer without seed_grad is called for each image, and again for each gradient of it.
         self._render_with_seed_grad = Capabilities(renderer).with_seed_grad
 
     @property

@@ -177,7 +177,9 @@ def _problem(
 def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | None:
     """Return a known error in a texture's derivative; a texture is too large for finite differences."""
     if _is_foreign_and_specular(user) and math.prod(shape) > MAX_DIFFERENCES:
-        return "its plugin of your own is perfectly specular: the derivative is right only for what weights a lobe"
+        return (
+            "it belongs to a specular plugin of yours: its derivative is right only for what weights a lobe"
+        )
     if _is_array(value) and len(shape) > 1 and _is_specular(user) and role in ("opacity", "weight"):
         return "it blends a perfectly specular lobe with others, so the magnitude of its derivative is biased"
     return None
@@ -198,9 +200,8 @@ def _is_foreign_and_specular(user: Any) -> bool:
 
     What is known of Mitsuba's own perfectly specular materials does not hold for others.
     """
-    return type(user).__module__.split(".")[0] not in ("mitsuba", __package__.split(".")[0]) and _is_specular(
-        user
-    )
+    package = type(user).__module__.partition(".")[0]
+    return package not in ("mitsuba", __package__.partition(".")[0]) and _is_specular(user)
 
 
 def _has_untracked_tables(user: Any, role: str) -> bool:
