@@ -18,6 +18,11 @@ def meta_analysis() -> Any:
     return _imported("statsmodels.stats.meta_analysis", "statsmodels", "Summaries of a study")
 
 
+def student_t() -> Any:
+    """Return SciPy's distribution, which takes fractional degrees of freedom; raise if it is not installed."""
+    return _imported("scipy.stats", "scipy", "Summaries of a study").t
+
+
 def _imported(module: str, library: str, purpose: str) -> Any:
     try:
         return importlib.import_module(module)

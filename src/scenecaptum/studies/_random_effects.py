@@ -125,8 +125,9 @@ def combine(observations: Sequence[Observation]) -> Combined:
     the mean); Knapp and Hartung, "Improved tests for a random effects meta-regression with a single covariate",
     Statistics in Medicine 22(17), 2003, and Röver, Knapp and Friede, "Hartung-Knapp-Sidik-Jonkman approach and its
     modification for random-effects meta-analysis with few studies", BMC Medical Research Methodology 15:99, 2015
-    (no factor below 1); IntHout et al., "Plea for routinely presenting prediction intervals in meta-analysis", BMJ
-    Open 6, 2016 (that of a new room).
+    (no factor below 1); Kish, "Survey Sampling", Wiley, 1965, section 11.2C (the effective number of rooms, from
+    which the degrees of freedom are taken); IntHout et al., "Plea for routinely presenting prediction intervals in
+    meta-analysis", BMJ Open 6, 2016 (that of a new room).
     """
     seed_spread = _spread_of_seeds(observations)
     has_errors = all(one.error is not None for one in observations)
@@ -136,11 +137,11 @@ def combine(observations: Sequence[Observation]) -> Combined:
     views = _views(observations, None if has_errors else seed_spread or 0.0)
     rooms = _rooms(views, noise is not None)
     within = _variance_between_cameras(views, remove_common=False)
-    mean, error, between = _mean_over_rooms(views)
-    half = None if error is None else quantile(len(rooms) - 1) * error
+    mean, error, between, width = _mean_over_rooms(views)
+    half = None if error is None else width * error
     new = None
     if error is not None and between is not None and len(rooms) >= MIN_ROOMS_FOR_NEW_ROOM:
-        new = quantile(len(rooms) - 1) * math.hypot(error, between)
+        new = width * math.hypot(error, between)
     return Combined(
         mean=mean,
         error=error,
@@ -156,27 +157,31 @@ def combine(observations: Sequence[Observation]) -> Combined:
     )
 
 
-def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None]:
-    """Return the mean, its standard error by Hartung, Knapp, Sidik and Jonkman, and the deviation of rooms.
+def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None, float]:
+    """Return the mean, its standard error, the deviation of rooms, and a half-width in standard errors.
 
+    The error is that of Hartung, Knapp, Sidik and Jonkman, the half-width that of a 95 % interval.
     Their factor q compares the spread of the rooms with what their variances predict. Where rooms agree by chance
     it is far below 1; here it is at least 1 (Knapp and Hartung's ad hoc correction), so that the error is never
     smaller than that of a mean of rooms that do not differ. The interval of a new room contains the same error.
 
-    statsmodels estimates all three, in units of the rooms' spread because its tolerances are absolute.
+    The degrees of freedom are those of the effective number of rooms, 1 / Σ w² for weights w that add up to 1: if
+    a few rooms of little noise have nearly all the weight, only these few say how much rooms differ.
+
+    statsmodels estimates all but the last, in units of the rooms' spread because its tolerances are absolute.
     """
     index = views.room_index
     counts = np.bincount(index)
     effects = np.bincount(index, views.effects) / counts
     if len(effects) == 1:
-        return float(effects[0]), None, None
+        return float(effects[0]), None, None, math.nan
     common = _variance_between_cameras(views, remove_common=True)
     variances = np.bincount(index, views.variances) / counts**2 + (common or 0.0) / counts
     # With a spread below the smallest error, the variance between rooms is 0 in any unit.
     unit = max(float(effects.std(ddof=1)), math.sqrt(variances.min()))
     centre = float(effects.mean())
     if unit == 0:
-        return centre, 0.0, 0.0
+        return centre, 0.0, 0.0, quantile(len(effects) - 1)
     scaled = np.maximum(variances / unit**2, _SMALLEST_VARIANCE)
     with np.errstate(
         divide="ignore"
@@ -184,10 +189,12 @@ def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None]:
         found: Any = extras.meta_analysis().combine_effects(
             (effects - centre) / unit, scaled, method_re="pm", use_t=True
         )
+    degrees = max(1.0, 1 / float(np.square(found.weights_rel_re).sum()) - 1)
     return (
         float(centre + unit * found.mean_effect_re),
         float(unit * max(found.sd_eff_w_re_hksj, found.sd_eff_w_re)),  # with q, and with 1
         float(unit * math.sqrt(found.tau2)),
+        float(extras.student_t().ppf((1 + LEVEL) / 2, degrees)),
     )
 
 
