@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,9 @@ from seeds import OFFSET, shift_defaults, shifted
 # At the end: tests/extremes comes before benchmarks/extremes.py.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's would only wait for a core.
+# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's only wait for each other. Two
+# of OpenMP's on two busy cores took up to 30 times as long as one. Commands and notebooks inherit the variable.
+os.environ["OMP_NUM_THREADS"] = "1"
 torch.set_num_threads(1)
 
 # The package is imported inside the fixtures, so that an error in one subpackage fails only the tests of that one.
