@@ -411,6 +411,10 @@ def test_lines_show_which_parameters_rise_and_fall() -> None:
 def test_the_top_of_either_ranking_is_shown_with_its_ranks() -> None:
     figure = plot_rank_comparison(ranked("abcdefgh"), ranked("hbacdefg"), top=2)
     assert ends(figure) == {"a": (1, 3), "b": (2, 2), "h": (3, 1)}
+    differences = [f"smoothed logit of {shape} minus that of cone" for shape in ("cube", "ball")]
+    alike = plot_rank_comparison(*(ranked("ab", metric=name) for name in differences))
+    headers = {text.get_text() for text in alike.axes[0].texts if text.get_fontweight() == "bold"}
+    assert len(headers) == 2
     written = {(text.xy, text.get_text()) for text in figure.axes[0].texts}
     assert ((0, 3), "8") in written
     assert ((1, 3), "3") in written

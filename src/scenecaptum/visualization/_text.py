@@ -19,8 +19,8 @@ _MAP_NDIM = 3
 _NOTABLE = 0.1  # of the largest effect
 _NAMED = 3
 _ROUNDING = 1e-6  # relative to the explained difference
-METRIC_WIDTH = 36  # maximum length of a metric's name on an axis
-FINDING_WIDTH = 60  # and of a name in a figure's title
+FINDING_WIDTH = 60  # maximum length of a name in a figure's title
+METRIC_WIDTH = FINDING_WIDTH  # and of a metric's on an axis, which keeps both classes of a difference
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
