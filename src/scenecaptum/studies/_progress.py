@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from types import TracebackType
 
-from tqdm import tqdm
+from ..estimation import ProgressBar
 
 LINES = 10  # in a log file, after the first one
 
 
-class Progress:
+class Progress(ProgressBar):
     """Counts finished cells on stderr: a bar with the time left, or lines if stderr is not a terminal.
 
     The lines are one at the start, and one for each tenth of the cells.
@@ -21,18 +20,10 @@ class Progress:
         self._total, self._finished = total, finished
         self._began = time.monotonic()
         self._logs = show and not sys.stderr.isatty()
-        self._bar = tqdm(total=total, initial=finished, disable=not show or self._logs, unit="cell")
+        super().__init__(total=total, initial=finished, disable=not show or self._logs, unit="cell")
         if self._logs:
             before = f", {finished} of them finished before" if finished else ""
             self._write(f"study: {total} cells{before}")
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.close()
 
     def update(self, failed: int) -> None:
         """Count a cell; ``failed`` is how many have failed so far."""
