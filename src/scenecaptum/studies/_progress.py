@@ -6,6 +6,7 @@ import sys
 import time
 
 from ..estimation import ProgressBar
+from ..visualization import pluralize
 
 LINES = 10  # in a log file, after the first one
 
@@ -23,7 +24,7 @@ class Progress(ProgressBar):
         super().__init__(total=total, initial=finished, disable=not show or self._logs, unit="cell")
         if self._logs:
             before = f", {finished} of them finished before" if finished else ""
-            self._write(f"study: {total} cells{before}")
+            self._write(f"study: {pluralize(total, 'cell')}{before}")
 
     def update(self, failed: int) -> None:
         """Count a cell; ``failed`` is how many have failed so far."""
@@ -33,7 +34,7 @@ class Progress(ProgressBar):
         tenths = [LINES * count // self._total for count in (self._finished, self._finished + 1)]
         self._finished += 1
         if self._logs and tenths[0] < tenths[1]:
-            count = f"study: {self._finished} of {self._total} cells"
+            count = f"study: {self._finished} of {pluralize(self._total, 'cell')}"
             seconds = f"{time.monotonic() - self._began:.0f} s"
             self._write(", ".join(filter(None, [count, note, seconds])))
 
