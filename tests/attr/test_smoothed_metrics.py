@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -10,7 +11,7 @@ from chance import check_error_bars
 from seeds import seeds, shifted
 from toy import ReplayingToyRenderer
 
-from scenecaptum import IntegratedGradientsScene, VanillaSceneGradient, metrics
+from scenecaptum import FeatureAblationScene, IntegratedGradientsScene, VanillaSceneGradient, metrics
 
 SIGMA = 0.8
 RUNS = 80
@@ -90,6 +91,32 @@ def test_large_errors_come_with_the_advice_of_the_metric():
     for noise, is_told in ((5.0, True), (0.001, False)):
         found = VanillaSceneGradient(ReplayingToyRenderer(noise), advised).attribute(seed=shifted(0), spp=16)
         assert ("ask in another way" in str(found)) is is_told
+
+
+@pytest.mark.parametrize(
+    "create",
+    [
+        lambda network, **options: metrics.ClassLogit(network, "cube", **options),
+        lambda network, **options: metrics.ClassProbability(network, "cube", **options),
+        lambda network, **options: metrics.EmbeddingDistance(torch.ones(3), network, **options),
+    ],
+)
+def test_a_network_metric_says_that_its_gradient_is_rough_until_it_is_smoothed(create: Any) -> None:
+    network = metrics.ShapeClassifier.pretrained()
+    renderer = ReplayingToyRenderer(0.001)
+    note = "of the rough gradient of a noisy picture, without smoothing"
+    for smoothing, is_rough in ((None, True), (0.3, False)):
+        asked = create(network, transform=_enlarged, smoothing=smoothing)
+        found = VanillaSceneGradient(renderer, asked).attribute(seed=shifted(0), spp=16)
+        assert (note in str(found)) is is_rough
+    ablation = FeatureAblationScene(renderer, create(network, transform=_enlarged))
+    assert note not in str(ablation.attribute(baselines=0.0, seed=shifted(0), spp=16))
+    smoothed = metrics.Smoothed(create(network, transform=_enlarged), n=16)
+    assert note not in str(VanillaSceneGradient(renderer, smoothed).attribute(seed=shifted(0), spp=16))
+
+
+def _enlarged(picture: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.interpolate(picture, (64, 64))
 
 
 def test_a_network_advises_smoothing_until_it_is_smoothed():

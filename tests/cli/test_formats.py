@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import results
+from matplotlib.figure import Figure
 
 from scenecaptum import SceneAttribution, cli
 from scenecaptum.cli._files import OutputFormat
-from scenecaptum.cli._formats import FORMATS
+from scenecaptum.cli._formats import FORMATS, selected_formats
 from scenecaptum.report import write_csv, write_json
 
 TINY = ["cornell-box", "--resolution", "16x16", "--spp", "8", "--max-depth", "2", "--inputs", "emitters"]
@@ -51,6 +54,30 @@ def test_only_what_is_selected_is_written(
         with pytest.raises(SystemExit):
             cli.main([command, "--help"])
         assert "names (names of the parameters)" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_map_has_signs_where_effects_have_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[dict[str, Any]] = []
+
+    def plot_heatmap(attribution: SceneAttribution, **options: Any) -> Figure:
+        drawn.append(options)
+        return Figure()
+
+    monkeypatch.setattr(SceneAttribution, "plot_heatmap", plot_heatmap)
+    both = results.make()
+    raising = dataclasses.replace(both, attributions={name: one.abs() for name, one in both.items()})
+    errors = {name: 1e6 * one for name, one in both.covariance.items()}
+    unclear = dataclasses.replace(both, covariance=errors)
+    for signed, attribution, expected in (
+        (None, both, True),
+        (None, raising, False),
+        (None, unclear, False),
+        (False, both, False),
+        (True, raising, True),
+    ):
+        (heatmap,) = selected_formats(["heatmap"], None, signed=signed, denoised=True)
+        heatmap.write(attribution, tmp_path / "heatmap.png")
+        assert drawn[-1] == {"scale": None, "signed": expected, "denoised": True}
 
 
 def test_an_unknown_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -920,6 +920,9 @@ def test_the_plan_gives_every_choice_with_its_reason(cornell: SceneRenderer) -> 
     assert "no medium" in lines[0]
     assert any(line.startswith("9 inputs tracked") for line in lines)
     assert "caution" not in str(cornell.plan)
+    one = SceneRenderer("cornell-box", "floor.reflectance.value", resolution=(8, 8), spp=1)
+    assert "\n1 input tracked " in str(one.plan)
+    assert " 1 input, " in repr(one)
 
 
 PATH = {"type": "path", "max_depth": 3}

@@ -110,6 +110,15 @@ def test_the_sky_is_a_light_and_not_a_texture(zoo: SceneParameters) -> None:
     assert zoo["poster.bsdf.reflectance.data"].is_texture
 
 
+def test_a_transformation_has_the_shape_of_its_matrix(zoo: SceneParameters) -> None:
+    assert zoo["first.to_world"].shape == zoo["eye.to_world"].shape == (4, 4)
+    to_uv = zoo["poster.bsdf.reflectance.to_uv"]
+    assert (to_uv.shape, to_uv.is_texture) == ((3, 3), False)
+    assert any(
+        line.startswith("first.to_world ") and line.split()[2] == "4×4" for line in str(zoo).splitlines()
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [

@@ -26,6 +26,11 @@ def test_a_log_file_gets_a_line_at_the_start_and_for_each_tenth(capsys: pytest.C
     assert written(capsys) == ["study: 40 cells", *tenths]
 
 
+def test_one_cell_is_no_plural(capsys: pytest.CaptureFixture[str]) -> None:
+    run(1)
+    assert written(capsys) == ["study: 1 cell", "study: 1 of 1 cell, … s"]
+
+
 def test_few_cells_have_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     run(3, finished=1, failing=1)
     assert written(capsys) == [

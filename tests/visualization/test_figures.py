@@ -191,8 +191,13 @@ def test_a_render_is_denoised_where_the_metric_image_was() -> None:
     figure = plot_heatmap(make())
     assert "render" in figure.axes[0].get_title()
     denoised = plot_heatmap(make(picture={"denoised": True}))
-    assert denoised.axes[0].get_title() == "render, denoised"
-    assert not np.allclose(denoised.axes[0].images[0].get_array(), figure.axes[0].images[0].get_array())
+    for_the_eye = plot_heatmap(make(), denoised=True)
+    for other in (denoised, for_the_eye):
+        assert other.axes[0].get_title() == "render, denoised"
+        assert not np.allclose(other.axes[0].images[0].get_array(), figure.axes[0].images[0].get_array())
+    for index in (1, 2):  # the map and its colours are the same
+        assert all_text(for_the_eye.axes[index]) == all_text(figure.axes[index])
+    assert np.array_equal(for_the_eye.axes[1].images[0].get_array(), figure.axes[1].images[0].get_array())
 
 
 def test_maps_of_zeros_are_labelled() -> None:
@@ -406,6 +411,10 @@ def test_lines_show_which_parameters_rise_and_fall() -> None:
     assert {"First", "Second"} <= set(all_text(figure).splitlines())
     same = plot_rank_comparison(ranked("ab", metric="First"), ranked("ab", metric="Second"))
     assert hexes(line.get_color() for line in same.axes[0].lines) == [UNCLEAR, UNCLEAR]
+    differences = [f"smoothed logit of {shape} minus that of cone" for shape in ("cube", "ball")]
+    alike = plot_rank_comparison(*(ranked("ab", metric=name) for name in differences))
+    headers = {text.get_text() for text in alike.axes[0].texts if text.get_fontweight() == "bold"}
+    assert len(headers) == 2
 
 
 def test_the_top_of_either_ranking_is_shown_with_its_ranks() -> None:

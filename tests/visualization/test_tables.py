@@ -21,7 +21,7 @@ from scenecaptum.visualization import (
     table_text,
     with_error,
 )
-from scenecaptum.visualization._text import goal_notes
+from scenecaptum.visualization._text import axis_label, goal_notes
 
 
 @pytest.fixture(autouse=True)
@@ -90,6 +90,21 @@ def test_names_are_cut_at_words_and_stay_different() -> None:
     alike = shorten([f"smoothed logit of {name} minus that of cube" for name in ("cylinder", "spheres")], 36)
     assert len(set(alike)) == 2
     assert max(map(len, alike)) <= 36
+
+
+def test_names_that_differ_only_in_the_middle_stay_different() -> None:
+    names = [f"{'from here ' * 8}{shape}{' to there' * 8}" for shape in ("cube", "ball")]
+    short = shorten(names, 36)
+    assert [next(shape for shape in ("cube", "ball") if shape in one) for one in short] == ["cube", "ball"]
+    assert max(map(len, short)) <= 36
+    assert all(one.startswith("from here") for one in short)
+
+
+def test_a_difference_of_two_classes_keeps_both_in_notes_and_on_axes() -> None:
+    name = "smoothed logit of cube minus that of cylinder"
+    result = make(measure={"name": name})
+    assert f"change of {name} per unit" in " ".join(table_text(result).split())
+    assert name in axis_label(result)
 
 
 # -- tables ----------------------------------------------------------------------------------------------

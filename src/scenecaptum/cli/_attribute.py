@@ -66,7 +66,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="BASELINE",
         help="for methods that compare with another scene: dark, black, grey, or a number",
     )
-    parser.add_argument("--signed", action="store_true", help="draw the heatmap with signs")
+    parser.add_argument(
+        "--signed",
+        action=argparse.BooleanOptionalAction,
+        help="draw the heatmap with signs, or magnitudes (default: signs if there are effects of both)",
+    )
     add_design(parser)
     parser.add_argument(
         "--replicates",
@@ -95,7 +99,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=DENOISE,
         default="auto",
         help="denoise the image for a non-linear metric, such as a glare rating; auto: if that reduces the "
-        "measured error (default: %(default)s)",
+        "measured error (default: %(default)s); the picture beside the map is denoised unless off",
     )
     parser.add_argument(
         "--picture-spp",
@@ -197,7 +201,10 @@ def _write_result(
     """Write the files of a result and print it."""
     view = renderer.shows_a_view
     formats = selected_formats(
-        options.formats or default_formats(view=view), options.scale, signed=options.signed
+        options.formats or default_formats(view=view),
+        options.scale,
+        signed=options.signed,
+        denoised=options.denoise != "off",
     )
     if not (view or options.formats):
         formats.append(plan_format(renderer, metric, lambda one: one))

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
@@ -14,6 +15,9 @@ from ..protocols import Scale
 from ..report import write_csv, write_json
 from ..visualization import save_render
 from ._files import OutputFormat, figure_writer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def _write_render(attribution: SceneAttribution, path: Path) -> None:
@@ -47,19 +51,38 @@ FORMATS: dict[str, OutputFormat[SceneAttribution]] = {
 
 
 def selected_formats(
-    names: Collection[str], scale: Scale | None, *, signed: bool
+    names: Collection[str], scale: Scale | None, *, signed: bool | None, denoised: bool
 ) -> list[OutputFormat[SceneAttribution]]:
-    """Return the formats with these names, their figures in a scale and the maps with signs."""
+    """Return the formats with these names, their figures in a scale.
+
+    The map has signs if ``signed``; if that is None, wherever effects of both signs are clear of the noise.
+    ``denoised`` shows the render beside it denoised.
+    """
+
+    def plot_heatmap(attribution: SceneAttribution) -> Figure:
+        has_signs = _has_both_signs(attribution, scale) if signed is None else signed
+        return attribution.plot_heatmap(scale=scale, signed=has_signs, denoised=denoised)
+
     drawn: dict[str, Callable[[SceneAttribution, Path], None]] = {
-        "heatmap": figure_writer(partial(SceneAttribution.plot_heatmap, scale=scale, signed=signed)),
+        "heatmap": figure_writer(plot_heatmap),
         "bars": figure_writer(partial(SceneAttribution.plot_bars, scale=scale)),
-        "exr": partial(export, scale=scale, signed=signed),
+        "exr": partial(export, scale=scale, signed=bool(signed)),
     }
     return [
         dataclasses.replace(one, write=drawn.get(name, one.write))
         for name, one in FORMATS.items()
         if name in names
     ]
+
+
+def _has_both_signs(attribution: SceneAttribution, scale: Scale | None) -> bool:
+    """Whether there are effects of both signs beyond two standard errors."""
+    clear = [
+        row.effect
+        for row in attribution.ranking(scale=scale)
+        if abs(row.effect) > 2 * (row.effect_error or 0.0)
+    ]
+    return attribution.kind.has_sign and bool(clear) and min(clear) < 0 < max(clear)
 
 
 def default_formats(*, view: bool = True) -> list[str]:

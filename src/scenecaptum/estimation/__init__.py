@@ -39,6 +39,7 @@ from ._metric_image import TransformSelector as TransformSelector
 from ._metric_image import choose_transform as choose_transform
 from ._planner import Planner as Planner
 from ._progress import Progress as Progress
+from ._progress import ProgressBar as ProgressBar
 from ._quadrature import Method as Method
 from ._quadrature import Quadrature as Quadrature
 from ._quadrature import quadrature as quadrature

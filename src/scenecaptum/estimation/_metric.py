@@ -109,6 +109,7 @@ class TargetedMetric:
             "metric": self.name,
             "measure": None if self.measure is None else self.measure.describe(),
             "verdict": self.verdict(value, image),
+            "gradient_note": getattr(self.metric, "gradient_note", None),
             "advice": getattr(self.metric, "advice", None),
         }
 

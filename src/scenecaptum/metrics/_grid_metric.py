@@ -7,6 +7,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..grid import GridPoints
 from ..images import check_image_shape
+from ..visualization import pluralize
 from ._checks import check_radiance
 from ._luminance import luminance
 
@@ -57,5 +58,5 @@ class GridMetric(torch.nn.Module):
 
     def extra_repr(self) -> str:
         """Show the number of points and the efficacy."""
-        points = "" if self.inside is None else f"{int(self.inside.sum())} points, "
+        points = "" if self.inside is None else f"{pluralize(int(self.inside.sum()), 'point')}, "
         return f"{points}efficacy={self.efficacy:g}"

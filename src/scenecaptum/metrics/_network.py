@@ -12,7 +12,7 @@ import torch
 
 from ._frozen import run_frozen
 from ._measure import Measure
-from ._noise import PictureNoise, smoothed_measure
+from ._noise import ROUGH, PictureNoise, smoothed_measure
 from ._picture import check_exposure, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
@@ -63,6 +63,11 @@ class NetworkMetric(torch.nn.Module, ABC):
         other = copy.copy(self)
         other.noise = None if self.noise is None else self.noise.with_draws(draws)
         return other
+
+    @property
+    def gradient_note(self) -> str | None:
+        """What the effects and errors of an attribution are of; None if it is smoothed."""
+        return ROUGH if self.noise is None else None
 
     @property
     def advice(self) -> str | None:

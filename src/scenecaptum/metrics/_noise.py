@@ -92,6 +92,10 @@ def smoothed_measure(measure: Measure) -> Measure:
     return dataclasses.replace(measure, name=f"smoothed {measure.name}")
 
 
+# What the derivatives of a network metric are without smoothing.
+ROUGH = "of the rough gradient of a noisy picture, without smoothing"
+
+
 def without_smoothing(value: float, meaning: str) -> str:
     """Return the verdict on the value of one picture without smoothing, and what it means.
 

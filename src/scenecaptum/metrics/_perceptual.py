@@ -10,6 +10,7 @@ import torch
 from ..errors import SceneCaptumError, near_misses
 from ._frozen import run_frozen
 from ._measure import Measure
+from ._noise import ROUGH
 from ._picture import check_exposure, check_reference, check_same_shape, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
@@ -59,6 +60,7 @@ class PerceptualDistance(torch.nn.Module):
     """
 
     measure = Measure("perceptual distance", better="lower")
+    gradient_note = ROUGH
     reference: torch.Tensor
 
     def __init__(

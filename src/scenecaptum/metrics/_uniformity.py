@@ -9,6 +9,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..grid import GridPoints
+from ..visualization import pluralize
 from ._checks import cast_like
 from ._grid_metric import GridMetric
 from ._measure import Measure
@@ -85,7 +86,7 @@ class Uniformity(GridMetric):
 
     def extra_repr(self) -> str:
         """Show the number of points and the relaxation."""
-        points = "" if self.inside is None else f"{int(self.inside.sum())} points, "
+        points = "" if self.inside is None else f"{pluralize(int(self.inside.sum()), 'point')}, "
         return f"{points}relaxation={self.relaxation:g}"
 
 

@@ -141,7 +141,7 @@ def make_plan(
 
     left_out = sum(not p.problem and not p.moves for n, p in parameters.items() if n not in inputs)
     others = "1 other differentiable parameter is" if left_out == 1 else f"{left_out} others are"
-    reasons[f"{len(inputs)} inputs tracked"] = f"{others} not tracked"
+    reasons[f"{pluralize(len(inputs), 'input')} tracked"] = f"{others} not tracked"
     routes = derivative_routes(parameters, values, inputs)
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
     if differences:
@@ -156,7 +156,8 @@ def make_plan(
                 "two or three more renders each, see below"
             )
         if count := sum(math.prod(parameters[name].shape) for name in poses):
-            reasons[f"{count} numbers of {pluralize(len(poses), 'pose')} by differences of renders"] = (
+            numbers = pluralize(count, "number")
+            reasons[f"{numbers} of {pluralize(len(poses), 'pose')} by differences of renders"] = (
                 "two more renders for each number"
             )
     if count := len(low_roughness_names(routes)):

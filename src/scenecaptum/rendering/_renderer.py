@@ -47,6 +47,7 @@ from ..scene import (
     select,
     touching,
 )
+from ..visualization import pluralize
 from ._autograd import RenderCall, render
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
@@ -1083,7 +1084,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     def extra_repr(self) -> str:
         """Show the scene, the number of inputs, the resolution and the samples per pixel."""
         width, height = self.resolution
-        return f"{self.name!r}, {len(self._names)} inputs, {width}×{height}, {self.spp} spp"
+        return f"{self.name!r}, {pluralize(len(self._names), 'input')}, {width}×{height}, {self.spp} spp"
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         raise SceneCaptumError(

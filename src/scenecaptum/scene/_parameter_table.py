@@ -53,8 +53,9 @@ class Parameter:
     role
         The Mitsuba property that it is used for: ``"diffuse_reflectance"``, ``"eta"``, …
     shape
-        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture. Where Mitsuba
-        reads a colour as one number, such as an opacity, ``()`` for a colour and ``(H, W, 1)`` for a texture.
+        Shape of its tensor: ``()`` for a scalar, ``(3,)`` for a colour, ``(H, W, C)`` for a texture, ``(4, 4)``
+        for a transformation. Where Mitsuba reads a colour as one number, such as an opacity, ``()`` for a colour
+        and ``(H, W, 1)`` for a texture.
     bounds
         The physically meaningful interval.
     range
@@ -112,7 +113,7 @@ class Parameter:
     @property
     def is_texture(self) -> bool:
         """Whether its value varies over a surface."""
-        return len(self.shape) in (2, 3) and self.is_of_surface
+        return len(self.shape) in (2, 3) and self.is_of_surface and not self.name.endswith(".to_uv")
 
     @property
     def status(self) -> str:

@@ -157,7 +157,7 @@ def _problem(
             "its texels are stored in 8 bits and have no derivatives; load the scene from its file or dict, or "
             'give the bitmap format="variant"'
         )
-    if "Transform" in type_name:
+    if _is_transform(value):
         return "it is a transformation, whose entries are not differentiated"
     if kind == "emitters" and role in EMITTER_POSES:
         return "it positions a light; move the light instead, such as by NAME.pose.translation"
@@ -249,12 +249,18 @@ def _shape(value: Any, mesh_size: int | None) -> tuple[int, ...]:
 
     A mesh attribute of ``mesh_size`` vertices or faces, which Mitsuba stores flat, gets ``(mesh_size, C)``.
     """
+    if _is_transform(value):
+        return len(value.matrix), len(value.matrix)
     if not hasattr(value, "shape"):
         return ()
     shape = tuple(int(n) for n in value.shape)
     if mesh_size:
         return mesh_size, shape[0] // mesh_size
     return shape if "Tensor" in type(value).__name__ or shape[-1:] != (1,) else shape[:-1]
+
+
+def _is_transform(value: Any) -> bool:
+    return "Transform" in type(value).__name__
 
 
 def _unique_labels(labels: Mapping[str, str]) -> dict[str, str]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-from types import TracebackType
 
-from tqdm import tqdm
+from ..estimation import ProgressBar
+from ..visualization import pluralize
 
 LINES = 10  # in a log file, after the first one
 
 
-class Progress:
+class Progress(ProgressBar):
     """Counts finished cells on stderr: a bar with the time left, or lines if stderr is not a terminal.
 
     The lines are one at the start, and one for each tenth of the cells.
@@ -21,18 +21,10 @@ class Progress:
         self._total, self._finished = total, finished
         self._began = time.monotonic()
         self._logs = show and not sys.stderr.isatty()
-        self._bar = tqdm(total=total, initial=finished, disable=not show or self._logs, unit="cell")
+        super().__init__(total=total, initial=finished, disable=not show or self._logs, unit="cell")
         if self._logs:
             before = f", {finished} of them finished before" if finished else ""
-            self._write(f"study: {total} cells{before}")
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.close()
+            self._write(f"study: {pluralize(total, 'cell')}{before}")
 
     def update(self, failed: int) -> None:
         """Count a cell; ``failed`` is how many have failed so far."""
@@ -42,7 +34,7 @@ class Progress:
         tenths = [LINES * count // self._total for count in (self._finished, self._finished + 1)]
         self._finished += 1
         if self._logs and tenths[0] < tenths[1]:
-            count = f"study: {self._finished} of {self._total} cells"
+            count = f"study: {self._finished} of {pluralize(self._total, 'cell')}"
             seconds = f"{time.monotonic() - self._began:.0f} s"
             self._write(", ".join(filter(None, [count, note, seconds])))
 

@@ -50,6 +50,7 @@ def plot_heatmap(
     ax: Axes | None = None,
     signed: bool = False,
     norm: MapNorm = DEFAULT_NORM,
+    denoised: bool = False,
     figsize: tuple[float, float] = DEFAULT_SIZE,
     **options: Any,
 ) -> Figure:
@@ -65,6 +66,8 @@ def plot_heatmap(
         Show signed values on a diverging colour scale, in the colours of the bars, instead of magnitudes.
     norm
         ``"sqrt"``, ``"linear"`` or ``"log"``, as for ``projection.heatmap``.
+    denoised
+        Show the render denoised, for the eye, even if the metric was evaluated on the render itself.
     figsize
         Largest width of the new figure and largest height of its images, in inches.
     options
@@ -80,11 +83,12 @@ def plot_heatmap(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2, figsize))
     bar = None
     if ax is None:
-        render = _displayed_render(attribution)
+        denoised = denoised or _is_denoised(attribution)
+        render = _displayed_render(attribution, denoised=denoised)
         unclear = _unclear_note(attribution, options) if signed else ""
         left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"), unclear)
         left.imshow(render)
-        left.set_title("render, denoised" if _is_denoised(attribution) else "render", fontsize=TEXT)
+        left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
     draw_arrows(ax, attribution)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
@@ -138,7 +142,7 @@ def draw_overlay(
     ax: Axes, attribution: Attribution, heat: torch.Tensor, *, signed: bool, alpha: float = OPACITY
 ) -> AxesImage:
     """Draw a map over the grey render, with the arrows of objects that could move; return the map."""
-    grey = _displayed_render(attribution).mean(-1)
+    grey = _displayed_render(attribution, denoised=_is_denoised(attribution)).mean(-1)
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
     draw_arrows(ax, attribution)
@@ -198,18 +202,22 @@ def shown_render(attribution: Attribution) -> torch.Tensor:
     SceneCaptumError
         If the attribution has no image.
     """
+    return _render(attribution, denoised=_is_denoised(attribution))
+
+
+def _render(attribution: Attribution, *, denoised: bool) -> torch.Tensor:
     if attribution.image is None:
         raise SceneCaptumError("This attribution has no picture, which the figure of its heatmap needs.")
-    return denoise(attribution.image) if _is_denoised(attribution) else attribution.image
+    return denoise(attribution.image) if denoised else attribution.image
 
 
 def _is_denoised(attribution: Attribution) -> bool:
     return bool((attribution.info.get("picture") or {}).get("denoised"))
 
 
-def _displayed_render(attribution: Attribution) -> np.ndarray[Any, Any]:
+def _displayed_render(attribution: Attribution, *, denoised: bool) -> np.ndarray[Any, Any]:
     """Return the tone-mapped render."""
-    pixels: np.ndarray[Any, Any] = display_image(shown_render(attribution)).numpy(force=True)
+    pixels: np.ndarray[Any, Any] = display_image(_render(attribution, denoised=denoised)).numpy(force=True)
     return pixels
 
 

@@ -7,6 +7,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from functools import partial
+from itertools import zip_longest
 from typing import NamedTuple
 
 # Beyond these limits numbers are in scientific notation.
@@ -188,6 +189,13 @@ def shorten(names: Sequence[str], width: int) -> list[str]:
             cut_elsewhere(name) if short in ambiguous else short
             for name, short in zip(names, shortened, strict=True)
         ]
+    # They differ only in the middle, farther from both ends than the width.
+    for ambiguous_name in _ambiguous(names, shortened):
+        alike = [index for index, short in enumerate(shortened) if short == ambiguous_name]
+        letters = enumerate(zip_longest(*(names[index] for index in alike)))
+        start = next(place for place, ones in letters if len(set(ones)) > 1)
+        for index in alike:
+            shortened[index] = _cut_around(names[index], start, width)
     return shortened
 
 
@@ -239,6 +247,12 @@ def cut(name: str, width: int, tail: int) -> str:
         return name
     end = _prefix(name[::-1], min(tail, width - 1))[::-1]
     return f"{_prefix(name, width - 1 - tail)}…{end}" if width > 0 else ""
+
+
+def _cut_around(name: str, start: int, width: int) -> str:
+    """Cut the middle and the end of a name, so that what follows ``start`` remains."""
+    head = _prefix(name, width // 3)
+    return cut(f"{head}…{name[start:]}", width, 0)
 
 
 def _prefix(text: str, width: int) -> str:

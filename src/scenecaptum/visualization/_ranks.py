@@ -175,7 +175,7 @@ def _draw_headers(ax: Axes, a: Attribution, b: Attribution, tau: float) -> None:
     from matplotlib.lines import Line2D
 
     style: dict[str, Any] = {"xycoords": "axes fraction", "va": "bottom", "fontweight": "bold"}
-    left, right = (shorten([name], _NAME_WIDTH)[0] for name in _names(a, b))
+    left, right = shorten(_names(a, b), _NAME_WIDTH)
     write_at(ax, left, (0, 1), (-7, 3), ha="right", **style)
     write_at(ax, right, (1, 1), (7, 3), ha="left", **style)
     entries = [

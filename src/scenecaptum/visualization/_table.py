@@ -150,7 +150,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
     ]
     channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
-    notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale)}"]
+    notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")

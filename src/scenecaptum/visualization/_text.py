@@ -11,6 +11,7 @@ from ._layout import group_by_text
 from ._numbers import format_with_error, rounded, shorten, with_error
 
 _MAX_CAUTIONS = 5
+_OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
 _LARGE_ERROR = 0.3  # of the norm of all effects
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 _MANY_TIMES = 8  # the roughness: the length of a range over which a tangent holds no longer
@@ -18,8 +19,8 @@ _MAP_NDIM = 3
 _NOTABLE = 0.1  # of the largest effect
 _NAMED = 3
 _ROUNDING = 1e-6  # relative to the explained difference
-METRIC_WIDTH = 36  # maximum length of a metric's name on an axis
-FINDING_WIDTH = 60  # and of a name in a figure's title
+FINDING_WIDTH = 60  # maximum length of a name in a figure's title
+METRIC_WIDTH = FINDING_WIDTH  # and of a metric's on an axis, which keeps both classes of a difference
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
@@ -133,7 +134,7 @@ def sampling_notes(attribution: Attribution) -> list[str]:
     picture = attribution.info.get("picture") or {}
     if picture.get("denoised"):
         notes.append("denoised image" + ("" if picture.get("spp") is None else f" of {picture['spp']} spp"))
-    notes += noise_notes(attribution) + _advice(attribution)
+    notes += noise_notes(attribution) + _gradient_notes(attribution) + _advice(attribution)
     if attribution.covariance is None:
         notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
     return notes
@@ -157,6 +158,12 @@ def jump_notes(attribution: Attribution) -> list[str]:
         for name, reason in info.get("left_out_notes", {}).items()
     ]
     return jumps + parts
+
+
+def _gradient_notes(attribution: Attribution) -> list[str]:
+    """Return what the metric says of its gradient, for a method that uses one."""
+    note = attribution.info.get("gradient_note")
+    return [str(note)] if note and attribution.kind not in _OF_DIFFERENCES else []
 
 
 def _advice(attribution: Attribution) -> list[str]:
