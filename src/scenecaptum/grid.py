@@ -41,7 +41,8 @@ class SensorGrid:
     margin
         Distance of the points from the outline of the floor, 0.5 m in EN 12464-1. At most a quarter of the room.
     floor
-        The name of the shape that is the floor; by default the lowest of the large level ones.
+        The name of the shape that is the floor, or of the material of its pieces; by default the lowest of the
+        large level shapes.
     rectangle
         ``((x0, y0), (x1, y1))``, corners in the plane of the floor, in place of its outline.
     surface
@@ -231,8 +232,8 @@ class GridPoints:
     plan
         ``(H, W, 2)`` float64: the coordinates of the points in the plan of the room, across and up.
     floor, sides, above
-        The shape of the floor that the points are above, its size across and up, and their height above it; empty
-        of other points.
+        The shape or the material of the floor that the points are above, its size across and up, and their height
+        above it; empty of other points.
     """
 
     positions: torch.Tensor = field(repr=False)

@@ -13,7 +13,7 @@ import results
 
 from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
 from scenecaptum.attr import Definition, Explanation
-from scenecaptum.cli import _daylight
+from scenecaptum.cli import _compare, _daylight
 from scenecaptum.cli._explain import explanation_numbers
 
 TINY = "classroom --spp 1 --spacing 4"
@@ -42,12 +42,22 @@ REFUSED = {
         "daylight classroom --weather bad.epw",
         "bad.epw is not an EPW file: line 1 must be LOCATION",
     ),
-    "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor_shape'"),
+    "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor', 'floor_shape'"),
     "no floor of this name": (f"daylight {TINY} --floor nowhere", "The largest level shapes are"),
-    "too many points": (
-        "daylight classroom --spacing 0.05",
-        "points on floor_shape",
-    ),
+    "no floor of this material": (f"daylight {TINY} --floor pane", "'pane' has no level part"),
+    **{
+        f"too many points of {command}": (
+            f"{command} --metric sda --spacing 0.05",
+            "too many, more than 2000. Choose a larger --spacing",
+        )
+        for command in (
+            "daylight classroom",
+            "explain classroom",
+            "compare classroom --set pane.eta=1.6",
+            "attribute classroom",
+            "validate classroom",
+        )
+    },
     "too high": (f"daylight {TINY} --height 3.5", "No point of the sensor grid is in the room"),
     "no sky": ("daylight cornell-box --spacing 2 --height 0.1", 'in XML <emitter type="constant"/>'),
     "heatmap": (
@@ -96,7 +106,9 @@ def test_the_files_of_a_grid_are_numbers_bars_and_a_plan(
         "plan.png",
         "report.html",
     }
-    assert '"names":[]' in (tmp_path / "report.html").read_text()
+    report = (tmp_path / "report.html").read_text()
+    assert '"names":[]' in report
+    assert re.search(r'"sensor grid":"\d+ points on \w+, ', report)
     assert cli.main(["compare", f"{tmp_path}/attribution.npz", f"{tmp_path}/attribution.npz"]) == 2
     assert "compare the scenes, not the files" in capsys.readouterr().err
 
@@ -139,9 +151,21 @@ def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_chang
     assert shown["comparison"]["change"] == pytest.approx(values[1] - values[0])
     assert printed["change"]["definition"]["value"] == pytest.approx(values[1] - values[0])
     assert any("relaxed metric" in note and "changes by" in note for note in shown["comparison"]["notes"])
-    assert all(
-        any("only serves the derivatives" in one for one in card["premises"]) for card in shown["results"]
-    )
+    for card in shown["results"]:
+        assert any(one.startswith("caution: blinds are not modeled") for one in card["sampling"])
+        for part in ("only serves the derivatives", "weather: made-up", "grid: "):
+            assert any(part in one for one in card["premises"]), part
+
+
+def test_what_one_result_alone_was_computed_for_begins_with_its_title() -> None:
+    both, one = "weather: made-up", results.make()
+    sides = [
+        _compare.Side(premises=(both, "grid: 9 points")),
+        _compare.Side(premises=("caution: dark", both)),
+    ]
+    found = _compare.Compared(one, one, ["A", "B"], 0.0, None, sides)
+    assert found.premises() == [both, "A: grid: 9 points", "B: caution: dark"]
+    assert [shown.notes()[-2:] for shown in found.shown()] == [list(side.premises) for side in sides]
 
 
 def page(folder: Path) -> str:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum.explanation import half_sample_error
+from scenecaptum import daylight, metrics
+from scenecaptum.explanation import definition_of, difference_by_definition
+from scenecaptum.explanation._definition import half_sample_error
 
 RUNS = 200
 
@@ -38,3 +42,20 @@ def test_of_a_share_of_points_it_is_the_spread_between_runs_and_no_less(shared: 
     ]
     error = (sum(squares) / RUNS) ** 0.5
     assert 0.85 < error / values.std().item() < 1.4
+
+
+def test_the_noise_of_both_values_cancels_in_their_difference():
+    """Of renders with common random numbers: without, the error of the change would be that of both values."""
+    patches = daylight.SkyPatches.tregenza()
+    sky = daylight.SkyMatrix.from_weather(daylight.synthetic_weather(), patches)
+    metric = daylight.DaylightAutonomy(sky)
+    generator = torch.Generator().manual_seed(shifted())
+    noise = torch.rand(8, 12, 1, 1, generator=generator)
+    coefficients = torch.linspace(0.001, 0.02, 12)[:, None, None].expand(12, patches.count, 3)
+    before, after = (scale * (0.5 + noise) * coefficients for scale in (1.0, 1.1))
+    change, error = difference_by_definition(metric, before, after)
+    values = [definition_of(metric, images) for images in (before, after)]
+    assert change == pytest.approx(values[1].value - values[0].value)
+    assert 0 < error < 0.5 * math.hypot(*(value.error for value in values))
+    assert difference_by_definition(metric, before, before) == (0, 0)
+    assert difference_by_definition(metrics.MeanLuminance(), before, after) is None

@@ -63,6 +63,12 @@ def test_a_result_explains_itself_without_rendering(office: SceneRenderer):
     assert "rendered again" not in text
 
 
+def test_the_seed_that_was_given_stands_beside_the_one_of_the_attribution(explained):
+    info = explained.attribution.info
+    assert info["explanation_seed"] == shifted()
+    assert info["seed"] != info["explanation_seed"]
+
+
 def test_glare_sources_are_named_by_their_objects(office: SceneRenderer):
     found = explain(office, metrics.UnifiedGlareRating(office.camera), changes=0, spp=64, seed=shifted())
     assert sum(source.share for source in found.sources) <= 1 + 1e-6

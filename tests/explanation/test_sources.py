@@ -8,7 +8,7 @@ import torch
 
 from scenecaptum import Camera, metrics
 from scenecaptum.estimation import TargetedMetric
-from scenecaptum.explanation._sources import find_sources
+from scenecaptum.explanation._sources import _place, find_sources
 from scenecaptum.projection import SurfaceMap
 
 SIZE = 16
@@ -70,3 +70,26 @@ def test_the_light_in_the_pixels_of_an_edge_is_that_of_the_sky(found):
 def test_the_names_do_not_depend_on_what_is_selected(found):
     assert "window_pane" not in found
     assert "diffuser" not in found
+
+
+@pytest.mark.parametrize(
+    ("windows", "place"),
+    [
+        ([(8, 40)], "left"),
+        ([(8, 18), (19, 30)], "left"),  # a thin bar
+        ([(4, 24), (70, 95)], "right and left"),
+        ([(4, 24), (38, 58), (72, 92)], "left, centre and right"),
+        ([(4, 24), (90, 92)], "left"),  # a glimpse
+    ],
+)
+def test_the_place_is_that_of_each_of_the_separate_parts(windows: list[tuple[int, int]], place: str) -> None:
+    shown = np.zeros((54, 96))
+    for number, (start, stop) in enumerate(windows):
+        shown[22:32, start:stop] = 1 - 0.01 * number
+    assert _place(shown.ravel(), np.arange(shown.size), shown.shape) == place
+
+
+def test_an_object_of_many_parts_is_in_several_places() -> None:
+    shown = np.zeros((54, 96))
+    shown[4:12, 4:20] = shown[4:12, 76:92] = shown[42:50, 4:20] = shown[42:50, 76:92] = 1.0
+    assert _place(shown.ravel(), np.arange(shown.size), shown.shape) == "several places"

@@ -127,6 +127,29 @@ def test_points_are_spread_over_the_floor(mi: Any) -> None:
     assert grid.normals.unique(dim=0).tolist() == [[0, 0, 1]] or (grid.normals[..., 2] == 1).all()
 
 
+def test_a_floor_in_pieces_is_named_by_its_material(mi: Any) -> None:
+    place, parquet = mi.ScalarTransform4f, {"type": "ref", "id": "parquet"}
+    scene = {**room(parquet=grey(0.5)), **walls(), "lamp": box(mi)["lamp"]}
+    del scene["floor"]
+    pieces = {
+        "west": place().translate([-1, 0, 0]).scale([1, 1.5, 1]),
+        "east": place().translate([1.2, 0, 0]).scale([0.8, 1.5, 1]),
+        "shelf": place().translate([1.5, 0, 1]).scale([0.4, 0.4, 1]),
+    }
+    for name, to_world in pieces.items():
+        scene[name] = {"type": "rectangle", "to_world": to_world, "bsdf": parquet}
+    found = SceneRenderer(scene, "emitters", sensor=SensorGrid(floor="parquet", spacing=0.5, margin=0.1)).grid
+    assert (found.floor, found.sides) == ("parquet", pytest.approx((4.0, 3.0)))
+    across = found.plan[..., 0]
+    assert across[found.inside].min() < -1.5
+    assert across[found.inside].max() > 1.5
+    in_gap = (across > 0) & (across < 0.4)
+    assert in_gap.any()
+    assert not found.inside[in_gap].any()
+    west = SceneRenderer(scene, "emitters", sensor=SensorGrid(floor="west", spacing=0.5, margin=0.1)).grid
+    assert (west.floor, west.plan[..., 0].max() < 0) == ("west", True)
+
+
 def test_the_default_spacing_is_that_of_the_standard(mi: Any) -> None:
     """EN 12464-1: 0.2 · 5^log10(d), of the longer side, or of the shorter one of a long room."""
     assert en_12464_spacing(1.0, 1.0) == pytest.approx(0.2)
@@ -251,6 +274,7 @@ BAD_GRIDS = {
     "too high": (lambda: SensorGrid(height=7.0), "No point of the sensor grid is in the room"),
     "no floor": (lambda: SensorGrid(floor="flor"), "Did you mean 'floor'"),
     "a wall as floor": (lambda: SensorGrid(floor="left"), "'left' has no level part"),
+    "another floor": (lambda: SensorGrid(floor="nowhere"), "no shape and no material of this name"),
     "no surface": (lambda: SensorGrid(surface="desk"), "no shape of this name"),
     "facing away": (lambda: SensorGrid(surface="floor", facing=(0, 0, -1)), "no part of it faces"),
     "no area": (lambda: SensorGrid(rectangle=((0, 0), (0, 1))), "has no area"),

@@ -21,10 +21,11 @@ from toy import ToyRenderer
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient
 from scenecaptum.attr import Change, Definition, Explanation, Source
+from scenecaptum.cli._plan import REPORT_WIDTH
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
 from scenecaptum.report import Comparison, write_report
-from scenecaptum.visualization import plot_heatmap
+from scenecaptum.visualization import plot_heatmap, plot_plan
 
 UGR = {
     "name": "unified glare rating",
@@ -170,6 +171,54 @@ def test_a_picture_too_noisy_for_the_metric_is_said(browser, tmp_path):
     page = Page(browser, written(tmp_path, noisy))
     assert "! the noise alone raises it <b>" in page.page.locator("#cautions").inner_text()
     assert box_of(page, "#cautions")[1] <= box_of(page, "#picture")[0]
+    page.context.close()
+
+
+def test_the_cautions_of_a_comparison_are_those_of_both_with_their_titles(browser, tmp_path):
+    noisy = noted(ranged(), picture={"spp": 4, "caution": "the noise alone raises it"})
+    said = Explanation(ranged(), premises=("caution: DGP is valid from 0.2",), count=0)
+    for before, cautions in (
+        (said, "! B: the noise alone raises it"),
+        (noisy, "! the noise alone raises it"),
+    ):
+        path = written(tmp_path, before, noisy, titles=["as it is", "B"], comparison=Comparison(0.1))
+        page = Page(browser, path)
+        assert page.page.locator("#cautions").inner_text() == cautions
+        shown = page.page.locator(".result").first.inner_text()
+        assert ("caution: DGP is valid from 0.2" in shown) == (before is said)
+        page.context.close()
+
+
+def test_the_settings_of_a_sensor_grid_and_of_an_explanation_are_those_that_were_given(browser, tmp_path):
+    info = {"resolution": [9, 7], "explanation_seed": 3}
+    bare = noted(ranged(surfaces=None), **info)
+    described = noted(bare, **{"sensor grid": "63 points on floor, 7 × 5 m, 0.8 m high, 0.78 m apart"})
+    path = written(
+        tmp_path,
+        bare,
+        described,
+        noted(ranged(), **info),
+        titles=["A", "B", "C"],
+        plans=[Figure(), Figure(), None],
+    )
+    page = Page(browser, path)
+    for title, grid in (("A", "9 × 7 sensor points"), ("B", described.info["sensor grid"])):
+        page.page.get_by_text(title, exact=True).click()
+        assert " ".join(page.page.locator("#facts").inner_text().split()).count(f"sensor grid {grid}") == 1
+        assert page.page.locator("#facts .seed dd").inner_text() == "3"
+        assert page.page.locator("#facts").get_by_text("resolution").count() == 0
+    page.page.get_by_text("C", exact=True).click()
+    assert page.page.locator("#facts .resolution dd").inner_text() == "9 × 7"
+    page.context.close()
+
+
+def test_a_plan_of_the_command_line_can_be_read_on_a_phone(browser, tmp_path):
+    points = torch.stack(torch.meshgrid(torch.arange(7.0), torch.arange(9.0), indexing="xy"), -1)
+    figure = plot_plan(torch.rand(9, 7), points, width=REPORT_WIDTH)
+    page = Page(browser, written(tmp_path, ranged(surfaces=None), plans=[figure]), **PHONE)
+    shown = page.page.locator("#plan").bounding_box()
+    size = figure.axes[0].xaxis.label.get_size() / 72 * shown["width"] / figure.get_size_inches()[0]
+    assert size > 9, "pixels of the page"
     page.context.close()
 
 

@@ -269,7 +269,7 @@ BLENDER = """<scene version="3.0.0">
 
 BLENDERS_LABELS = {
     "mat-Wall White.001.brdf_0.reflectance.value": "mat-Wall White.001: reflectance",
-    "mat-Wall White.002.alpha": "mat-Wall White.002: alpha",
+    "mat-Wall White.002.alpha": "mat-Wall White.002: roughness",
     "mat-Wall White.002.diffuse_reflectance.value": "mat-Wall White.002: diffuse reflectance",
     "Area.004.emitter.radiance.value": "Area.004: radiance",
     "World.005.radiance.value": "World.005: radiance",

@@ -37,14 +37,45 @@ def test_contours_are_at_the_levels_within_the_range():
 
 def test_points_outside_are_blank_and_do_not_count():
     inside = torch.ones(5, 7, dtype=torch.bool)
-    inside[:, 6] = False
+    inside[:4, 6] = False
     values = ramp().clone()
-    values[:, 6] = float("nan")
+    values[:4, 6] = float("nan")
     figure = plot_plan(values, plan(5, 7), inside)
     mesh = figure.axes[0].collections[0]
-    assert mesh.get_array().mask.reshape(5, 7)[:, 6].all()
-    assert mesh.get_array().count() == 30
-    assert mesh.get_clim() == (100, 600)
+    assert mesh.get_array().mask.reshape(5, 7)[:4, 6].all()
+    assert mesh.get_array().count() == 31
+
+
+def test_outer_rows_and_columns_without_a_point_are_left_out():
+    inside = torch.zeros(5, 7, dtype=torch.bool)
+    inside[1:, 2:5] = True
+    inside[2, 3] = False
+    figure = plot_plan(ramp(), plan(5, 7), inside)
+    ax = figure.axes[0]
+    assert ax.get_xlim() == (0.75, 2.25)
+    assert ax.get_ylim() == (-0.25, 1.75)
+    assert ax.collections[0].get_array().count() == 11
+    assert ax.collections[0].get_clim() == (300, 500)
+
+
+def test_long_texts_are_inside_a_narrow_plan():
+    title = "Occupied hours with at least 300 lx in %\nfrom 50 % on (line), a point counts for sDA300/50%"
+    figure = plot_plan(ramp(), plan(5, 7), width=4.2, title=title, label=title.partition("\n")[0].lower())
+    figure.canvas.draw()
+    (width, height), (ax, bar) = figure.bbox.size, figure.axes
+    for text in (ax._left_title, bar.yaxis.label):
+        box = text.get_window_extent()
+        assert box.x0 >= 0
+        assert box.y0 >= 0
+        assert box.x1 <= width
+        assert box.y1 <= height
+
+
+def test_a_narrow_plan_has_text_of_the_same_size():
+    wide, narrow = (plot_plan(ramp(), plan(5, 7), width=width) for width in (7.2, 4.2))
+    assert narrow.get_size_inches()[0] == pytest.approx(4.2)
+    sizes = [figure.axes[0].xaxis.label.get_size() for figure in (wide, narrow)]
+    assert sizes[0] == sizes[1]
 
 
 def test_axes_are_in_metres_with_equal_aspect():

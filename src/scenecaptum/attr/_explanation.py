@@ -44,7 +44,7 @@ class Source:
     name
         The object.
     place
-        The centre of its part in the picture: ``"top left"``.
+        The centre of its part in the picture, ``"top left"``, or of its parts: ``"left and right"``.
     share, share_error
         Its share of the whole picture's part in the metric, from 0 to 1, and the standard error: of glare sources
         the share of the sum of ``L² ω / P²``, of other metrics that of ``|∂M/∂I · I|``.
@@ -74,8 +74,9 @@ class Change:
     measured, measured_error
         The effect of rendering the changed scene, with the same random numbers, and its standard error; None if it
         was not rendered.
-    exact
-        The metric of the changed scene by its published definition, if that differs from the metric.
+    exact, exact_error
+        The metric of the changed scene by its published definition, if that differs from the metric, and the
+        standard error of its difference from that of the scene as it is, with the same random numbers.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Change:
     measured: float | None = None
     measured_error: float | None = None
     exact: float | None = None
+    exact_error: float | None = None
 
     @property
     def is_clear(self) -> bool:
@@ -382,10 +384,17 @@ class Explanation:
                 for number in (value, value + change.measured)
             )
             relaxed = ""
+        by = self._exact_difference(change)
         measured = _signed(change.measured, change.measured_error)
         bent = "" if change.is_linear else ", not linear"
         effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
-        return f"{what} {before} → {self._in_unit(after)} {effects}"
+        return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
+
+    def _exact_difference(self, change: Change) -> str:
+        """Return ``", by +8.0 ± 2.1 %"``, of values by the definition; empty if the error is not known."""
+        if self.definition is None or change.exact is None or not change.exact_error:
+            return ""
+        return f", by {self._in_unit(_signed(change.exact - self.definition.value, change.exact_error))}"
 
     def _goal_lines(self) -> list[str]:
         if self.goal is None:

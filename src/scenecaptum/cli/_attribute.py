@@ -21,7 +21,7 @@ from ._files import print_files, writable, write_files
 from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._metrics import DEFAULT, add_metric, find_metrics
 from ._plan import by_definition, plan_format, plan_of
-from ._points import needed_coefficients, premises
+from ._points import check_grid, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
 
@@ -132,6 +132,7 @@ def attribute(options: argparse.Namespace) -> int:
     method, arguments = METHODS[options.method].create, _method_arguments(options)
     with writable(options.out):
         renderer = _arguments.make_renderer(options, coefficients)
+        check_grid(renderer)
         if not renderer.shows_a_view:
             check_formats(options.formats or ())
         # All of them before the first run, which may take long.
@@ -144,9 +145,11 @@ def attribute(options: argparse.Namespace) -> int:
                     designed_values(options, renderer), **arguments
                 )
             except AttributionInterrupted as interruption:
-                _write_result(interruption.partial, folder, options, renderer, metric)
-                _write_report([*finished, (interruption.partial, metric)], options, renderer)
+                partial = with_settings(interruption.partial, renderer, options)
+                _write_result(partial, folder, options, renderer, metric)
+                _write_report([*finished, (partial, metric)], options, renderer)
                 raise
+            attribution = with_settings(attribution, renderer, options)
             _write_result(attribution, folder, options, renderer, metric)
             finished.append((attribution, metric))
             # After every metric, so that an interruption of the next one leaves a report.

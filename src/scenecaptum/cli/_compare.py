@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from ..daylight import DaylightMetric
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
-from ..explanation import definition_of, half_sample_error
+from ..explanation import definition_of, difference_by_definition, photometric_premises
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
 from ..validation import Scenes, denoise_of
@@ -85,7 +84,7 @@ class Compared:
     """Two results of one metric, their titles, and the change of the metric with its standard error.
 
     ``measured`` says how, where the change is not the difference of the two values. Of metrics of daylight, also
-    the change by the definition and its error, both values by the definition, under which light, and the plans.
+    the change by the definition and its error. ``sides`` have what belongs to each result.
     """
 
     before: SceneAttribution
@@ -98,8 +97,18 @@ class Compared:
     by_definition: tuple[float, float | None] | None = None
 
     def notes(self) -> list[str]:
-        """Return what belongs to the change: how it was measured, that of the relaxed metric, and the light."""
-        return [*filter(None, (self.measured, self.relaxed())), *self.sides[0].premises]
+        """Return what belongs to the change: how it was measured, and that of the relaxed metric."""
+        return list(filter(None, (self.measured, self.relaxed())))
+
+    def premises(self) -> list[str]:
+        """Return what both results were computed for; what holds for one of them alone begins with its title."""
+        first, second = (side.premises for side in self.sides)
+        return [
+            text if text in first and text in second else f"{title}: {text}"
+            for title, own, others in zip(self.titles, (first, second), ((), first), strict=True)
+            for text in own
+            if text not in others
+        ]
 
     def relaxed(self) -> str:
         """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
@@ -108,10 +117,10 @@ class Compared:
         unit = metric_unit(self.before)
         return f"{RELAXED}: it changes by {signed_with_error(self.change, self.error)} {unit}."
 
-    def shown(self) -> list[Explanation | SceneAttribution]:
-        """Return both results for the page, with their values by the definition if there are such."""
+    def shown(self) -> list[Explanation]:
+        """Return both results for the page, with what belongs to their values."""
         return [
-            one if side.definition is None else Explanation(one, definition=side.definition, count=0)
+            Explanation(one, definition=side.definition, premises=tuple(side.premises), count=0)
             for one, side in zip((self.before, self.after), self.sides, strict=True)
         ]
 
@@ -129,7 +138,7 @@ class ChangedEffect(NamedTuple):
 
 @dataclass(frozen=True)
 class Side:
-    """What belongs to one of the two results: its plan, its value by the definition, and under which light."""
+    """What belongs to one of the two results: its plan, its value by the definition, and its premises."""
 
     plan: Figure | None = None
     definition: Definition | None = None
@@ -201,19 +210,28 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     change = mean_and_error(scenes.measure_in(images, design or {}) - scenes.unmodified)
     definitions = [definition_of(metric, one) for one in (scenes.images, images)]
     sides = [
-        Side(plan_of(one, renderer, metric), definition, premises(metric, options) + grid_premises(renderer))
+        _side(one, definition, renderer, metric, options)
         for one, definition in zip((before, after), definitions, strict=True)
     ]
-    found = Compared(before, after, titles, *change, sides, MEASURED)
-    if not isinstance(metric, DaylightMetric) or definitions[0] is None:
-        return found
+    exact = difference_by_definition(metric, scenes.images, images)
+    measured = MEASURED if exact is None else BY_DEFINITION
+    return Compared(before, after, titles, *change, sides, measured, exact)
 
-    def by_definition(kept: torch.Tensor) -> float:
-        first, second = (metric.hard(one[kept].mean(0)).item() for one in (scenes.images, images))
-        return second - first
 
-    exact = by_definition(torch.arange(len(images))), half_sample_error(by_definition, len(images))
-    return dataclasses.replace(found, measured=BY_DEFINITION, by_definition=exact)
+def _side(
+    attribution: SceneAttribution,
+    definition: Definition | None,
+    renderer: SceneRenderer,
+    metric: Metric,
+    options: argparse.Namespace,
+) -> Side:
+    assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
+    of_picture = photometric_premises(metric, attribution.image, attribution.metric_value)
+    return Side(
+        plan_of(attribution, renderer, metric),
+        definition,
+        of_picture + premises(metric, options) + grid_premises(renderer),
+    )
 
 
 def _compare_scenes(options: argparse.Namespace) -> Compared:
@@ -258,9 +276,7 @@ def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[Scen
             renderer, metric, options.target, seed=options.seed, spp=None, replicates=DEFAULT_REPLICATES
         )
         definition = definition_of(metric, scenes.images)
-    side = Side(
-        plan_of(result, renderer, metric), definition, premises(metric, options) + grid_premises(renderer)
-    )
+    side = _side(result, definition, renderer, metric, options)
     return with_settings(result, renderer, options), side
 
 
@@ -289,7 +305,7 @@ def _lines(found: Compared) -> list[str]:
         f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
         *_note(found.measured),
         *_note(found.relaxed()),
-        *found.sides[0].premises,
+        *found.premises(),
     ]
     moved = [
         (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))

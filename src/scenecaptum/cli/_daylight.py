@@ -21,7 +21,7 @@ from ._design import add_design, designed_values
 from ._explain import REPORT, add_changes, explained, explanation_formats, explanation_numbers
 from ._files import print_files, writable, write_files
 from ._metrics import create_of_daylight
-from ._plan import draw_plan
+from ._plan import plan_of
 from ._points import add_points, check_grid, check_options, coefficients_of, read_weather
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _explain(
     renderer: SceneRenderer, metric: Metric, folder: Path, options: argparse.Namespace
-) -> tuple[Explanation, Figure]:
+) -> tuple[Explanation, Figure | None]:
     """Explain a metric, write its files and print it; return it with its plan."""
     said = explained(renderer, metric, _values(renderer, options), options)
     formats = explanation_formats(renderer, metric)
@@ -105,7 +105,7 @@ def _explain(
         print(said)
         print_files(folder, formats)
         print()
-    return said, draw_plan(said.attribution, renderer, metric)
+    return said, plan_of(said.attribution, renderer, metric)
 
 
 def _values(renderer: SceneRenderer, options: argparse.Namespace) -> Mapping[str, torch.Tensor]:

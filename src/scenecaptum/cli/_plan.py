@@ -18,6 +18,11 @@ from ._files import OutputFormat, Result, figure_writer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FILE_WIDTH, REPORT_WIDTH = (
+    7.2,
+    4.2,
+)  # inches of a plan: in a page it is narrow, so that a phone shows its text large
+
 
 def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
     """Return the value of a relaxed metric by its definition, as ``"60.3 %"``; else nothing."""
@@ -26,7 +31,9 @@ def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
     return "" if exact is None else f"{plain_number(exact.value, unit)} {unit}"
 
 
-def draw_plan(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure:
+def draw_plan(
+    attribution: Attribution, renderer: SceneRenderer, metric: Metric, width: float = FILE_WIDTH
+) -> Figure:
     """Draw what a metric is about at each point of a sensor grid on the plan of the room."""
     image, grid = attribution.image, renderer.grid
     assert image is not None, "every attribution of a SceneRenderer has its image"
@@ -43,12 +50,13 @@ def draw_plan(attribution: Attribution, renderer: SceneRenderer, metric: Metric)
         title="\n".join(filter(None, [shown.label[0].upper() + shown.label[1:], shown.counts])),
         label=shown.label,
         axes=grid.axes,
+        width=width,
     )
 
 
 def plan_of(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure | None:
     """Return the map for a report; None if the renderer shows a view, and so has a picture."""
-    return None if renderer.shows_a_view else draw_plan(attribution, renderer, metric)
+    return None if renderer.shows_a_view else draw_plan(attribution, renderer, metric, REPORT_WIDTH)
 
 
 def plan_format(

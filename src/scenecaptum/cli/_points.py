@@ -53,7 +53,9 @@ def add_points(parser: argparse.ArgumentParser) -> None:
         default = SensorGrid.__dataclass_fields__[name].default
         group.add_argument(f"--{name}", type=float, metavar="X", help=f"{text} (default: {default})")
     group.add_argument(
-        "--floor", metavar="SHAPE", help="the shape that is the floor (default: the lowest large level one)"
+        "--floor",
+        metavar="NAME",
+        help="the shape that is the floor, or the material of its pieces (default: the lowest large level shape)",
     )
     group.add_argument(
         "--weather",

@@ -13,7 +13,7 @@ from ..validation import Ablated, AblationTest, ablation_test
 from . import _arguments
 from ._files import OutputFormat, figure_writer, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
-from ._points import needed_coefficients, premises
+from ._points import check_grid, needed_coefficients, premises
 
 NOT_CONFIRMED = 1
 
@@ -45,6 +45,7 @@ def validate(options: argparse.Namespace) -> int:
     (create,) = find_metrics([options.metric], options).values()
     with writable(options.out):
         renderer = _arguments.make_renderer(options, needed_coefficients([options.metric], options))
+        check_grid(renderer)
         metric = create(renderer)
         test = ablation_test(
             renderer,

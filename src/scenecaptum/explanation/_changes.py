@@ -14,7 +14,7 @@ from ..optimize import BOUND_MARGIN, design_bounds
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
-from ._definition import definition_of
+from ._definition import definition_of, difference_by_definition
 
 STEP = 0.1  # of a bounded range
 DIMMING = 0.25  # of an unbounded value, such as a radiance
@@ -66,11 +66,13 @@ def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
     differences = scenes.measure_in(images, changes) - scenes.unmodified
     error = differences.std() / math.sqrt(len(differences))
     exact = definition_of(metric, images.mean(0, keepdim=True))
+    change_by_definition = difference_by_definition(metric, scenes.images, images)
     return dataclasses.replace(
         change,
         measured=differences.mean().item(),
         measured_error=error.item(),
         exact=None if exact is None else exact.value,
+        exact_error=None if change_by_definition is None else change_by_definition[1],
     )
 
 

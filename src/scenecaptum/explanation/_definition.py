@@ -29,6 +29,23 @@ def definition_of(metric: Metric, images: torch.Tensor) -> Definition | None:
     )
 
 
+def difference_by_definition(
+    metric: Metric, before: torch.Tensor, after: torch.Tensor
+) -> tuple[float, float | None] | None:
+    """Return the change of the value of ``definition_of`` and its standard error; None for other metrics.
+
+    Both are ``(replicates, points, P, 3)`` of the same random numbers, most of whose noise cancels.
+    """
+    if not isinstance(metric, DaylightMetric) or not metric.relaxation:
+        return None
+
+    def difference(kept: torch.Tensor) -> float:
+        first, second = (metric.hard(images[kept].mean(0)).item() for images in (before, after))
+        return second - first
+
+    return difference(torch.arange(len(after))), half_sample_error(difference, len(after))
+
+
 def half_sample_error(statistic: Callable[[torch.Tensor], float], count: int) -> float | None:
     """Return the standard error of a statistic of samples, given by their indices; None of a single sample.
 

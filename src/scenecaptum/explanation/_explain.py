@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -84,6 +85,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     attribution = VanillaSceneGradient(renderer, metric).attribute(
         inputs, seed=attribution_seed, replicates=replicates, **options
     )
+    attribution = dataclasses.replace(attribution, info={**attribution.info, "explanation_seed": seed})
     values = input_values(renderer, inputs)
     better = (attribution.info.get("measure") or {}).get("better")
     lowers = better == "lower" or below is not None
@@ -106,7 +108,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
         # Of the pictures from which the changes are measured: before and after are values of the same points.
         definition=definition_of(metric, scenes.images),
-        premises=_premises(metric, scenes.images.mean(0), attribution.metric_value),
+        premises=photometric_premises(metric, scenes.images.mean(0), attribution.metric_value),
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, metric, change) for change in proposed),
         goal=None
@@ -121,7 +123,7 @@ def _reach(below: float, renderer: Renderer, metric: Metric, **options: Any) -> 
     return alone if alone.reached else minimize(renderer, metric, below, **options)
 
 
-def _premises(metric: Metric, image: torch.Tensor, value: float) -> tuple[str, ...]:
+def photometric_premises(metric: Metric, image: torch.Tensor, value: float) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene."""
     premises = []
     efficacy = getattr(metric, "efficacy", 1)

@@ -15,6 +15,8 @@ from ..metrics import luminance as relative_luminance
 from ..projection import SurfaceMap
 
 MIN_SHARE = 0.02
+CELLS = 32  # along the longer side of the picture: a thinner bar of a window does not separate its panes
+MIN_PART, MAX_PLACES = 0.1, 3  # of the weight of an object, for a place of its own; more places are "several"
 PURITY = 8  # exponent of the coverage of the pixels that tell the luminance of an object
 
 Floats = NDArray[np.float64]
@@ -137,10 +139,52 @@ def _source_luminance(metric: TargetedMetric, image: torch.Tensor) -> torch.Tens
 
 
 def _place(weights: Floats, pixels: NDArray[np.int64], shape: tuple[int, int]) -> str:
+    """Return the ninth of the picture that holds the centre of some pixels, or those of their separate parts.
+
+    Parts are separate if a cell of the picture without weight is between them, such as a wall between windows.
+    """
+    own = weights > 0
+    weights, (rows, columns) = weights[own], np.divmod(pixels[own], shape[1])
+    side = max(1.0, max(shape) / CELLS)
+    parts = _connected((rows // side).astype(np.int64), (columns // side).astype(np.int64))
+    places: dict[str, float] = {}
+    for part in range(parts.max() + 1):
+        of_part = parts == part
+        place = _ninth(rows[of_part], columns[of_part], weights[of_part], shape)
+        places[place] = places.get(place, 0.0) + weights[of_part].sum()
+    large = [one for one in places if places[one] >= MIN_PART * weights.sum()]
+    found = sorted(large, key=lambda one: -places[one])
+    if not 1 <= len(found) <= MAX_PLACES:
+        return "several places"
+    *others, last = found
+    return " and ".join(filter(None, [", ".join(others), last]))
+
+
+def _ninth(
+    rows: NDArray[np.int64], columns: NDArray[np.int64], weights: Floats, shape: tuple[int, int]
+) -> str:
     """Return the ninth of the picture that holds the centre of the weights of some pixels."""
-    rows, columns = np.divmod(pixels, shape[1])
     row = (np.average(rows, weights=weights) + 0.5) / shape[0]
     column = (np.average(columns, weights=weights) + 0.5) / shape[1]
     vertical = ("top", "", "bottom")[min(int(3 * row), 2)]
     horizontal = ("left", "", "right")[min(int(3 * column), 2)]
     return " ".join(filter(None, (vertical, horizontal))) or "centre"
+
+
+def _connected(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the number of the part that each of some cells belongs to, from 0; neighbours are of one part."""
+    stride = int(columns.max()) + 3  # the columns beside the first and the last are empty
+    cells, index = np.unique(rows * stride + columns, return_inverse=True)
+    around = [i * stride + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    parts: dict[int, int] = {}
+    unseen, count = set(cells.tolist()), 0
+    while unseen:
+        edge = [unseen.pop()]
+        while edge:
+            cell = edge.pop()
+            parts[cell] = count
+            new = {cell + step for step in around} & unseen
+            unseen -= new
+            edge += new
+        count += 1
+    return np.array([parts[cell] for cell in cells.tolist()], np.int64)[index]

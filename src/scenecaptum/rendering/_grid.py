@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 MOST_MARGIN = 0.25  # of the shorter side of a floor: a small room would have no points otherwise
 FACES_UP = 0.99  # cosine of the largest tilt of a floor
 LISTED = 5  # shapes in a message
+SAME_LEVEL = 0.01  # of the root of the area of a floor: its other pieces differ in height by less
 LARGE = 0.5  # of the largest level shape: the lowest of those is the floor
 FACING = math.cos(math.radians(45))
 RAY_OFFSET = (
@@ -191,13 +192,7 @@ def _plan_axes(up: int) -> tuple[int, int]:
 
 def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, Array]:
     """Return the name of the floor and its level triangles, ``(N, 3, 3)``."""
-    if grid.floor is not None and grid.floor not in shapes:
-        raise SceneCaptumError(
-            f"SensorGrid(floor={grid.floor!r}): the scene has no shape of this name."
-            f"{near_misses(grid.floor, shapes)} The largest level shapes are {_largest_level(shapes, up)}."
-        )
-    given = {} if grid.floor is None else {grid.floor: shapes[grid.floor]}
-    chosen = given or shapes
+    chosen = shapes if grid.floor is None else _named_floors(grid.floor, shapes, up)
     facing = {name: _level_triangles(shape, up) for name, shape in chosen.items()}
     areas = {name: _area(triangles, up) for name, triangles in facing.items()}
     largest = max(areas.values(), default=0.0)
@@ -207,10 +202,31 @@ def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, A
         which = f"{grid.floor!r} has no" if grid.floor else "no shape of the scene has a"
         raise SceneCaptumError(
             f"A sensor grid needs a floor, and {which} level part. Name another with "
-            "SensorGrid(floor=…), or give points= and normals=."
+            "SensorGrid(floor=…), or give points= and normals=. The largest level shapes are "
+            f"{_largest_level(shapes, up)}."
         )
     name = min(large, key=lambda name: facing[name][..., up].max())
-    return name, facing[name]
+    if grid.floor in (None, name):
+        return name, facing[name]
+    # A material: all its level parts at the height of this one, as of a floor in several pieces.
+    parts = np.concatenate(list(facing.values()))
+    heights = np.abs(parts[..., up] - facing[name][..., up].max()).max(1)
+    return str(grid.floor), parts[heights <= SAME_LEVEL * math.sqrt(areas[name])]
+
+
+def _named_floors(floor: str, shapes: Mapping[str, Any], up: int) -> Mapping[str, Any]:
+    """Return the shape of a name, or those with the material of this name."""
+    if floor in shapes:
+        return {floor: shapes[floor]}
+    materials = {name: shape.bsdf().id() for name, shape in shapes.items() if shape.bsdf() is not None}
+    found = {name: shapes[name] for name, material in materials.items() if material == floor}
+    if found:
+        return found
+    raise SceneCaptumError(
+        f"SensorGrid(floor={floor!r}): the scene has no shape and no material of this name."
+        f"{near_misses(floor, [*shapes, *materials.values()])} The largest level shapes are "
+        f"{_largest_level(shapes, up)}."
+    )
 
 
 def _largest_level(shapes: Mapping[str, Any], up: int) -> str:

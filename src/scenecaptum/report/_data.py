@@ -43,7 +43,7 @@ from ..visualization import (
     verdict,
     with_error,
 )
-from ._pixels import color_maps, encode_figure, encode_map, encode_picture, encode_surfaces
+from ._pixels import PLAN_DPI, color_maps, encode_figure, encode_map, encode_picture, encode_surfaces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -143,7 +143,7 @@ def _picture(
 ) -> tuple[str, SurfaceMap]:
     """Return the encoded picture and what its pixels show, which is nothing if it is a plan."""
     if plan is not None:
-        encoded, shape = encode_figure(plan)
+        encoded, shape = encode_figure(plan, PLAN_DPI)
         return encoded, _nothing(shape)
     assert attribution.surfaces is not None, "write_report checks it"
     image = shown_render(attribution)

@@ -21,6 +21,7 @@ LAYERS = 3  # objects per pixel; the largest three are scaled to the total cover
 _FULL_COVERAGE = 255
 _JPEG_QUALITY = 95
 _FIGURE_DPI = 150
+PLAN_DPI = 240  # of a plan, which may be narrow to be read on a phone
 
 
 def encode_picture(image: torch.Tensor, exposure: float) -> str:
@@ -33,12 +34,12 @@ def encode_picture(image: torch.Tensor, exposure: float) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
-def encode_figure(figure: Figure) -> tuple[str, tuple[int, int]]:
+def encode_figure(figure: Figure, dpi: int = _FIGURE_DPI) -> tuple[str, tuple[int, int]]:
     """Return a figure as a PNG data URL, and its height and width in pixels."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_FIGURE_DPI)
+    figure.savefig(buffer, format="png", dpi=dpi)
     width, height = Image.open(buffer).size
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}", (height, width)
 

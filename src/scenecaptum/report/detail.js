@@ -104,17 +104,21 @@ function drawExplanation(result) {
   byId("explanation").replaceChildren(...parts);
 }
 
-const FACTS = ["scene", "method", "metric", "seed", "spp", "replicates", "resolution", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
+const FACTS = ["scene", "method", "metric", "seed", "spp", "replicates", "resolution", "sensor grid", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
 
 function drawFacts(result) {
-  const words = { spp: "samples per pixel", max_depth: "longest path", seconds: "time" };
+  // The seed is the one that was given, where it was split for the parts of an explanation.
+  const info = { ...result.info, seed: result.info.explanation_seed ?? result.info.seed };
+  // Of a sensor grid, the command line says more than the number of rows and columns.
+  const isPlan = views[result.view].names.length === 0;
+  if (isPlan && info["sensor grid"] !== undefined) delete info.resolution;
+  const words = { spp: "samples per pixel", max_depth: "longest path", seconds: "time", ...(isPlan ? { resolution: "sensor grid" } : {}) };
   const text = (key, value) => {
     if (key === "seconds") return value >= 90 ? `${(value / 60).toFixed(1)} min` : `${value.toFixed(1)} s`;
-    if (key === "resolution" && Array.isArray(value)) return value.join(" × ");
+    if (key === "resolution" && Array.isArray(value)) return `${value.join(" × ")}${isPlan ? " sensor points" : ""}`;
     if (value !== null && typeof value === "object") return Object.entries(value).map(([name, one]) => `${name} ${one}`).join(", ");
     return String(value);
   };
-  const { info } = result;
   const known = FACTS.filter((key) => info[key] !== undefined && info[key] !== null);
   byId("facts").replaceChildren(...known.map((key) => make("div", { class: key }, make("dt", {}, words[key] ?? key.replaceAll("_", " ")), make("dd", {}, text(key, info[key])))));
   byId("settings").textContent = JSON.stringify(result.info, null, 2);

@@ -96,13 +96,17 @@ function drawTable() {
   byId("more").textContent = `Show all ${arranged.length}`;
 }
 
+const PLAN_SCALE = 2; // pixels of a plan for each one of the page
+
 /** A plan in place of a picture shows no objects, so there is nothing to paint on it and to point at. */
 function drawPlan() {
   const isPlan = view().names.length === 0;
   byId("main").classList.toggle("plan", isPlan);
   byId("picture").hidden = isPlan;
   byId("plan").hidden = !isPlan;
-  if (isPlan) byId("plan").src = data.pictures[result().picture];
+  if (!isPlan) return;
+  byId("plan").src = data.pictures[result().picture];
+  byId("plan").style.maxWidth = `min(100%, ${view().width / PLAN_SCALE}px)`;
 }
 
 function drawResult() {
@@ -118,7 +122,7 @@ function drawResult() {
   drawOverlay();
   drawTable();
   drawNotes(result());
-  drawCautions(result());
+  drawCautions(data.comparison ? results : [result()]); // of a comparison, both values stand above
   drawFacts(result());
   select(found(state.selection));
 }

@@ -121,9 +121,11 @@ function markSelected(rows) {
 const cautioned = (texts) => texts.map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`));
 
 /** What puts the whole result in doubt stands below its value, not below the table. */
-function drawCautions(result) {
-  const noise = result.sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", ""));
-  byId("cautions").replaceChildren(...cautioned(noise));
+function drawCautions(results) {
+  const cautions = results.map(({ sampling }) => sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", "")));
+  const shared = (text) => cautions.every((ones) => ones.includes(text));
+  const whole = results.flatMap(({ title }, index) => cautions[index].map((text) => (shared(text) ? text : `${title}: ${text}`)));
+  byId("cautions").replaceChildren(...cautioned([...new Set(whole)]));
 }
 
 function drawNotes(result) {

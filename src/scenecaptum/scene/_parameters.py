@@ -32,6 +32,8 @@ MAX_DIFFERENCES = 3  # numbers of a parameter that finite differences are made o
 
 # Parts of a parameter's name that its label leaves out.
 _OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
+# Words of a label for a property that has another name in other materials.
+_LABEL_WORDS = {"alpha": "roughness", "alpha_u": "roughness u", "alpha_v": "roughness v"}
 
 
 def discover(graph: SceneGraph) -> SceneParameters:
@@ -282,7 +284,11 @@ def _label(graph: SceneGraph, name: str, node: Any) -> str:
     owner, *inner = [*segments, rest]
     if area_emitter_id(owner) in (scene_object.id() for _, scene_object in path):
         owner = area_emitter_id(owner)
-    words = [segment.replace("_", " ") for segment in inner if segment not in _OMITTED_SEGMENTS]
+    words = [
+        _LABEL_WORDS.get(segment, segment.replace("_", " "))
+        for segment in inner
+        if segment not in _OMITTED_SEGMENTS
+    ]
     if _is_on_a_lamp(path):
         words.insert(0, "surface")  # the reflectance of a lamp is not that of its light
     if inner[-1] == "data":

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..errors import SceneCaptumError
-from ._figures import SMALL, TEXT, WIDTH, axes_or_new, figure_of, style_axes
+from ._figures import SMALL, TEXT, TITLE, WIDTH, axes_or_new, characters_per_line, figure_of, style_axes
+from ._layout import wrapped_lines
 from ._numbers import rounded
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def plot_plan(
     inside: torch.Tensor | None = None,
     *,
     ax: Axes | None = None,
+    width: float = WIDTH,
     levels: Sequence[float] = LEVELS,
     title: str = "",
     label: str = "illuminance in lx",
@@ -53,9 +55,12 @@ def plot_plan(
     plan
         ``(H, W, 2)``: the coordinates of the points, ``renderer.grid.plan``, in metres.
     inside
-        ``(H, W)`` bool: the points to show, ``renderer.grid.inside``; the others are left blank. All by default.
+        ``(H, W)`` bool: the points to show, ``renderer.grid.inside``; all by default. The others are left blank,
+        and outer rows and columns without a point are left out.
     ax
         Axes to draw into; by default those of a new figure.
+    width
+        The largest width of a new figure in inches. The text keeps its size.
     levels
         Values of the contours; those outside the range of ``values`` are not drawn. By default the steps of the
         scale of illuminance in EN 12464-1 from 50 to 5000 lx.
@@ -74,15 +79,24 @@ def plot_plan(
     """
     shown, x, y = _rows_and_columns(values, plan, inside)
     if ax is None:
-        ax = axes_or_new(None, *_size(x, y))
+        across, up = _size(x, y, width)
+        ax = axes_or_new(None, across, up)
+        title = _wrap(title, across - _MARGIN, TITLE)
+        label = _wrap(label, up - _MARGIN, TEXT)
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
-    _draw_contours(ax, x, y, shown, levels)
+    _draw_contours(ax, x, y, shown, levels, _APART * WIDTH / width)
     ax.set_aspect("equal")
     style_axes(ax, title, x=f"{axes[0]} in m", y=f"{axes[1]} in m")
     bar = figure_of(ax).colorbar(mapped, ax=ax, aspect=25, pad=0.02)
     bar.ax.tick_params(labelsize=SMALL)
     bar.set_label(label, fontsize=TEXT)
     return figure_of(ax)
+
+
+def _wrap(text: str, inches: float, size: float) -> str:
+    """Break the lines of a text that do not fit into a width."""
+    fitting = characters_per_line(inches, size)
+    return "\n".join(part for line in text.split("\n") for part in wrapped_lines(line, fitting))
 
 
 def _rows_and_columns(
@@ -108,7 +122,16 @@ def _rows_and_columns(
         raise SceneCaptumError(
             "The points do not form rows and columns, which a plan needs: it shows grids over a floor."
         )
-    return np.ma.masked_array(shown.numpy(), ~mask.numpy()), x[0].numpy(), y[:, 0].numpy()
+    # A floor may reach into the openings of windows and doors, where no point has its margin.
+    rows, columns = (_span(mask.any(axis)) for axis in (1, 0))
+    masked = np.ma.masked_array(shown.numpy(), ~mask.numpy())[rows, columns]
+    return masked, x[0, columns].numpy(), y[rows, 0].numpy()
+
+
+def _span(mask: torch.Tensor) -> slice:
+    """Return the slice from the first to the last True."""
+    found = mask.nonzero().flatten()
+    return slice(int(found[0]), int(found[-1]) + 1)
 
 
 def _draw_contours(
@@ -117,8 +140,12 @@ def _draw_contours(
     y: np.ndarray[Any, Any],
     shown: np.ma.MaskedArray[Any, Any],
     levels: Sequence[float],
+    apart: float,
 ) -> None:
-    """Draw contours at the levels within the range of the values, in white on black, and label them."""
+    """Draw contours at the levels within the range of the values, in white on black, and label them.
+
+    Labels are ``apart`` by a part of the longer side.
+    """
     from matplotlib.patheffects import withStroke
 
     within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
@@ -126,8 +153,7 @@ def _draw_contours(
         return
     lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0)
     lines.set(path_effects=[withStroke(linewidth=2.2, foreground="black")])
-    apart = _APART * max(abs(float(side[-1] - side[0])) for side in (x, y))
-    _label(ax, lines, apart)
+    _label(ax, lines, apart * max(abs(float(side[-1] - side[0])) for side in (x, y)))
 
 
 def _label(ax: Axes, lines: ContourSet, apart: float) -> None:
@@ -142,10 +168,10 @@ def _label(ax: Axes, lines: ContourSet, apart: float) -> None:
             kept.append(text)
 
 
-def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> tuple[float, float]:
+def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any], width: float) -> tuple[float, float]:
     """Return the size of a figure that fits a room: the longer side is limited by the width of a page."""
     across, along = (
         abs(float(side[-1] - side[0])) * (1 + 1 / max(len(side) - 1, 1)) or 1.0 for side in (x, y)
     )
-    scale = min((WIDTH - _MARGIN - _COLORBAR) / across, 4.8 / along)
+    scale = min((width - _MARGIN - _COLORBAR) / across, 4.8 / along)
     return max(across * scale + _MARGIN + _COLORBAR, 3.0), max(along * scale + _MARGIN, 2.0)
