@@ -17,8 +17,8 @@ from seeds import OFFSET, shift_defaults, shifted
 # At the end: tests/extremes comes before benchmarks/extremes.py.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's only wait for each other. Two
-# of OpenMP's on two busy cores took up to 30 times as long as one. Commands and notebooks inherit the variable.
+# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's only wait for each other.
+# Two of OpenMP on two busy cores took up to 30 times as long as one. Commands and notebooks inherit the variable.
 os.environ["OMP_NUM_THREADS"] = "1"
 torch.set_num_threads(1)
 

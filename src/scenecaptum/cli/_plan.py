@@ -18,10 +18,8 @@ from ._files import OutputFormat, Result, figure_writer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FILE_WIDTH, REPORT_WIDTH = (
-    7.2,
-    4.2,
-)  # inches of a plan: in a page it is narrow, so that a phone shows its text large
+# Inches of a plan; in a page it is narrow, so that a phone shows its text large.
+FILE_WIDTH, REPORT_WIDTH = 7.2, 4.2
 
 
 def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
