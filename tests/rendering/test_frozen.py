@@ -119,14 +119,21 @@ def glare(image: torch.Tensor) -> torch.Tensor:
     return (image**2).mean()
 
 
-@pytest.mark.parametrize(
-    "inputs",
-    [INPUTS, ["ball.bsdf.roughness.value", "ball.bsdf.base_color.value"]],
+@pytest.fixture(
+    scope="module",
+    params=[INPUTS, ["ball.bsdf.roughness.value", "ball.bsdf.base_color.value"]],
     ids=["all routes", "light traced"],
 )
+def furnished(mi: Any, request: pytest.FixtureRequest) -> SceneRenderer:
+    return SceneRenderer(furnished_room(), request.param, resolution=(11, 7), spp=16, max_depth=4)
+
+
+FEW = {"integrated-gradients": {"n_steps": 3}, "gradient-shap": {"n_samples": 3}}  # points, to save time
+
+
 @pytest.mark.parametrize("name", [*METHODS, "planner", "tradeoff"])
-def test_no_method_records_a_kernel_again(recorded: list[str], name: str, inputs: list[str]) -> None:
-    renderer = SceneRenderer(furnished_room(), inputs, resolution=(11, 7), spp=16, max_depth=4)
+def test_no_method_records_a_kernel_again(recorded: list[str], furnished: SceneRenderer, name: str) -> None:
+    renderer = furnished
     if name == "occlusion" and not any(value.ndim == 3 for value in renderer.inputs.values()):
         pytest.skip("there is no texture to cover")
 
@@ -136,7 +143,7 @@ def test_no_method_records_a_kernel_again(recorded: list[str], name: str, inputs
         elif name == "tradeoff":
             measure(renderer, glare, vary={"spp": [4, spp]}, runs=2, reference_spp=2 * spp, seed=seed)
         else:
-            METHODS[name].create(renderer, glare).attribute(seed=seed, spp=spp)
+            METHODS[name].create(renderer, glare).attribute(seed=seed, spp=spp, **FEW.get(name, {}))
 
     run(1, 16), run(2, 16)
     before = len(recorded)
