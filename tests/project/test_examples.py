@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -81,9 +80,10 @@ def test_the_ceiling_lights_the_work_plane(
 
 
 def test_desk_and_lamp_move_until_the_glare_is_low(
-    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     example = load("desk_lamp")
+    monkeypatch.setattr(example, "PICTURE", SIZE)
     found = example.main(tmp_path / "new", (64, 36), 16, steps=6)
     renderer = SceneRenderer(
         example.evening_office(), list(found.values), objects=example.OBJECTS, resolution=(64, 36), spp=64
@@ -101,7 +101,7 @@ def test_desk_and_lamp_move_until_the_glare_is_low(
 
 
 def test_the_camera_turns_along_the_gradient_of_a_margin(
-    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], single_thread: None
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     example = load("lost_view")
     found = example.main(tmp_path / "new", spp=16, steps=2, turns=2)
@@ -116,7 +116,7 @@ def test_the_camera_turns_along_the_gradient_of_a_margin(
 
 
 @pytest.mark.long
-def test_a_turn_of_the_camera_loses_the_sphere(mi: Any, tmp_path: Path, single_thread: None) -> None:
+def test_a_turn_of_the_camera_loses_the_sphere(mi: Any, tmp_path: Path) -> None:
     found = load("lost_view").main(tmp_path / "new")
     last = found.steps[-1]
     assert last.margin + 2 * last.error < 0
@@ -136,18 +136,7 @@ def test_the_scene_attribution_competes_with_pixels(
     assert "lead over it" in printed
 
 
-@pytest.fixture
-def single_thread() -> Iterator[None]:
-    """Threads of a network this small mostly wait for each other."""
-    count = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(count)
-
-
-def test_a_planted_shortcut_is_found(
-    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], single_thread: None
-) -> None:
+def test_a_planted_shortcut_is_found(mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     planted, clean = load("planted_shortcut").main(
         tmp_path / "new", trainings=1, first_seed=shifted(0), rooms=120, epochs=24, spp=256, steps=8
     )
