@@ -30,12 +30,12 @@ from ._baselines import resolve_baselines as resolve_baselines
 from ._baselines import table_of as table_of
 from ._data import Ranked as Ranked
 from ._data import summarize as summarize
-from ._explanation import Change as Change
-from ._explanation import Definition as Definition
 from ._explanation import Explanation as Explanation
-from ._explanation import Row as Row
-from ._explanation import Source as Source
 from ._feature_ablation import FeatureAblationScene as FeatureAblationScene
+from ._findings import Change as Change
+from ._findings import Definition as Definition
+from ._findings import Row as Row
+from ._findings import Source as Source
 from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._groups import GROUPS as GROUPS
 from ._groups import sum_groups as sum_groups

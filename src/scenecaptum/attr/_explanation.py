@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-
 from ..protocols import Attribution
 from ..scene import pose_component
 from ..visualization import (
@@ -25,137 +23,14 @@ from ..visualization import (
     with_error,
     wrap,
 )
+from ._findings import SIGNIFICANT, Change, Definition, Row, Source, is_clear
+from ._wording import in_words, move, percent, row_name, signed, step
 
-SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 MOST_SAMPLES = 100  # times those of a result: more are no advice
-NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
-
-
-@dataclass(frozen=True)
-class Source:
-    """An object of the picture that the metric depends on, such as a glare source.
-
-    Attributes
-    ----------
-    name
-        The object.
-    place
-        The centre of its part in the picture, ``"top left"``, or of its parts: ``"left and right"``.
-    share, share_error
-        Its share of the whole picture's part in the metric, from 0 to 1, and the standard error: of glare sources
-        the share of the sum of ``L² ω / P²``, of other metrics that of ``|∂M/∂I · I|``.
-    luminance
-        The mean luminance of its part of the glare sources in cd/m²; None for other metrics.
-    """
-
-    name: str
-    place: str
-    share: float
-    share_error: float
-    luminance: float | None = None
-
-
-@dataclass(frozen=True)
-class Change:
-    """A change of one parameter, and its effect on the metric.
-
-    Attributes
-    ----------
-    name, label
-        The parameter's name in the scene, and a readable label.
-    before, after
-        Its values.
-    predicted, predicted_error
-        The effect to first order, from the gradient, and its standard error.
-    measured, measured_error
-        The effect of rendering the changed scene, with the same random numbers, and its standard error; None if it
-        was not rendered.
-    exact, exact_error
-        The metric of the changed scene by its published definition, if that differs from the metric, and the
-        standard error of its difference from that of the scene as it is, with the same random numbers.
-    """
-
-    name: str
-    label: str
-    before: torch.Tensor
-    after: torch.Tensor
-    predicted: float
-    predicted_error: float
-    measured: float | None = None
-    measured_error: float | None = None
-    exact: float | None = None
-    exact_error: float | None = None
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether its effect is clear of the noise, as predicted and as rendered."""
-        if abs(self.predicted) <= SIGNIFICANT * self.predicted_error:
-            return False
-        return self.measured is None or abs(self.measured) > SIGNIFICANT * (self.measured_error or 0.0)
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether the rendered effect is close to the predicted one, or no different within the errors."""
-        if self.measured is None:
-            return True
-        apart = abs(self.measured - self.predicted)
-        error = math.hypot(self.predicted_error, self.measured_error or 0.0)
-        return apart <= max(SIGNIFICANT * error, NONLINEAR * abs(self.measured))
-
-
-@dataclass(frozen=True)
-class Row:
-    """A row of points of a sensor grid, and the effect of more light there on a metric of daylight.
-
-    Attributes
-    ----------
-    number
-        Its number, from 1.
-    name
-        Its place: ``"y = 5 m"``.
-    side
-        The side of the plan from which rows are counted: ``"top"``, or of columns ``"right"``.
-    count
-        The number of its points.
-    value
-        The mean of the metric over its points by the definition; None for metrics that points do not have.
-    effect, effect_error
-        The effect of 10 % more light at its points to first order, and its standard error.
-    """
-
-    number: int
-    name: str
-    side: str
-    count: int
-    value: float | None
-    effect: float
-    effect_error: float
-
-
-@dataclass(frozen=True)
-class Definition:
-    """The value of a metric by its published definition, where its derivative needs a relaxed one.
-
-    Attributes
-    ----------
-    value
-        In the unit of the metric.
-    verdict
-        The meaning of its class; empty if the metric has no classes.
-    points
-        The number of points, if the value is the share of them that pass.
-    error
-        The standard error of the value; None if it is not known.
-    """
-
-    value: float
-    verdict: str
-    points: int | None = None
-    error: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -307,7 +182,7 @@ class Explanation:
     def _source_lines(self) -> list[str]:
         stated = [source for source in self.sources if source.share > SIGNIFICANT * source.share_error]
         lines = [
-            f"{source.name}, {source.place}: {_percent(source.share, source.share_error)}"
+            f"{source.name}, {source.place}: {percent(source.share, source.share_error)}"
             + ("" if source.luminance is None else f" of it, at {rounded(source.luminance)} cd/m²")
             for source in stated
         ]
@@ -316,10 +191,10 @@ class Explanation:
 
     def _effect_lines(self) -> list[str]:
         return [
-            f"{_in_words(row.label)}: {self._in_unit(_signed(row.effect, row.effect_error))}"
+            f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
             f"{self._along(row.name)}"
             for row in self.attribution.ranking()
-            if _is_clear(row.effect, row.effect_error)
+            if is_clear(row.effect, row.effect_error)
         ][: self.count]
 
     def _change_lines(self) -> list[str]:
@@ -327,7 +202,7 @@ class Explanation:
 
     def _row_lines(self) -> list[str]:
         """Return the rows that make up most of the effect of more light, then each row."""
-        clear = [row for row in self.rows if _is_clear(row.effect, row.effect_error)]
+        clear = [row for row in self.rows if is_clear(row.effect, row.effect_error)]
         if not clear:
             return ["none: more light at one row of points would change nothing"] if self.rows else []
         total, deciding = sum(abs(row.effect) for row in clear), list[Row]()
@@ -335,7 +210,7 @@ class Explanation:
             if sum(abs(one.effect) for one in deciding) < MOST * total:
                 deciding.append(row)
         share = sum(abs(one.effect) for one in deciding) / total
-        *names, last = [_row_name(row) for row in self.rows if row in deciding]
+        *names, last = [row_name(row) for row in self.rows if row in deciding]
         return [
             f"{' and '.join(filter(None, [', '.join(names), last]))} {'decide' if names else 'decides'}: "
             f"{100 * share:.0f} % of the effect of 10 % more light",
@@ -362,13 +237,13 @@ class Explanation:
         )
 
     def _row_line(self, row: Row) -> str:
-        effect = self._in_unit(_signed(row.effect, row.effect_error))
+        effect = self._in_unit(signed(row.effect, row.effect_error))
         there = "" if row.value is None else f"{self._in_unit(self._plain(row.value))}; "
-        return f"{_row_name(row)}, {pluralize(row.count, 'point')}: {there}{effect} for all points"
+        return f"{row_name(row)}, {pluralize(row.count, 'point')}: {there}{effect} for all points"
 
     def _change_line(self, change: Change) -> str:
-        predicted = _signed(change.predicted, change.predicted_error)
-        what = f"{_step(change)}: {metric_symbol(self.attribution)}"
+        predicted = signed(change.predicted, change.predicted_error)
+        what = f"{step(change)}: {metric_symbol(self.attribution)}"
         if change.measured is None:
             return f"{what} {self._in_unit(predicted)}, predicted"
         value = self.attribution.metric_value
@@ -385,7 +260,7 @@ class Explanation:
             )
             relaxed = ""
         by = self._exact_difference(change)
-        measured = _signed(change.measured, change.measured_error)
+        measured = signed(change.measured, change.measured_error)
         bent = "" if change.is_linear else ", not linear"
         effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
@@ -394,13 +269,13 @@ class Explanation:
         """Return ``", by +8.0 ± 2.1 %"``, of values by the definition; empty if the error is not known."""
         if self.definition is None or change.exact is None or not change.exact_error:
             return ""
-        return f", by {self._in_unit(_signed(change.exact - self.definition.value, change.exact_error))}"
+        return f", by {self._in_unit(signed(change.exact - self.definition.value, change.exact_error))}"
 
     def _goal_lines(self) -> list[str]:
         if self.goal is None:
             return []
         return [
-            *(f"{_step(one)}: {one.extent}" for one in self.goal.moved),
+            *(f"{step(one)}: {one.extent}" for one in self.goal.moved),
             f"{self.goal.outcome}, in other renders",
             *([self.goal.note] if self.goal.note else []),
         ]
@@ -410,7 +285,7 @@ class Explanation:
         component = pose_component(name)
         if component is None or self.attribution.scale_or_default() != "range":
             return ""
-        return f" for {_move(component, self.attribution.weights()[name])}"
+        return f" for {move(component, self.attribution.weights()[name])}"
 
     def _plain(self, number: float) -> str:
         """Return a number without an error."""
@@ -427,13 +302,13 @@ class Explanation:
         if self.attribution.covariance is None:
             return ["which effects are due to noise: there are no error bars"]
         lines = [
-            f"{_step(change)}: rendered again, the effect of "
-            f"{_signed(change.measured or 0.0, change.measured_error)} is within its noise"
+            f"{step(change)}: rendered again, the effect of "
+            f"{signed(change.measured or 0.0, change.measured_error)} is within its noise"
             for change in self.changes
             if not change.is_clear
         ]
-        clear = [row for row in rows if _is_clear(row.effect, row.effect_error)]
-        unclear = [row for row in rows if row.effect != 0 and not _is_clear(row.effect, row.effect_error)]
+        clear = [row for row in rows if is_clear(row.effect, row.effect_error)]
+        unclear = [row for row in rows if row.effect != 0 and not is_clear(row.effect, row.effect_error)]
         if not clear:
             return [
                 *lines,
@@ -459,7 +334,7 @@ class Explanation:
             else "it cannot be measured with this scene and resolution"
         )
         which = (
-            f"{_in_words(hiding[0].label)} ({_signed(hiding[0].effect, hiding[0].effect_error)})"
+            f"{in_words(hiding[0].label)} ({signed(hiding[0].effect, hiding[0].effect_error)})"
             if len(hiding) == 1
             else pluralize(len(hiding), "parameter")
         )
@@ -468,55 +343,3 @@ class Explanation:
             f"{which} may have an effect of "
             f"{self._in_unit(rounded(smallest, 2))} or more within the error; {remedy}",
         ]
-
-
-def _row_name(row: Row) -> str:
-    return f"{'row' if row.side == 'top' else 'column'} {row.number} ({row.name})"
-
-
-def _step(change: Any) -> str:
-    """Return ``"desk base color 0.2 → 0.3"``, or ``"desk 0.05 towards (0, −1, 0)"`` for a pose."""
-    component = pose_component(change.name)
-    if component in _MOVES:
-        return f"{change.label.rsplit(': ', 1)[0]} {_move(component, change.after - change.before)}"
-    return f"{_in_words(change.label)} {_format(change.before)} → {_format(change.after)}"
-
-
-_MOVES = {"translation": "towards", "rotation": "about"}
-
-
-def _move(component: str, change: torch.Tensor) -> str:
-    """Return a change of a pose in words: scene units and degrees."""
-    if component not in _MOVES:
-        return f"{rounded(change.sum().item())}{'°' if component == 'fov' else ' of its size'}"
-    length = change.norm().item()
-    size = f"{rounded(math.degrees(length))}°" if component == "rotation" else f"{rounded(length)} units"
-    direction = ", ".join(
-        f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−")
-        for number in (change / (length or 1.0)).tolist()
-    )
-    return f"{size} {_MOVES[component]} ({direction})"
-
-
-def _in_words(label: str) -> str:
-    """Return ``"desk base color"`` for the label ``"desk: base color"``."""
-    return " ".join(label.rsplit(": ", 1))
-
-
-def _is_clear(effect: float, error: float | None) -> bool:
-    return abs(effect) > SIGNIFICANT * (error or 0.0)
-
-
-def _percent(share: float, error: float) -> str:
-    return f"{sentence_number(100 * share, 100 * error)} %"
-
-
-def _signed(effect: float, error: float | None) -> str:
-    return sentence_number(effect, error, signed=True)
-
-
-def _format(value: torch.Tensor) -> str:
-    """Return a scalar, a colour by channel or as one number if it is grey, or the mean of a texture."""
-    channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
-    numbers = [rounded(number) for number in channels.tolist()]
-    return numbers[0] if len(set(numbers)) == 1 else f"({', '.join(numbers)})"

@@ -1,0 +1,139 @@
+"""What an explanation finds: sources, changes, rows of points, and a value by the definition."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
+NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
+
+
+@dataclass(frozen=True)
+class Source:
+    """An object of the picture that the metric depends on, such as a glare source.
+
+    Attributes
+    ----------
+    name
+        The object.
+    place
+        The centre of its part in the picture, ``"top left"``, or of its parts: ``"left and right"``.
+    share, share_error
+        Its share of the whole picture's part in the metric, from 0 to 1, and the standard error: of glare sources
+        the share of the sum of ``L² ω / P²``, of other metrics that of ``|∂M/∂I · I|``.
+    luminance
+        The mean luminance of its part of the glare sources in cd/m²; None for other metrics.
+    """
+
+    name: str
+    place: str
+    share: float
+    share_error: float
+    luminance: float | None = None
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of one parameter, and its effect on the metric.
+
+    Attributes
+    ----------
+    name, label
+        The parameter's name in the scene, and a readable label.
+    before, after
+        Its values.
+    predicted, predicted_error
+        The effect to first order, from the gradient, and its standard error.
+    measured, measured_error
+        The effect of rendering the changed scene, with the same random numbers, and its standard error; None if it
+        was not rendered.
+    exact, exact_error
+        The metric of the changed scene by its published definition, if that differs from the metric, and the
+        standard error of its difference from that of the scene as it is, with the same random numbers.
+    """
+
+    name: str
+    label: str
+    before: torch.Tensor
+    after: torch.Tensor
+    predicted: float
+    predicted_error: float
+    measured: float | None = None
+    measured_error: float | None = None
+    exact: float | None = None
+    exact_error: float | None = None
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether its effect is clear of the noise, as predicted and as rendered."""
+        if abs(self.predicted) <= SIGNIFICANT * self.predicted_error:
+            return False
+        return self.measured is None or abs(self.measured) > SIGNIFICANT * (self.measured_error or 0.0)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the rendered effect is close to the predicted one, or no different within the errors."""
+        if self.measured is None:
+            return True
+        apart = abs(self.measured - self.predicted)
+        error = math.hypot(self.predicted_error, self.measured_error or 0.0)
+        return apart <= max(SIGNIFICANT * error, NONLINEAR * abs(self.measured))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of points of a sensor grid, and the effect of more light there on a metric of daylight.
+
+    Attributes
+    ----------
+    number
+        Its number, from 1.
+    name
+        Its place: ``"y = 5 m"``.
+    side
+        The side of the plan from which rows are counted: ``"top"``, or of columns ``"right"``.
+    count
+        The number of its points.
+    value
+        The mean of the metric over its points by the definition; None for metrics that points do not have.
+    effect, effect_error
+        The effect of 10 % more light at its points to first order, and its standard error.
+    """
+
+    number: int
+    name: str
+    side: str
+    count: int
+    value: float | None
+    effect: float
+    effect_error: float
+
+
+@dataclass(frozen=True)
+class Definition:
+    """The value of a metric by its published definition, where its derivative needs a relaxed one.
+
+    Attributes
+    ----------
+    value
+        In the unit of the metric.
+    verdict
+        The meaning of its class; empty if the metric has no classes.
+    points
+        The number of points, if the value is the share of them that pass.
+    error
+        The standard error of the value; None if it is not known.
+    """
+
+    value: float
+    verdict: str
+    points: int | None = None
+    error: float | None = None
+
+
+def is_clear(effect: float, error: float | None) -> bool:
+    """Whether an effect is clear of the noise."""
+    return abs(effect) > SIGNIFICANT * (error or 0.0)

@@ -1,0 +1,62 @@
+"""The words for a change, an effect and a row of points in the sentences of an explanation."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+
+from ..scene import pose_component
+from ..visualization import rounded, sentence_number
+from ._findings import Row
+
+_MOVES = {"translation": "towards", "rotation": "about"}
+
+
+def row_name(row: Row) -> str:
+    """Return ``"row 3 (y = 5 m)"``."""
+    return f"{'row' if row.side == 'top' else 'column'} {row.number} ({row.name})"
+
+
+def step(change: Any) -> str:
+    """Return ``"desk base color 0.2 → 0.3"``, or ``"desk 0.05 towards (0, −1, 0)"`` for a pose."""
+    component = pose_component(change.name)
+    if component in _MOVES:
+        return f"{change.label.rsplit(': ', 1)[0]} {move(component, change.after - change.before)}"
+    return f"{in_words(change.label)} {value_in_words(change.before)} → {value_in_words(change.after)}"
+
+
+def move(component: str, change: torch.Tensor) -> str:
+    """Return a change of a pose in words: scene units and degrees."""
+    if component not in _MOVES:
+        return f"{rounded(change.sum().item())}{'°' if component == 'fov' else ' of its size'}"
+    length = change.norm().item()
+    size = f"{rounded(math.degrees(length))}°" if component == "rotation" else f"{rounded(length)} units"
+    direction = ", ".join(
+        f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−")
+        for number in (change / (length or 1.0)).tolist()
+    )
+    return f"{size} {_MOVES[component]} ({direction})"
+
+
+def in_words(label: str) -> str:
+    """Return ``"desk base color"`` for the label ``"desk: base color"``."""
+    return " ".join(label.rsplit(": ", 1))
+
+
+def percent(share: float, error: float) -> str:
+    """Return a share and its error in percent."""
+    return f"{sentence_number(100 * share, 100 * error)} %"
+
+
+def signed(effect: float, error: float | None) -> str:
+    """Return an effect with its sign and its error."""
+    return sentence_number(effect, error, signed=True)
+
+
+def value_in_words(value: torch.Tensor) -> str:
+    """Return a scalar, a colour by channel or as one number if it is grey, or the mean of a texture."""
+    channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
+    numbers = [rounded(number) for number in channels.tolist()]
+    return numbers[0] if len(set(numbers)) == 1 else f"({', '.join(numbers)})"
