@@ -174,7 +174,7 @@ def test_a_plan_stands_in_place_of_a_picture(tmp_path):
     write_report([of_a_grid, make()], tmp_path / "report.html", plans=[figure, None])
     data = data_of(tmp_path / "report.html")
     plan, view = (data["views"][result["view"]] for result in data["results"])
-    assert (plan["width"], plan["height"], plan["names"]) == (600, 450, [])
+    assert (plan["width"], plan["height"], plan["names"]) == (960, 720, [])
     assert view["names"]
     assert [data["pictures"][result["picture"]][:15] for result in data["results"]] == [
         "data:image/png;",
