@@ -504,7 +504,7 @@ compared with finite differences: **{summary}**.
 {overview}
 
 Not in the table, and known to be wrong: the texture that blends a perfectly specular material with another.
-Results mark it with `!`.
+Results mark it with `!`; its sign may be wrong, too.
 
 *Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
 and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly

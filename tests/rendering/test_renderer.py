@@ -950,6 +950,27 @@ def test_the_plan_says_that_the_scenes_integrator_is_not_used(mi: Any, own: str)
     assert plan.max_depth == depths.get(own, 3)
 
 
+def test_an_integrator_of_a_user_needs_no_description(mi: Any) -> None:
+    class Silent(mi.SamplingIntegrator):
+        def sample(self, *_: Any, **__: Any) -> Any:
+            raise NotImplementedError
+
+    mi.register_integrator("silent", Silent)
+    plan = SceneRenderer(small_cornell(integrator={"type": "silent"})).plan
+    assert "the scene's integrator 'Silent' is not used" in str(plan)
+    assert plan.max_depth == 6
+
+
+@pytest.mark.parametrize(("kind", "said"), [("box", None), ("gaussian", "film filter GaussianFilter")])
+def test_the_plan_says_that_a_filter_hides_noise_from_the_denoiser(
+    mi: Any, kind: str, said: str | None
+) -> None:
+    scene = small_cornell()
+    scene["sensor"]["film"]["rfilter"] = {"type": kind}
+    decisions = dict(SceneRenderer(scene, "reflectance", resolution=(8, 8), spp=1).plan.decisions)
+    assert [name for name in decisions if name.startswith("film filter")] == ([said] if said else [])
+
+
 def test_a_scene_without_an_integrator_gets_a_default_depth(mi: Any) -> None:
     scene = small_cornell()
     del scene["integrator"]

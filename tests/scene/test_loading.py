@@ -14,6 +14,7 @@ import pytest
 from refusals import message
 from rooms import ball, small_scene, table
 
+from scenecaptum import SceneRenderer
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.scene import BUNDLED, load_scene, select
 
@@ -238,6 +239,21 @@ def test_eight_bit_texels_of_the_users_scene_are_refused_with_the_fix(mi: Any, p
         said = message(call)
         assert "8 bits" in said
         assert 'format="variant"' in said
+
+
+def test_a_selection_that_skips_eight_bit_texels_has_a_caution(mi: Any, painted: Path) -> None:
+    own = mi.load_file(str(painted), optimize=False)
+    renderer = SceneRenderer(own, "all", resolution=(4, 4), spp=1)
+    name = "ball.bsdf.reflectance.data"
+    assert name not in renderer.inputs
+    assert "8 bits" in renderer.info["left_out"][name]
+    assert name in dict(renderer.plan.cautions)
+
+
+def test_a_blackbody_is_refused_because_mitsuba_has_none_in_rgb(mi: Any) -> None:
+    scene = small_scene(b=ball({"type": "diffuse"}))
+    scene["glow"] = {"type": "point", "intensity": {"type": "blackbody", "temperature": 3000.0}}
+    assert "spectral variants" in message(lambda: SceneRenderer(scene, resolution=(4, 4), spp=1))
 
 
 def test_a_material_of_one_shape_is_named_by_its_id(mi: Any, painted: Path) -> None:

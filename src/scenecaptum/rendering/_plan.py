@@ -113,6 +113,7 @@ def make_plan(
     values: Mapping[str, torch.Tensor],
     inputs: Sequence[str],
     max_depth: int | None,
+    sensors: Sequence[Any],
 ) -> RenderPlan:
     """Choose the integrator, its settings and a derivative method for each input, given the scene's values."""
     mi = activate()
@@ -138,6 +139,7 @@ def make_plan(
     if hide_emitters := bool(getattr(own, "hide_emitters", False)):
         reasons["lights hidden from the camera"] = "as set by the scene's integrator"
     reasons |= _unused_integrator(own)
+    reasons |= _film_filters(sensors)
 
     left_out = sum(not p.problem and not p.moves for n, p in parameters.items() if n not in inputs)
     others = "1 other differentiable parameter is" if left_out == 1 else f"{left_out} others are"
@@ -165,7 +167,11 @@ def make_plan(
             "low roughness (pinhole and lens cameras, no bump maps)"
         )
     cautions = (
-        *((name, f"{p.fault}; left out, and rendered as it is") for name, p in parameters.items() if p.fault),
+        *(
+            (name, f"{p.why_left_out}; left out, and rendered as it is")
+            for name, p in parameters.items()
+            if p.why_left_out
+        ),
         *((name, caution) for name in inputs if (caution := parameters[name].caution)),
     )
     return RenderPlan(
@@ -207,6 +213,17 @@ def _unused_integrator(own: Any) -> dict[str, str]:
     return {f"the scene's integrator {plugin!r} is not used": reason}
 
 
+def _film_filters(sensors: Sequence[Any]) -> dict[str, str]:
+    """Return a reason for each film filter that spreads a sample over pixels."""
+    filters = [sensor.film().rfilter() for sensor in sensors]
+    reason = (
+        "as set by the scene: it spreads noise over pixels, which the denoiser keeps; where the image is "
+        'denoised, <rfilter type="box"/> gives less noise'
+    )
+    names = dict.fromkeys(str(one.class_name()) for one in filters if not one.is_box_filter())
+    return {f"film filter {name}": reason for name in names}
+
+
 def with_integrator(plan: RenderPlan, plugin: str, surfaces: Sequence[str]) -> RenderPlan:
     """Return the same plan with another integrator; raise if there is none, or it does not render the media.
 
@@ -232,7 +249,7 @@ def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
     if max_depth is not None:
         return max_depth, "as requested"
     depth = _setting(own, "max_depth")
-    if depth is None and "Direct" in str(own):
+    if depth is None and "Direct" in _description(own):
         return 2, "the scene's integrator renders direct light only"
     if depth is None:
         return DEFAULT_DEPTH, "the scene sets no depth"
@@ -242,5 +259,13 @@ def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
 
 def _setting(integrator: Any, name: str) -> int | None:
     """Read a setting of an integrator from its description; C++ integrators do not expose it otherwise."""
-    match = re.search(rf"{name} = (\d+)", str(integrator))
+    match = re.search(rf"{name} = (\d+)", _description(integrator))
     return int(match.group(1)) if match else None
+
+
+def _description(integrator: Any) -> str:
+    """Return Mitsuba's description; nothing for an integrator of a user that has none."""
+    try:
+        return str(integrator)
+    except RuntimeError:  # it was written in Python, without to_string
+        return ""

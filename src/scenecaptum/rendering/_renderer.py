@@ -32,6 +32,7 @@ from ..scene import (
     XmlParameters,
     camera_parameters,
     check_scale,
+    check_spectra,
     choose_ranges,
     discover,
     find_objects,
@@ -208,6 +209,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         self._source = digest((hashable_source(scene), self._placeholders))
         check_scale(self.name, loaded)
         self._graph = SceneGraph(loaded)
+        check_spectra(self.name, self._graph.class_names())
         self._stacked = isinstance(sensor, list)
         chosen: list[Any] = sensor if isinstance(sensor, list) else [sensor]
         if len(chosen) > 1 and any(which == "grid" or isinstance(which, SensorGrid) for which in chosen):
@@ -251,7 +253,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
             whole_number("max_depth", max_depth, high=2**31 - 1)
-        return make_plan(self._graph, self._table, self._state.original, self._names, max_depth)
+        return make_plan(
+            self._graph, self._table, self._state.original, self._names, max_depth, self._sensors
+        )
 
     def _prepare(self, resolution: tuple[int, int], plan: RenderPlan) -> None:
         """Create a view for each sensor, all on the same scene."""
@@ -619,7 +623,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             "max_depth": self.plan.max_depth,
             "variant": self._variant,
             "cautions": dict(self.plan.cautions),
-            "left_out": {name: p.fault for name, p in self._table.items() if p.fault},
+            "left_out": {name: p.why_left_out for name, p in self._table.items() if p.why_left_out},
         }
 
     @property

@@ -14,6 +14,7 @@ __all__ = [
 ]
 
 from ._checks import check_scale as check_scale
+from ._checks import check_spectra as check_spectra
 from ._graph import SceneGraph as SceneGraph
 from ._graph import children as children
 from ._loading import SceneLike as SceneLike

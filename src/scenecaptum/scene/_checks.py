@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import torch
@@ -44,6 +45,15 @@ def find_fault(value: torch.Tensor, kind: str, bounds: Bounds) -> str | None:
 def _describe_fault(value: torch.Tensor, bad: torch.Tensor, reason: str) -> str:
     where = f" at {describe_location(bad)}" if bad.ndim else ""
     return f"it is {value[bad][0].item():g}{where}, {reason}"
+
+
+def check_spectra(name: str, class_names: Collection[str]) -> None:
+    """Raise if a scene has a spectrum that Mitsuba cannot evaluate in RGB."""
+    if "BlackBodySpectrum" in class_names:
+        raise SceneCaptumError(
+            f"{name} has a blackbody spectrum, which Mitsuba evaluates in its spectral variants only: give the "
+            "light an RGB radiance instead."
+        )
 
 
 def check_scale(name: str, scene: Any) -> None:

@@ -35,6 +35,12 @@ _MIN_NAME_WIDTH, _OWNER_WIDTH = 30, 12
 _OPTIONAL_COLUMNS = ("owner", "bounds", "shape", "kind")
 
 
+IN_BYTES = (
+    "its texels are stored in 8 bits and have no derivatives; load the scene from its file or dict, or give the "
+    'bitmap format="variant"'
+)
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of a scene.
@@ -114,6 +120,11 @@ class Parameter:
     def is_texture(self) -> bool:
         """Whether its value varies over a surface."""
         return len(self.shape) in (2, 3) and self.is_of_surface and not self.name.endswith(".to_uv")
+
+    @property
+    def why_left_out(self) -> str | None:
+        """Why kinds and globs leave it out although a user may expect it; None for all others."""
+        return self.problem if self.problem == IN_BYTES else self.fault
 
     @property
     def status(self) -> str:

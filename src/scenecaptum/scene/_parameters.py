@@ -16,7 +16,7 @@ from ._graph import SceneGraph, mesh_attribute_size
 from ._loading import SceneLike, XmlParameters, load_scene
 from ._naming import area_emitter_id
 from ._objects import camera_object, find_objects
-from ._parameter_table import SURFACE_KINDS, Parameter, SceneParameters
+from ._parameter_table import IN_BYTES, SURFACE_KINDS, Parameter, SceneParameters
 from ._poses import camera_parameters, pose_parameters
 from ._roles import (
     CAMERA_INPUTS,
@@ -155,10 +155,7 @@ def _problem(
     if kind == "camera":
         return CAMERA_INPUTS.get(role, "it is a setting of the camera, not a continuous part of the scene")
     if type_name == "TensorXu8":
-        return (
-            "its texels are stored in 8 bits and have no derivatives; load the scene from its file or dict, or "
-            'give the bitmap format="variant"'
-        )
+        return IN_BYTES
     if _is_transform(value):
         return "it is a transformation, whose entries are not differentiated"
     if kind == "emitters" and role in EMITTER_POSES:
@@ -183,7 +180,7 @@ def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | 
             "it belongs to a specular plugin of yours: its derivative is right only for what weights a lobe"
         )
     if _is_array(value) and len(shape) > 1 and _is_specular(user) and role in ("opacity", "weight"):
-        return "it blends a perfectly specular lobe with others, so the magnitude of its derivative is biased"
+        return "it blends a perfectly specular lobe with others: its derivative is biased, also in its sign"
     return None
 
 
