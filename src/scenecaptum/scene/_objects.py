@@ -104,7 +104,9 @@ def camera_object(sensor: Any) -> SceneObject:
         components=("translation", "rotation", *(["fov"] if "x_fov" in keys else [])),
         box=None,
         pivot=(float(place[0]), float(place[1]), float(place[2])),
-        problem=None if "to_world" in keys else f"a {sensor.class_name()} has no pose",
+        problem=None
+        if "to_world" in keys
+        else f"a {sensor.class_name()} has no pose; place the camera in the scene file",
     )
 
 
