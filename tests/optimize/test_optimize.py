@@ -53,6 +53,29 @@ def test_only_the_most_salient_parameters_are_moved():
     assert abs(exact - found.after.value) < allowed(8) * found.after.error
 
 
+def test_parameters_whose_effects_are_in_the_noise_are_kept():
+    class WithNoise(Lamps):
+        """A parameter without an effect, whose gradient is noise."""
+
+        bounds = Lamps.bounds | {"idle": (0.0, 1.0)}
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.inputs["idle"] = torch.tensor(0.5)
+
+        def __call__(self, inputs, *, seed, spp):
+            noise = torch.randn((), generator=torch.Generator().manual_seed(seed + 1)) / math.sqrt(spp)
+            return super().__call__(inputs, seed=seed, spp=spp) + (inputs["idle"] - 0.5) * noise / 4
+
+    kept = [
+        "idle"
+        not in {moved.name for moved in optimize.minimize(WithNoise(), torch.mean, 0.6, seed=seed).moved}
+        for seed in seeds(8)
+    ]
+    # An effect of noise alone is beyond two standard errors in 9 % of cases (Student's t).
+    assert sum(kept) >= 5
+
+
 def test_no_parameter_moves_farther_than_its_limit():
     found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
     assert not found.reached

@@ -32,6 +32,7 @@ from ._bounds import Limit, chosen_limits, construction
 from ._result import Measured, Optimization
 
 BISECTIONS = 3  # of the last step
+CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
 NOISE_ONLY = "the errors are of noise only: rate the design again at twice the resolution"
 
 
@@ -53,11 +54,12 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 ) -> Optimization:
     """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
-    Parameters are ranked by their effects over their ranges; all but the top ones, and the cones of spots, are
-    kept constant. A colour changes per channel, a texture by one offset per channel for all texels; a lamp or a
-    sky is dimmed, and keeps its colour; no reflectance is raised above 0.85, that of white paint. Every step
-    renders with a new seed. The goal counts as reached once a measurement with independent samples confirms it;
-    the last step is then shortened as far as the goal allows.
+    Parameters are ranked by their effects over their ranges. All but the top ones are kept constant, and so are
+    those whose effects are within two standard errors, and the cones of spots. A colour changes per channel, a
+    texture by one offset per channel for all texels; a lamp or a sky is dimmed, and keeps its colour; no
+    reflectance is raised above 0.85, that of white paint. Every step renders with a new seed. The goal counts as
+    reached once a measurement with independent samples confirms it; the last step is then shortened as far as the
+    goal allows.
 
     Example
     -------
@@ -125,7 +127,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     name = metric_symbol(ranked)
     fixed = construction(renderer)
     movable = [row for row in ranked.ranking() if any(row.total) and row.name not in fixed]
-    top_rows = movable[: whole_number("top", top)]
+    # Those in the noise would move in either direction; they only count where nothing is clear of it.
+    clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
+    top_rows = (clear or movable)[: whole_number("top", top)]
     if not top_rows:
         raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
     budget = Budget.split(spp, DEFAULT_REPLICATES, measurement_seed)
