@@ -188,6 +188,12 @@ def test_derivatives_at_exactly_zero_include_what_is_behind(
     assert_agree_with_differences(renderer, {name: step}, central=False)
 
 
+def test_labels_tell_a_medium_from_its_object(mi: Any) -> None:
+    labels = SceneRenderer(room(mi, homogeneous()), ["media", "fog.pose.scale"], spp=1).labels
+    assert labels[ALBEDO] == "fog: medium albedo"
+    assert labels["fog.pose.scale"] == "fog: scale"
+
+
 def test_a_phase_function_may_change_between_calls(mi: Any) -> None:
     """Dr.Jit's frozen functions do not track phase functions, and would keep using the old one."""
     name = "fog.interior_medium.phase_function.g"

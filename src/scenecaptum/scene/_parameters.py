@@ -31,9 +31,14 @@ from ._roles import (
 MAX_DIFFERENCES = 3  # numbers of a parameter that finite differences are made of
 
 # Parts of a parameter's name that its label leaves out.
-_OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data", "interior_medium"}
-# Words of a label for a property that has another name in other materials.
-_LABEL_WORDS = {"alpha": "roughness", "alpha_u": "roughness u", "alpha_v": "roughness v"}
+_OMITTED_SEGMENTS = {"bsdf", "brdf_0", "nested_bsdf", "emitter", "value", "data"}
+# The words of labels in place of Mitsuba's.
+_LABEL_WORDS = {
+    "alpha": "roughness",
+    "alpha_u": "roughness u",
+    "alpha_v": "roughness v",
+    "interior_medium": "medium",
+}
 
 
 def discover(graph: SceneGraph) -> SceneParameters:
