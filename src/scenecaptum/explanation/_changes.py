@@ -63,14 +63,13 @@ def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
     """Return the change with its effect, and its value by the definition, of rendering the changed scene."""
     changes = {change.name: change.after}
     images = scenes.render(changes)
-    differences = scenes.measure_in(images, changes) - scenes.unmodified
-    error = differences.std() / math.sqrt(len(differences))
+    measured, error = scenes.difference(images, changes)
     exact = definition_of(metric, images.mean(0, keepdim=True))
     change_by_definition = difference_by_definition(metric, scenes.images, images)
     return dataclasses.replace(
         change,
-        measured=differences.mean().item(),
-        measured_error=error.item(),
+        measured=measured,
+        measured_error=error,
         exact=None if exact is None else exact.value,
         exact_error=None if change_by_definition is None else change_by_definition[1],
     )
