@@ -111,7 +111,9 @@ def test_lines_of_text_do_not_break_inside_a_number():
 
 
 def test_the_note_on_a_goal_stands_below_its_line():
-    goal = SimpleNamespace(moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True)
+    goal = SimpleNamespace(
+        moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True, was_below=False
+    )
     said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What reaches the goal"]
     assert said == ["UGR 25 → 18, below 19, in other renders", "rate it again"]
 

@@ -86,7 +86,7 @@ class Explanation:
             (f"What would change it{self._relaxed_effects()}", self._change_lines()),
             ("Which points decide", self._row_lines()),
             (
-                f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
+                self._goal_heading(),
                 self._goal_lines(),
             ),
             ("Too noisy to say", self._unclear_lines()),
@@ -270,6 +270,11 @@ class Explanation:
         if self.definition is None or change.exact is None or not change.exact_error:
             return ""
         return f", by {self._in_unit(signed(change.exact - self.definition.value, change.exact_error))}"
+
+    def _goal_heading(self) -> str:
+        if self.goal is None or self.goal.was_below:
+            return "The goal"
+        return f"What {'reaches' if self.goal.reached else 'was tried to reach'} the goal"
 
     def _goal_lines(self) -> list[str]:
         if self.goal is None:

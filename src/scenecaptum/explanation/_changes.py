@@ -10,7 +10,7 @@ import torch
 
 from ..attr import Change, SceneAttribution
 from ..estimation import Metric, channel_totals
-from ..optimize import BOUND_MARGIN, design_bounds
+from ..optimize import BOUND_MARGIN, design_bounds, first_of_each_light
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
@@ -56,7 +56,7 @@ def propose(
         predicted, error = _predict(attribution, row.name, after - value)
         if abs(predicted) > SIGNIFICANT * error:
             changes.append(Change(row.name, row.label, value, after, predicted, error))
-    return sorted(changes, key=lambda change: -abs(change.predicted))[:count]
+    return first_of_each_light(sorted(changes, key=lambda change: -abs(change.predicted)))[:count]
 
 
 def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
