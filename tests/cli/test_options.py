@@ -552,6 +552,18 @@ def test_saved_results_are_compared_if_they_are_of_one_metric(
     assert not (folder / "other").exists()
 
 
+def test_a_relative_threshold_and_the_premises_stand_below_an_attributed_rating(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"attribute cornell-box {VIEW} --metric ugr --threshold-factor 2 --format json --report --out out"
+    assert cli.main(shlex.split(text)) == 0
+    page, printed = (folder / "out" / "report.html").read_text(), capsys.readouterr().out
+    for note in ("threshold 2 times the mean luminance", "UGR and its limits are for luminaires"):
+        assert note in printed
+        assert note in page
+    assert "threshold 2 times" in (folder / "out" / "attribution.json").read_text()
+
+
 def test_a_scene_below_its_goal_gets_no_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     goal = "--metric luminance --below 1e6 --changes 0 --report"
     assert cli.main(shlex.split(f"explain cornell-box {VIEW} {goal} --out out")) == 0
