@@ -212,8 +212,8 @@ CASES: dict[str, Case] = {
     "optimize an element": (
         f"optimize {FILE} --metric own_metric.py:channels --target 0 --below 100 --steps 1 --out out",
         0,
-        ["below the goal of 100"],
-        ["design.json", "optimization.png"],
+        ["already below the goal of 100"],
+        [],
     ),
     "validate": (
         f"validate {SCENE} --metric luminance --top 2 --no-progress --out out",
@@ -550,6 +550,34 @@ def test_saved_results_are_compared_if_they_are_of_one_metric(
     assert cli.main(["compare", *files[1:], "--out", "other"]) == 2
     assert "different metrics" in capsys.readouterr().err
     assert not (folder / "other").exists()
+
+
+def test_a_relative_threshold_and_the_premises_stand_below_an_attributed_rating(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"attribute cornell-box {VIEW} --metric ugr --threshold-factor 2 --format json --report --out out"
+    assert cli.main(shlex.split(text)) == 0
+    page, printed = (folder / "out" / "report.html").read_text(), capsys.readouterr().out
+    for note in ("threshold 2 times the mean luminance", "UGR and its limits are for luminaires"):
+        assert note in printed
+        assert note in page
+    assert "threshold 2 times" in (folder / "out" / "attribution.json").read_text()
+
+
+def test_a_scene_below_its_goal_gets_no_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    goal = "--metric luminance --below 1e6 --changes 0 --report"
+    assert cli.main(shlex.split(f"explain cornell-box {VIEW} {goal} --out out")) == 0
+    assert "already below the goal of 1e+06 cd/m²" in capsys.readouterr().out
+    assert not (folder / "out" / "design.json").exists()
+    assert (folder / "out" / "report.html").exists()
+
+
+def test_the_design_of_a_missed_goal_has_the_values_that_were_tried(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"explain cornell-box {VIEW} --metric luminance --below -1 --changes 0 --out out"
+    assert cli.main(shlex.split(text)) == 0
+    assert "design.json  the values that were tried, for --design" in capsys.readouterr().out
 
 
 def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> None:

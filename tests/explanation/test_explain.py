@@ -9,8 +9,8 @@ import torch
 from chance import allowed
 from seeds import shifted
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
-from scenecaptum.explanation import explain
+from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.validation import Scenes
 
 
@@ -137,3 +137,26 @@ def test_a_daylight_glare_probability_outside_its_range_has_a_caution_with_the_i
         "caution: DGP is valid from 0.2 to 0.8, and above 380 lx at the eye; here DGP is 0.1"
     )
     assert caution.endswith(" lx")
+
+
+def test_a_picture_without_a_glare_source_says_so_with_its_brightest_pixel():
+    camera = Camera.perspective(16, 16, fov_x=60)
+    image = torch.full((16, 16, 3), 0.5)
+    metric = metrics.UnifiedGlareRating(camera)
+    (note,) = [one for one in photometric_premises(metric, image, 0.0) if "no pixel" in one]
+    assert note.startswith("no pixel is brighter than 2000 cd/m² (the brightest: 89.5 cd/m²): nothing counts")
+    assert note.endswith("--threshold-factor 5")
+
+
+def test_only_a_source_that_is_close_to_an_absolute_threshold_has_a_note():
+    camera = Camera.perspective(16, 16, fov_x=60)
+
+    def has_note(luminance: float, **options: float) -> bool:
+        image = torch.full((16, 16, 3), 0.5)
+        image[4:6, 7:9] = luminance / 179
+        premises = photometric_premises(metrics.UnifiedGlareRating(camera, **options), image, 10.0)
+        return any(note.startswith("only pixels brighter than 2000 cd/m² count") for note in premises)
+
+    assert has_note(4000.0)
+    assert not has_note(20000.0)
+    assert not has_note(4000.0, threshold_factor=5.0)

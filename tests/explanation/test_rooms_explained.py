@@ -91,8 +91,8 @@ def _changes(
     found = {}
     for change in said.changes:
         if change.is_clear:
-            differences = scenes.measure({change.name: change.after}) - scenes.unmodified
-            error = (differences.std() / math.sqrt(REPLICATES)).item()
+            after = {change.name: change.after}
+            again = scenes.difference(scenes.render(after), after)
             measured = (change.measured or 0.0, change.measured_error or 0.0)
-            found[f"change of {change.name}"] = (*measured, differences.mean().item(), error)
+            found[f"change of {change.name}"] = (*measured, *again)
     return found

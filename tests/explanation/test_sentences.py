@@ -93,7 +93,8 @@ def test_samples_are_advised_up_to_a_hundred_times_as_many():
         return line
 
     assert "times the samples would tell" in advice(0.2)
-    assert advice(20.0).endswith("within the error; it cannot be measured with this scene and resolution")
+    assert advice(20.0).endswith(" times or more)")
+    assert "within the error; use more samples (" in advice(20.0)
 
 
 def test_markdown_has_the_same_sentences():
@@ -104,6 +105,12 @@ def test_markdown_has_the_same_sentences():
         assert all(f"- {sentence}" in markdown for sentence in sentences)
 
 
+def test_the_rating_of_a_changed_scene_is_not_negative():
+    (line,) = lines(Explanation(rated(1.0, 0.05), changes=(change(-3.4),)))["What would change it"]
+    assert "→ 0" in line
+    assert "→ −" not in line
+
+
 def test_lines_of_text_do_not_break_inside_a_number():
     text = Explanation(rated(24.8, 0.05), changes=(change(-0.68),)).text(width=60)
     assert all(len(line) <= 60 for line in text.splitlines())
@@ -111,7 +118,9 @@ def test_lines_of_text_do_not_break_inside_a_number():
 
 
 def test_the_note_on_a_goal_stands_below_its_line():
-    goal = SimpleNamespace(moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True)
+    goal = SimpleNamespace(
+        moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True, was_below=False
+    )
     said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What reaches the goal"]
     assert said == ["UGR 25 → 18, below 19, in other renders", "rate it again"]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from seeds import seeds, shifted
 from scenecaptum import SceneRenderer, metrics, optimize
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.optimize._adam import BoundedAdam
-from scenecaptum.optimize._bounds import LIGHTEST
+from scenecaptum.optimize._bounds import LIGHTEST, first_of_each_light
 
 
 class Lamps:
@@ -120,6 +121,22 @@ def test_the_path_depends_on_the_seed_only():
 def test_bad_options_are_refused(options, words):
     with pytest.raises(SceneCaptumError, match=words):
         optimize.minimize(Lamps(), torch.mean, 0.5, **options)
+
+
+def test_a_scene_below_the_goal_is_kept_even_if_no_parameter_affects_the_metric():
+    found = optimize.minimize(Lamps(), lambda image: 0 * image.mean(), 19.0)
+    assert found.reached
+    assert found.was_below
+    assert not found.moved
+    assert not found.history
+    assert "already below the goal of 19" in str(found)
+    assert all(torch.equal(found.values[name], value) for name, value in Lamps().inputs.items())
+
+
+def test_the_scale_and_the_map_of_a_sky_are_one_light():
+    names = ["sky.scale", "lamp.scale", "sky.data", "wall.data", "scale", "data"]
+    kept = first_of_each_light([SimpleNamespace(name=name) for name in names])
+    assert [one.name for one in kept] == ["sky.scale", "lamp.scale", "wall.data", "scale", "data"]
 
 
 def test_a_metric_without_gradient_is_refused():
@@ -271,7 +288,7 @@ def test_a_rating_that_reaches_its_goal_is_to_be_confirmed_at_another_resolution
 
     room = SceneRenderer("office", "emitters", resolution=(24, 14), spp=16, max_depth=2)
     glare = metrics.UnifiedGlareRating(room.camera)
-    reached = run(glare, 100.0)
+    reached = run(glare, 21.0)
     assert str(reached).splitlines()[-1] == reached.note
     assert reached.note.endswith("rate the design again at twice the resolution")
     assert not run(glare, -100.0).note

@@ -86,7 +86,7 @@ class Explanation:
             (f"What would change it{self._relaxed_effects()}", self._change_lines()),
             ("Which points decide", self._row_lines()),
             (
-                f"What {'reaches' if self.goal and self.goal.reached else 'was tried to reach'} the goal",
+                self._goal_heading(),
                 self._goal_lines(),
             ),
             ("Too noisy to say", self._unclear_lines()),
@@ -125,9 +125,12 @@ class Explanation:
 
     def notes(self) -> list[str]:
         """Return what belongs to the value: cautions, its definition, which value to quote, and the premises."""
+        return [*noise_notes(self.attribution), *self.value_notes()]
+
+    def value_notes(self) -> list[str]:
+        """Return the notes without those on noise, which a table has below its title."""
         definition = (self.attribution.info.get("measure") or {}).get("definition")
         return [
-            *noise_notes(self.attribution),
             *([f"{metric_symbol(self.attribution)}: {definition}"] if definition else []),
             *([] if self.definition is None else [self._which_to_quote()]),
             *self.premises,
@@ -190,6 +193,8 @@ class Explanation:
         return [*lines, f"the rest: {100 * rest:.1f} %"] if lines and rest > SMALL_REST else lines
 
     def _effect_lines(self) -> list[str]:
+        if not self.count:
+            return []
         return [
             f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
             f"{self._along(row.name)}"
@@ -254,10 +259,10 @@ class Explanation:
                 "relaxed: ",
             )
         else:
-            before, after = (
-                with_error(number, change.measured, digits=2)[0]
-                for number in (value, value + change.measured)
-            )
+            # No rating of a scene is negative, but its value and the measured change are of other renders.
+            rated = bool((self.attribution.info.get("measure") or {}).get("limits"))
+            changed = max(0.0, value + change.measured) if rated else value + change.measured
+            before, after = (with_error(number, change.measured, digits=2)[0] for number in (value, changed))
             relaxed = ""
         by = self._exact_difference(change)
         measured = signed(change.measured, change.measured_error)
@@ -271,12 +276,17 @@ class Explanation:
             return ""
         return f", by {self._in_unit(signed(change.exact - self.definition.value, change.exact_error))}"
 
+    def _goal_heading(self) -> str:
+        if self.goal is None or self.goal.was_below:
+            return "The goal"
+        return f"What {'reaches' if self.goal.reached else 'was tried to reach'} the goal"
+
     def _goal_lines(self) -> list[str]:
         if self.goal is None:
             return []
         return [
             *(f"{step(one)}: {one.extent}" for one in self.goal.moved),
-            f"{self.goal.outcome}, in other renders",
+            self.goal.outcome if self.goal.was_below else f"{self.goal.outcome}, in other renders",
             *([self.goal.note] if self.goal.note else []),
         ]
 
@@ -331,7 +341,7 @@ class Explanation:
         remedy = (
             f"{factor} times the samples would tell"
             if factor <= MOST_SAMPLES
-            else "it cannot be measured with this scene and resolution"
+            else f"use more samples ({factor} times or more)"
         )
         which = (
             f"{in_words(hiding[0].label)} ({signed(hiding[0].effect, hiding[0].effect_error)})"

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from ..attr import GROUPS, METHODS, AttributionInterrupted, SceneAttribution
+from ..attr import GROUPS, METHODS, AttributionInterrupted, Explanation, SceneAttribution
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric
+from ..explanation import photometric_premises
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
@@ -218,8 +219,17 @@ def _write_result(
     print(table_text(attribution, scale=options.scale))
     exact = by_definition(attribution, metric)
     lines = [f"quote {exact}, the value by the definition; {RELAXED}"] if exact else []
+    if of_picture := _of_picture(attribution, metric):
+        lines += Explanation(attribution, premises=of_picture).value_notes()
     print("".join(f"\n{line}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
+
+
+def _of_picture(attribution: SceneAttribution, metric: Metric) -> tuple[str, ...]:
+    """Return what a photometric metric takes for granted; nothing of other metrics, and without a picture."""
+    if attribution.image is None or attribution.surfaces is None:
+        return ()
+    return photometric_premises(metric, attribution.image, attribution.metric_value)
 
 
 def _write_report(
@@ -230,6 +240,10 @@ def _write_report(
         return
     path = options.out / REPORT
     plans = [plan_of(one, renderer, metric) for one, metric in finished]
-    write_report([one for one, _ in finished], path, title=options.title, plans=plans)
+    shown: list[SceneAttribution | Explanation] = []
+    for one, metric in finished:
+        of_picture = _of_picture(one, metric)
+        shown.append(Explanation(one, premises=of_picture, count=0) if of_picture else one)
+    write_report(shown, path, title=options.title, plans=plans)
     if not options.json:
         print(f"{path}  interactive page with all results")

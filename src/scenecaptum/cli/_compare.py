@@ -16,7 +16,7 @@ from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradie
 from ..daylight import DaylightMetric
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
+from ..estimation import DEFAULT_REPLICATES, Metric
 from ..explanation import definition_of, difference_by_definition, photometric_premises
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
@@ -207,7 +207,7 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         "the design" if options.design is None else options.design.stem,
     ]
     images = scenes.render(design or {})
-    change = mean_and_error(scenes.measure_in(images, design or {}) - scenes.unmodified)
+    change = scenes.difference(images, design or {})
     definitions = [definition_of(metric, one) for one in (scenes.images, images)]
     sides = [
         _side(one, definition, renderer, metric, options)

@@ -77,8 +77,8 @@ def run(options: argparse.Namespace) -> int:
         values = designed_values(options, renderer)
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
-        if explanation.goal is not None:
-            formats = [*formats, DESIGN]
+        if explanation.goal is not None and not explanation.goal.was_below:
+            formats = [*formats, DESIGN if explanation.goal.reached else TRIED]
         write_files(explanation, options.out, formats)
         if options.report:
             _write_report(explanation, renderer, metric, options)
@@ -101,7 +101,7 @@ def _write_report(
     """Write the page: the sentences, and if a goal was reached, the scene before and after on a slider."""
     results: list[Explanation | SceneAttribution] = [explanation]
     titles = comparison = None
-    if (goal := explanation.goal) is not None and goal.reached:
+    if (goal := explanation.goal) is not None and goal.reached and not goal.was_below:
         progress = _arguments.shows_progress(options)
         method = VanillaSceneGradient(renderer, metric)
         results.append(
@@ -205,6 +205,7 @@ def _write_design(explanation: Explanation, path: Path) -> None:
 
 
 DESIGN = OutputFormat(DESIGN_FILE, "the values of the goal, for --design", _write_design)
+TRIED = dataclasses.replace(DESIGN, description="the values that were tried, for --design")
 FORMATS = [
     OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
     OutputFormat("explanation.json", "the numbers", _write_json),

@@ -64,10 +64,11 @@ def run(options: argparse.Namespace) -> int:
             show_progress=_arguments.shows_progress(options),
         )
         found = with_design_option(found, options.out)
-        write_files(found, options.out, FORMATS)
+        formats = [] if found.was_below else FORMATS
+        write_files(found, options.out, formats)
     print(json.dumps(optimization_numbers(found), indent=1) if options.json else found)
-    if not options.json:
-        print_files(options.out, FORMATS)
+    if formats and not options.json:
+        print_files(options.out, formats)
     return 0 if found.reached else NOT_REACHED
 
 

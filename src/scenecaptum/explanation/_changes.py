@@ -10,7 +10,7 @@ import torch
 
 from ..attr import Change, SceneAttribution
 from ..estimation import Metric, channel_totals
-from ..optimize import BOUND_MARGIN, design_bounds
+from ..optimize import BOUND_MARGIN, design_bounds, first_of_each_light
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
@@ -56,21 +56,20 @@ def propose(
         predicted, error = _predict(attribution, row.name, after - value)
         if abs(predicted) > SIGNIFICANT * error:
             changes.append(Change(row.name, row.label, value, after, predicted, error))
-    return sorted(changes, key=lambda change: -abs(change.predicted))[:count]
+    return first_of_each_light(sorted(changes, key=lambda change: -abs(change.predicted)))[:count]
 
 
 def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
     """Return the change with its effect, and its value by the definition, of rendering the changed scene."""
     changes = {change.name: change.after}
     images = scenes.render(changes)
-    differences = scenes.measure_in(images, changes) - scenes.unmodified
-    error = differences.std() / math.sqrt(len(differences))
+    measured, error = scenes.difference(images, changes)
     exact = definition_of(metric, images.mean(0, keepdim=True))
     change_by_definition = difference_by_definition(metric, scenes.images, images)
     return dataclasses.replace(
         change,
-        measured=differences.mean().item(),
-        measured_error=error.item(),
+        measured=measured,
+        measured_error=error,
         exact=None if exact is None else exact.value,
         exact_error=None if change_by_definition is None else change_by_definition[1],
     )

@@ -23,6 +23,7 @@ from ._changes import propose, rendered
 from ._definition import definition_of
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
+from ._threshold import threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
@@ -103,17 +104,23 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         values=inputs,
     )
     grid = renderer.grid if is_of_daylight(scenes.metric) and isinstance(renderer, SceneRenderer) else None
+    goal = (
+        None if below is None else _reach(below, renderer, metric, inputs=inputs, seed=goal_seed, **options)
+    )
+    shown = scenes.metric.transform(scenes.images.mean(0))
+    premises = photometric_premises(metric, scenes.images.mean(0), attribution.metric_value, shown)
+    if goal is not None and not goal.was_below:  # a lamp that it dims may fall below the threshold
+        of_goal = [f"at the goal: {note}" for note in threshold_notes(metric, goal.after.image)]
+        premises += tuple(of_goal if threshold_notes(metric, shown) == [] else ())
     return Explanation(
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
         # Of the pictures from which the changes are measured: before and after are values of the same points.
         definition=definition_of(metric, scenes.images),
-        premises=photometric_premises(metric, scenes.images.mean(0), attribution.metric_value),
+        premises=premises,
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, metric, change) for change in proposed),
-        goal=None
-        if below is None
-        else _reach(below, renderer, metric, inputs=inputs, seed=goal_seed, **options),
+        goal=goal,
     )
 
 
@@ -123,8 +130,13 @@ def _reach(below: float, renderer: Renderer, metric: Metric, **options: Any) -> 
     return alone if alone.reached else minimize(renderer, metric, below, **options)
 
 
-def photometric_premises(metric: Metric, image: torch.Tensor, value: float) -> tuple[str, ...]:
-    """Return what a photometric metric of a picture takes for granted of the scene."""
+def photometric_premises(
+    metric: Metric, image: torch.Tensor, value: float, shown: torch.Tensor | None = None
+) -> tuple[str, ...]:
+    """Return what a photometric metric of a picture takes for granted of the scene.
+
+    ``shown`` is the picture that is rated, if that is denoised.
+    """
     premises = []
     efficacy = getattr(metric, "efficacy", 1)
     if efficacy != 1 and not isinstance(metric, DaylightMetric):
@@ -135,6 +147,7 @@ def photometric_premises(metric: Metric, image: torch.Tensor, value: float) -> t
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
+    premises += threshold_notes(metric, image if shown is None else shown)
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from abc import abstractmethod
 from numbers import Real
@@ -103,6 +104,10 @@ class GlareRating(torch.nn.Module):
         self.efficacy = check_positive("efficacy", efficacy)
         self.pixels = PixelGeometry(camera)
         self.register_buffer("task", self._check_task(task), persistent=False)
+        if self.threshold_factor is not None:
+            zone = "mean luminance" if task is None else "mean luminance of the task zone"
+            definition = f"threshold {self.threshold_factor:g} times the {zone}"
+            self.measure = dataclasses.replace(self.measure, definition=definition)
 
     @property
     def camera(self) -> Camera:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import TypeAlias
+from typing import Protocol, TypeAlias, TypeVar
 
 import torch
 
@@ -16,6 +16,7 @@ Limit: TypeAlias = "float | Sequence[float]"
 
 # Properties of emitters that are part of their construction.
 CONSTRUCTION = ("cutoff_angle", "beam_width")
+SAME_LIGHT = ("scale", "data")  # of an environment map
 BOUND_MARGIN = 0.01  # distance from a physical bound, which may be degenerate, as a fraction of the range
 LIGHTEST = 0.85  # reflectance of a design: that of white matt paint
 
@@ -36,6 +37,26 @@ def lamps(renderer: Renderer) -> set[str]:
     return {
         name for name, one in describe().items() if one.kind == "emitters" and math.isinf(one.bounds.high)
     }
+
+
+class Named(Protocol):
+    """What concerns a parameter, such as a row of a ranking."""
+
+    @property
+    def name(self) -> str:
+        """The parameter's name."""
+
+
+AnyNamed = TypeVar("AnyNamed", bound=Named)
+
+
+def first_of_each_light(found: Iterable[AnyNamed]) -> list[AnyNamed]:
+    """Return all but the later of the scale and the map of a sky, which both dim the same light."""
+    kept: dict[str, AnyNamed] = {}
+    for one in found:
+        owner, _, last = one.name.rpartition(".")
+        kept.setdefault(owner if owner and last in SAME_LIGHT else one.name, one)
+    return list(kept.values())
 
 
 def design_bounds(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> dict[str, tuple[float, float]]:

@@ -28,7 +28,7 @@ from ..estimation import (
 from ..protocols import Capabilities, Renderer
 from ..visualization import metric_symbol, metric_unit
 from ._adam import BoundedAdam
-from ._bounds import Limit, chosen_limits, construction
+from ._bounds import Limit, chosen_limits, construction, first_of_each_light
 from ._result import Measured, Optimization
 
 BISECTIONS = 3  # of the last step
@@ -59,7 +59,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     texture by one offset per channel for all texels; a lamp or a sky is dimmed, and keeps its colour; no
     reflectance is raised above 0.85, that of white paint. Every step renders with a new seed. The goal counts as
     reached once a measurement with independent samples confirms it; the last step is then shortened as far as the
-    goal allows.
+    goal allows. A scene that is below the goal already is kept.
 
     Example
     -------
@@ -125,13 +125,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         values, target=target, seed=ranking_seed, spp=spp, denoise=denoise
     )
     name = metric_symbol(ranked)
-    fixed = construction(renderer)
-    movable = [row for row in ranked.ranking() if any(row.total) and row.name not in fixed]
-    # Those in the noise would move in either direction; they only count where nothing is clear of it.
-    clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
-    top_rows = (clear or movable)[: whole_number("top", top)]
-    if not top_rows:
-        raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
+    most = whole_number("top", top)
     budget = Budget.split(spp, DEFAULT_REPLICATES, measurement_seed)
 
     def render(changed: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
@@ -146,6 +140,16 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         estimate = jackknife(at_values(transformed, renderer, changed), images)
         return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
+    before = after = measure(values)
+    if before.is_below(below):
+        return Optimization(dict(values), (), before, before, (), below, name, metric_unit(ranked))
+    fixed = construction(renderer)
+    movable = [row for row in ranked.ranking() if any(row.total) and row.name not in fixed]
+    # Those in the noise would move in either direction; they only count where nothing is clear of it.
+    clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
+    top_rows = first_of_each_light(clear or movable)[:most]
+    if not top_rows:
+        raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
     start = {row.name: values[row.name] for row in top_rows}
     optimizer = BoundedAdam(renderer, start, change, chosen_limits(values, start, limits or {}))
 
@@ -153,7 +157,6 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         return values | {name: value.detach() for name, value in optimizer.values().items()}
 
     history: list[float] = []
-    before = after = measure(values)
     for step_seed in tqdm(step_seeds, disable=not show_progress, desc=name, unit="step"):
         current = {**values, **optimizer.values()}
         image = renderer(current, seed=step_seed, spp=spp)

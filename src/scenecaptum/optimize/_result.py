@@ -120,6 +120,11 @@ class Optimization:
     note: str = ""
 
     @property
+    def was_below(self) -> bool:
+        """Whether the scene was below the goal from the start, so that nothing was changed."""
+        return not self.moved and self.reached
+
+    @property
     def reached(self) -> bool:
         """Whether the metric is below the goal by two standard errors."""
         return self.after.is_below(self.below)
@@ -154,6 +159,8 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
+        if self.was_below:
+            return self.outcome
         end = filter(None, [self.outcome, self.note])
         return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", *end])
 
@@ -163,6 +170,8 @@ class Optimization:
     def outcome(self) -> str:
         """What was reached, in a sentence."""
         goal = f"the goal of {self.below:g} {self.unit}".rstrip()
+        if self.was_below:
+            return f"{self.metric} {self._format(self.before)}, already below {goal}"
         if self.reached:
             outcome = f"below {goal}"
         elif self.after.value < self.below:
