@@ -231,9 +231,9 @@ class GridPoints:
         ``(H, W)`` bool: whether a pixel is a point. The others are 0 in the picture.
     plan
         ``(H, W, 2)`` float64: the coordinates of the points in the plan of the room, across and up.
-    floor, sides, above
-        The shape or the material of the floor that the points are above, its size across and up, and their height
-        above it; empty of other points.
+    floor, sides, above, material
+        The shape or the material of the floor that the points are above, its size across and up, their height
+        above it, and the material of the shape; empty of other points.
     """
 
     positions: torch.Tensor = field(repr=False)
@@ -243,6 +243,7 @@ class GridPoints:
     floor: str = ""
     sides: tuple[float, ...] = ()
     above: float = 0.0
+    material: str = ""
 
     def as_list(self) -> GridPoints:
         """Return the points that are inside, in rows of one point."""

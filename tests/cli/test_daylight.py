@@ -189,7 +189,7 @@ def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(
     assert cli.main(shlex.split(text)) == 0
     (grid,) = [one for one in json.loads(capsys.readouterr().out)["premises"] if one.startswith("grid: ")]
     assert re.fullmatch(
-        r"grid: \d+ points on floor_shape, [\d.]+ × [\d.]+ m, 0.7 m high, [\d.]+ m apart", grid
+        r"grid: \d+ points on floor_shape \(floor\), 0.7 m above it, [\d.]+ × [\d.]+ m, [\d.]+ m apart", grid
     )
     report = (tmp_path / "report.html").read_text()
     assert '"height":"0.7"' in report

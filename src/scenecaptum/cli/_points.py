@@ -181,12 +181,13 @@ def with_settings(
 
 
 def _grid_size(points: GridPoints) -> str:
-    """Return ``"63 points on floor_shape, 7 × 5 m, 0.8 m high, 0.78 m apart"``, the larger distance of the two."""
+    """Return ``"63 points on floor_shape (parquet), 0.8 m above it, 7 × 5 m, 0.78 m apart"``, of two."""
     width, depth = (rounded(side) for side in points.sides)
     gaps = torch.cat([points.plan[0, :, 0].diff(), points.plan[:, 0, 1].diff()]).abs()
     apart = [f"{rounded(gaps.max().item(), 2)} m apart"] if len(gaps) else []
-    size = [f"{width} × {depth} m", f"{rounded(points.above)} m high", *apart]
-    return f"{int(points.inside.sum())} points on {points.floor}, {', '.join(size)}"
+    size = [f"{rounded(points.above)} m above it", f"{width} × {depth} m", *apart]
+    material = f" ({points.material})" if points.material else ""
+    return f"{int(points.inside.sum())} points on {points.floor}{material}, {', '.join(size)}"
 
 
 def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:
