@@ -13,6 +13,7 @@ from .errors import SceneCaptumError, whole_number
 
 LEED_HEIGHT = 0.76  # of the work plane in LEED, in metres
 MAX_SPACING = 10.0  # of EN 12464-1, in metres
+FROM_BELOW = ("x", "z")  # axes to the right and up of a plan that would show the room from below, as y is up
 
 Point = tuple[float, float]
 

@@ -89,6 +89,8 @@ def test_axes_are_in_metres_with_equal_aspect():
     assert ax.get_ylim() == (-0.25, 2.25)
     other, _ = plot_plan(ramp(), plan(5, 7), axes=("x", "z")).axes
     assert other.get_ylabel() == "z in m"
+    # Where y is up, x to the right and z up would be the room from below.
+    assert (other.get_xlim(), other.get_ylim()) == ((-0.25, 3.25), (2.25, -0.25))
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1)])

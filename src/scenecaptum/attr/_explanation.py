@@ -233,7 +233,7 @@ class Explanation:
         relaxed = ", relaxed" if self.definition else ""
         return (
             f"below, {there}how 10 % more light there changes {symbol} of all points{relaxed}; {rows} are counted "
-            f"from the {first.side} of the plan, where {first.name[0]} points {towards}"
+            f"from the {first.side} of the plan, where {first.towards} points {towards}"
         )
 
     def _row_line(self, row: Row) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..errors import SceneCaptumError
+from ..grid import FROM_BELOW
 from ._figures import SMALL, TEXT, TITLE, WIDTH, axes_or_new, characters_per_line, figure_of, style_axes
 from ._layout import wrapped_lines
 from ._numbers import rounded
@@ -69,7 +70,8 @@ def plot_plan(
     label
         Quantity and unit, at the colour bar.
     axes
-        Names of the coordinates across and up, ``renderer.grid.axes``.
+        Names of the coordinates across and up, ``renderer.grid.axes``. The room is shown from above: with x and z,
+        −z points up.
 
     Raises
     ------
@@ -86,6 +88,8 @@ def plot_plan(
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
     _draw_contours(ax, x, y, shown, levels, _APART * WIDTH / width)
     ax.set_aspect("equal")
+    if axes == FROM_BELOW:
+        ax.invert_yaxis()
     style_axes(ax, title, x=f"{axes[0]} in m", y=f"{axes[1]} in m")
     bar = figure_of(ax).colorbar(mapped, ax=ax, aspect=25, pad=0.02)
     bar.ax.tick_params(labelsize=SMALL)
