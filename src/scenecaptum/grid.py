@@ -90,6 +90,10 @@ class SensorGrid:
                 raise SceneCaptumError(
                     f"{name} of a SensorGrid must be at least 0, not {getattr(self, name)!r}."
                 )
+        if self.rectangle is not None and not all(
+            math.isfinite(x) for corner in self.rectangle for x in corner
+        ):
+            raise SceneCaptumError(f"rectangle of a SensorGrid must be finite, not {self.rectangle!r}.")
         if self.spacing is not None and not 0 < self.spacing < math.inf:
             raise SceneCaptumError(f"spacing of a SensorGrid must be above 0, not {self.spacing!r}.")
         if self.count < 1:

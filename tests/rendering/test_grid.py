@@ -310,6 +310,7 @@ def test_a_bad_grid_is_one_clear_line(mi: Any, case: str) -> None:
 BAD_SPECS = {
     "height": ({"height": -1.0}, "height of a SensorGrid must be at least 0"),
     "spacing": ({"spacing": 0.0}, "spacing of a SensorGrid must be above 0"),
+    "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a SensorGrid must be finite"),
     "not a number": ({"margin": math.nan}, "margin of a SensorGrid"),
     "two": ({"floor": "floor", "surface": "desk"}, "got floor= and surface="),
     "normals": ({"points": torch.zeros(1, 3)}, "belong together"),
