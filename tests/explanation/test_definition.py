@@ -1,4 +1,4 @@
-"""The error of a value by the definition: of a mean, and of a share of points, which jumps."""
+"""The value by the definition: its error, of a mean and of a share of points, and what it consists of."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import daylight, metrics
-from scenecaptum.explanation import definition_of, difference_by_definition
+from scenecaptum.explanation import definition_of, difference_by_definition, photometric_premises
 from scenecaptum.explanation._definition import half_sample_error
 
 RUNS = 200
@@ -59,3 +59,19 @@ def test_the_noise_of_both_values_cancels_in_their_difference():
     assert 0 < error < 0.5 * math.hypot(*(value.error for value in values))
     assert difference_by_definition(metric, before, before) == (0, 0)
     assert difference_by_definition(metrics.MeanLuminance(), before, after) is None
+
+
+def test_a_room_without_light_of_the_sky_is_named_so() -> None:
+    patches = daylight.SkyPatches.tregenza()
+    sky = daylight.SkyMatrix.from_weather(daylight.synthetic_weather(), patches)
+    dark = torch.zeros(4, patches.count, 3)
+    for metric in (
+        daylight.SpatialDaylightAutonomy(sky),
+        daylight.DaylightFactor(daylight.SkyMatrix.cie_overcast()),
+    ):
+        assert "what covers the windows?" in photometric_premises(metric, dark, 0.0)[0]
+        assert photometric_premises(metric, dark + 0.1 * math.pi / patches.count, 10.0) == ()
+    shares = photometric_premises(daylight.DaylightProvision(sky), dark + 9.0, 0.0)
+    assert shares == (
+        "300 lx at 100 % of the points (50 required), 100 lx at 100 % of the points (95 required)",
+    )

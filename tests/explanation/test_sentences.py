@@ -121,6 +121,14 @@ def test_without_error_bars_it_says_so():
     assert any("no error bars" in line for line in lines(Explanation(attribution))["Too noisy to say"])
 
 
+def test_effects_that_are_all_exactly_zero_are_not_too_noisy():
+    """Such as those on a share of points that is 0 or 100 %."""
+    attribution = results.make(barred=False)
+    zero = {name: torch.zeros_like(value) for name, value in attribution.attributions.items()}
+    said = lines(Explanation(dataclasses.replace(attribution, attributions=zero, replicates={})))
+    assert "Too noisy to say" not in said
+
+
 SDA = {
     "name": "spatial daylight autonomy",
     "symbol": "sDA",

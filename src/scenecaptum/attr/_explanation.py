@@ -300,6 +300,8 @@ class Explanation:
             return []
         rows = self.attribution.ranking()
         if self.attribution.covariance is None:
+            if all(row.effect == 0 for row in rows):
+                return []
             return ["which effects are due to noise: there are no error bars"]
         lines = [
             f"{step(change)}: rendered again, the effect of "

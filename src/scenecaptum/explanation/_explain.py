@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,6 +27,7 @@ from ._sources import find_sources
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
+DARK = 1e-4  # irradiance at a point under a sky of radiance 1, relative to that of a point in the open
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
@@ -131,6 +133,10 @@ def photometric_premises(metric: Metric, image: torch.Tensor, value: float) -> t
         premises.append(
             f"valid if the scene's lights are in W/(m² sr); {efficacy:g} lm/W make them luminances"
         )
+    if isinstance(metric, DaylightMetric):
+        if image.sum(1).max() < DARK * math.pi:
+            premises.append("no light of the sky reaches the points: what covers the windows?")
+        premises += filter(None, [metric.in_words(image)])
     if isinstance(metric, UnifiedGlareRating):
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
