@@ -75,3 +75,18 @@ def test_a_room_without_light_of_the_sky_is_named_so() -> None:
     assert shares == (
         "300 lx at 100 % of the points (50 required), 100 lx at 100 % of the points (95 required)",
     )
+
+
+def test_of_uniformity_it_is_the_smallest_over_the_mean_with_an_error() -> None:
+    """Points of 2 to 4 with noise of 2 % in each of eight pictures: 2/3, to 2 % / √8."""
+    noise = torch.randn(8, 1, 9, 1, generator=torch.Generator().manual_seed(shifted()))
+    images = torch.linspace(2, 4, 9)[None, None, :, None] * (1 + 0.02 * noise).expand(8, 1, 9, 3)
+    found = definition_of(metrics.Uniformity(), images)
+    assert found.value == pytest.approx(metrics.Uniformity().hard(images.mean(0)).item())
+    assert found.value == pytest.approx(2 / 3, rel=0.03)
+    assert 0.3 < found.error / (2 / 3 * 0.02 / 8**0.5) < 2.5
+    assert (found.verdict, found.points) == ("", None)
+    assert definition_of(metrics.Uniformity(relaxation=0), images) is None
+    change, error = difference_by_definition(metrics.Uniformity(), images, 2 * images)
+    assert change == pytest.approx(0, abs=1e-6)
+    assert error == pytest.approx(0, abs=1e-6)
