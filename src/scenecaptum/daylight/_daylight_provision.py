@@ -82,7 +82,7 @@ class DaylightProvision(DaylightMetric):
         )
         return (
             f"in % of the points that EN 17037 requires: 100 % where {needs}, each for half of the "
-            f"{self._period_in_full}; of the two shares, the one that is less of what is required"
+            f"{self._period_in_full}; the smaller of the two ratios to what is required"
         )
 
     def in_words(self, coefficients: torch.Tensor) -> str:

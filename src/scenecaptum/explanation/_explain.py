@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
-from ..daylight import DaylightMetric
+from ..daylight import AnnualSunlightExposure, DaylightMetric
 from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..metrics import DaylightGlareProbability, UnifiedGlareRating, VerticalIlluminance
@@ -134,7 +134,8 @@ def photometric_premises(metric: Metric, image: torch.Tensor, value: float) -> t
             f"valid if the scene's lights are in W/(m² sr); {efficacy:g} lm/W make them luminances"
         )
     if isinstance(metric, DaylightMetric):
-        if image.sum(1).max() < DARK * math.pi:
+        # The coefficients of exposure to the sun are of direct light alone.
+        if not isinstance(metric, AnnualSunlightExposure) and image.sum(1).max() < DARK * math.pi:
             premises.append("no light of the sky reaches the points: what covers the windows?")
         premises += filter(None, [metric.in_words(image)])
     if isinstance(metric, UnifiedGlareRating):
