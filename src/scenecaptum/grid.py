@@ -13,6 +13,7 @@ from .errors import SceneCaptumError, whole_number
 
 LEED_HEIGHT = 0.76  # of the work plane in LEED, in metres
 MAX_SPACING = 10.0  # of EN 12464-1, in metres
+FROM_BELOW = ("x", "z")  # axes to the right and up of a plan that would show the room from below, as y is up
 
 Point = tuple[float, float]
 
@@ -89,6 +90,10 @@ class SensorGrid:
                 raise SceneCaptumError(
                     f"{name} of a SensorGrid must be at least 0, not {getattr(self, name)!r}."
                 )
+        if self.rectangle is not None and not all(
+            math.isfinite(x) for corner in self.rectangle for x in corner
+        ):
+            raise SceneCaptumError(f"rectangle of a SensorGrid must be finite, not {self.rectangle!r}.")
         if self.spacing is not None and not 0 < self.spacing < math.inf:
             raise SceneCaptumError(f"spacing of a SensorGrid must be above 0, not {self.spacing!r}.")
         if self.count < 1:
@@ -231,9 +236,9 @@ class GridPoints:
         ``(H, W)`` bool: whether a pixel is a point. The others are 0 in the picture.
     plan
         ``(H, W, 2)`` float64: the coordinates of the points in the plan of the room, across and up.
-    floor, sides, above
-        The shape or the material of the floor that the points are above, its size across and up, and their height
-        above it; empty of other points.
+    floor, sides, above, material
+        The shape or the material of the floor that the points are above, its size across and up, their height
+        above it, and the material of the shape; empty of other points.
     """
 
     positions: torch.Tensor = field(repr=False)
@@ -243,6 +248,7 @@ class GridPoints:
     floor: str = ""
     sides: tuple[float, ...] = ()
     above: float = 0.0
+    material: str = ""
 
     def as_list(self) -> GridPoints:
         """Return the points that are inside, in rows of one point."""

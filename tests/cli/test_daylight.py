@@ -113,6 +113,19 @@ def test_the_files_of_a_grid_are_numbers_bars_and_a_plan(
     assert "compare the scenes, not the files" in capsys.readouterr().err
 
 
+def test_a_rectangle_is_a_part_of_a_floor_that_is_larger_than_the_room(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the order of ``SensorGrid(rectangle=)``: x and y of both corners."""
+    text = (
+        "explain classroom --spp 1 --metric daylight-factor --spacing 0.5 --margin 0 --rectangle -2 1 -1 3 "
+        f"--changes 0 --json --out {tmp_path}"
+    )
+    assert cli.main(shlex.split(text)) == 0
+    (grid,) = [one for one in json.loads(capsys.readouterr().out)["premises"] if one.startswith("grid: ")]
+    assert grid.startswith("grid: 8 points on floor_shape (floor), 0.8 m above it, 1 × 2 m, 0.5 m apart")
+
+
 def test_every_name_of_daylight_is_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("daylight", "explain", "attribute", "compare", "validate"):
         with pytest.raises(SystemExit):
@@ -189,8 +202,11 @@ def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(
     assert cli.main(shlex.split(text)) == 0
     (grid,) = [one for one in json.loads(capsys.readouterr().out)["premises"] if one.startswith("grid: ")]
     assert re.fullmatch(
-        r"grid: \d+ points on floor_shape, [\d.]+ × [\d.]+ m, 0.7 m high, [\d.]+ m apart", grid
+        r"grid: \d+ points on floor_shape \(floor\), 0.7 m above it, [\d.]+ × [\d.]+ m, [\d.]+ m apart, "
+        "if the scene's unit is the metre",
+        grid,
     )
     report = (tmp_path / "report.html").read_text()
     assert '"height":"0.7"' in report
-    assert f'"sensor grid":"{grid.removeprefix("grid: ")}"'.replace("×", "\\u00d7") in report
+    shown = grid.removeprefix("grid: ").partition(", if")[0]
+    assert f'"sensor grid":"{shown}"'.replace("×", "\\u00d7") in report

@@ -33,7 +33,7 @@ WALL = "left_wall.reflectance.value"
 DAYLIGHT = (
     "room.xml -D level=0.4 --inputs reflectance --spp 8 --max-depth 3 --spacing 1 --height 0.5 --margin 0.4 "
     "--object floor=floor_shape "
-    "--floor floor_shape --weather year.epw.gz --north 90 --subdivision 1"
+    "--floor floor_shape --rectangle -1 -1 1 1 --weather year.epw.gz --north 90 --subdivision 1"
 )
 
 # The first needs a scheduler: test_study.py; the second is the same for all commands: below.

@@ -290,6 +290,14 @@ def test_levels_of_daylight_provision_want_half_at_the_target_and_nearly_all_at_
     assert value(*[1.01 * target] * 19, 0.0) == pytest.approx(100)
 
 
+def test_daylight_provision_says_how_many_points_have_what_light():
+    coefficients, sky = setup([[one, one, 0.0] for one in (310.0, 310.0, 120.0, 90.0)])
+    assert DaylightProvision(sky, during="all").in_words(coefficients) == (
+        "300 lx at 50 % of the points (50 required), 100 lx at 75 % of the points (95 required)"
+    )
+    assert DaylightAutonomy(sky, during="all").in_words(coefficients) == ""
+
+
 # Daylight factors
 
 

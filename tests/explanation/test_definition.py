@@ -1,4 +1,4 @@
-"""The error of a value by the definition: of a mean, and of a share of points, which jumps."""
+"""The value by the definition: its error, of a mean and of a share of points, and what it consists of."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import daylight, metrics
-from scenecaptum.explanation import definition_of, difference_by_definition
+from scenecaptum.explanation import definition_of, difference_by_definition, photometric_premises
 from scenecaptum.explanation._definition import half_sample_error
 
 RUNS = 200
@@ -59,3 +59,36 @@ def test_the_noise_of_both_values_cancels_in_their_difference():
     assert 0 < error < 0.5 * math.hypot(*(value.error for value in values))
     assert difference_by_definition(metric, before, before) == (0, 0)
     assert difference_by_definition(metrics.MeanLuminance(), before, after) is None
+
+
+def test_a_room_without_light_of_the_sky_is_named_so() -> None:
+    patches = daylight.SkyPatches.tregenza()
+    sky = daylight.SkyMatrix.from_weather(daylight.synthetic_weather(), patches)
+    dark = torch.zeros(4, patches.count, 3)
+    for metric in (
+        daylight.SpatialDaylightAutonomy(sky),
+        daylight.DaylightFactor(daylight.SkyMatrix.cie_overcast()),
+    ):
+        assert "what covers the windows?" in photometric_premises(metric, dark, 0.0)[0]
+        assert photometric_premises(metric, dark + 0.1 * math.pi / patches.count, 10.0) == ()
+    # Of direct light alone, which may reach no point of a bright room.
+    assert photometric_premises(daylight.AnnualSunlightExposure(sky), dark, 0.0) == ()
+    shares = photometric_premises(daylight.DaylightProvision(sky), dark + 9.0, 0.0)
+    assert shares == (
+        "300 lx at 100 % of the points (50 required), 100 lx at 100 % of the points (95 required)",
+    )
+
+
+def test_of_uniformity_it_is_the_smallest_over_the_mean_with_an_error() -> None:
+    """Points of 2 to 4 with noise of 2 % in each of eight pictures: 2/3, to 2 % / √8."""
+    noise = torch.randn(8, 1, 9, 1, generator=torch.Generator().manual_seed(shifted()))
+    images = torch.linspace(2, 4, 9)[None, None, :, None] * (1 + 0.02 * noise).expand(8, 1, 9, 3)
+    found = definition_of(metrics.Uniformity(), images)
+    assert found.value == pytest.approx(metrics.Uniformity().hard(images.mean(0)).item())
+    assert found.value == pytest.approx(2 / 3, rel=0.03)
+    assert 0.3 < found.error / (2 / 3 * 0.02 / 8**0.5) < 2.5
+    assert (found.verdict, found.points) == ("", None)
+    assert definition_of(metrics.Uniformity(relaxation=0), images) is None
+    change, error = difference_by_definition(metrics.Uniformity(), images, 2 * images)
+    assert change == pytest.approx(0, abs=1e-6)
+    assert error == pytest.approx(0, abs=1e-6)

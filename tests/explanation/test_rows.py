@@ -45,6 +45,7 @@ def test_more_light_at_a_row_adds_a_tenth_of_its_share_to_a_linear_metric() -> N
         (2, "y = 2.5 m", "top", 2),
         (3, "y = 1 m", "top", 2),
     ]
+    assert {row.towards for row in rows} == {"y"}
     for row, factor in zip(rows, (1.0, 2.0, 6.0), strict=True):
         assert row.value == pytest.approx(factor, abs=6 * 0.01 * factor / 4)
         assert abs(row.effect - 0.1 * factor / 3) < 6 * row.effect_error
@@ -54,10 +55,11 @@ def test_more_light_at_a_row_adds_a_tenth_of_its_share_to_a_linear_metric() -> N
 def test_rows_with_enough_light_do_not_matter_and_rows_are_named_by_their_axis() -> None:
     metric = TargetedMetric(ContinuousDaylightAutonomy(SKY, threshold=300.0, during="all"), None)
     rows = find_rows(metric, images(1.0, 2.0, 6.0), grid(up=1))
-    # 100 and 200 lx of 300 lx; and 600 lx.
-    assert [row.name for row in rows] == ["z = 4 m", "z = 2.5 m", "z = 1 m"]
-    assert [row.value for row in rows] == pytest.approx([33.3, 66.7, 100.0], rel=0.03)
-    assert [row.effect for row in rows] == pytest.approx([10 / 9, 20 / 9, 0.0], rel=0.03)
+    # 600 lx; and 100 and 200 lx of 300 lx. Where y is up, −z points to the top of the plan.
+    assert [(row.number, row.name) for row in rows] == [(1, "z = 1 m"), (2, "z = 2.5 m"), (3, "z = 4 m")]
+    assert {(row.side, row.towards) for row in rows} == {("top", "−z")}
+    assert [row.value for row in rows] == pytest.approx([100.0, 66.7, 33.3], rel=0.03)
+    assert [row.effect for row in rows] == pytest.approx([0.0, 20 / 9, 10 / 9], rel=0.03)
 
 
 def test_the_value_of_a_row_is_that_by_the_definition_and_columns_are_counted_from_the_right() -> None:
@@ -69,10 +71,10 @@ def test_the_value_of_a_row_is_that_by_the_definition_and_columns_are_counted_fr
     # 290, 310 and 600 lx: the first two are within the relaxation of 300 lx.
     columns = images(2.9, 3.1, 6.0).unflatten(1, (3, 2)).transpose(1, 2).flatten(1, 2)
     rows = find_rows(metric, columns, across)
-    assert [(row.name, row.side) for row in rows] == [
-        ("x = 4 m", "right"),
-        ("x = 2.5 m", "right"),
-        ("x = 1 m", "right"),
+    assert [(row.name, row.side, row.towards) for row in rows] == [
+        ("x = 4 m", "right", "x"),
+        ("x = 2.5 m", "right", "x"),
+        ("x = 1 m", "right", "x"),
     ]
     assert [row.value for row in rows] == [0.0, 100.0, 100.0]
     assert rows[0].effect > 0

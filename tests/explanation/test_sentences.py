@@ -130,6 +130,14 @@ def test_without_error_bars_it_says_so():
     assert any("no error bars" in line for line in lines(Explanation(attribution))["Too noisy to say"])
 
 
+def test_effects_that_are_all_exactly_zero_are_not_too_noisy():
+    """Such as those on a share of points that is 0 or 100 %."""
+    attribution = results.make(barred=False)
+    zero = {name: torch.zeros_like(value) for name, value in attribution.attributions.items()}
+    said = lines(Explanation(dataclasses.replace(attribution, attributions=zero, replicates={})))
+    assert "Too noisy to say" not in said
+
+
 SDA = {
     "name": "spatial daylight autonomy",
     "symbol": "sDA",
@@ -212,13 +220,16 @@ def test_the_fewest_rows_with_most_of_the_effect_decide():
     assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0].startswith(
         "row 1 (y = 5 m), row 2 (y = 4 m) and row 3 (y = 3 m) decide: 100 %"
     )
+    below = (dataclasses.replace(rows[1], name="z = 4 m", towards="−z"),)
+    _, legend, _ = lines(of_daylight(57.0, 0.5, rows=below))["Which points decide"]
+    assert legend.endswith("from the top of the plan, where −z points up")
     dark = tuple(dataclasses.replace(row, effect=0.0) for row in rows)
     (nothing,) = lines(of_daylight(0.0, 0.0, rows=dark))["Which points decide"]
     assert nothing.startswith("none: ")
 
 
 def test_rows_beside_each_other_are_columns_of_the_plan():
-    column = Row(1, "x = 5 m", "right", 7, None, 1.0, 0.1)
+    column = Row(1, "x = 5 m", "right", 7, None, 1.0, 0.1, towards="x")
     first, legend, other = lines(of_daylight(57.0, 0.5, rows=(column,)))["Which points decide"]
     assert first.startswith("column 1 (x = 5 m) decides")
     assert legend == (

@@ -150,6 +150,21 @@ def test_a_floor_in_pieces_is_named_by_its_material(mi: Any) -> None:
     assert (west.floor, west.plan[..., 0].max() < 0) == ("west", True)
 
 
+def test_both_sides_of_a_ceiling_do_not_make_it_so_large_that_it_is_the_floor(mi: Any) -> None:
+    """The ceiling of a room is a slab, a little larger than its floor: 2 × 15.8 m² against 12 m²."""
+    scene = {
+        **box(mi),
+        "white": grey(0.8),
+        "ceiling": {"type": "cube", "bsdf": {"type": "ref", "id": "white"}},
+    }
+    scene["ceiling"]["to_world"] = mi.ScalarTransform4f().translate([0, 0, 2.07]).scale([2.2, 1.8, 0.07])
+    scene["floor"]["bsdf"] = {"type": "ref", "id": "white"}
+    grid = SceneRenderer(scene, "emitters", sensor=SensorGrid(spacing=1.0)).grid
+    assert (grid.floor, grid.material, grid.sides) == ("floor", "white", pytest.approx((4.0, 3.0)))
+    assert grid.positions[..., 2].max() == pytest.approx(0.8)
+    assert SceneRenderer(box(mi), "emitters", sensor="grid").grid.material == ""  # that of the shape itself
+
+
 def test_the_default_spacing_is_that_of_the_standard(mi: Any) -> None:
     """EN 12464-1: 0.2 · 5^log10(d), of the longer side, or of the shorter one of a long room."""
     assert en_12464_spacing(1.0, 1.0) == pytest.approx(0.2)
@@ -295,6 +310,7 @@ def test_a_bad_grid_is_one_clear_line(mi: Any, case: str) -> None:
 BAD_SPECS = {
     "height": ({"height": -1.0}, "height of a SensorGrid must be at least 0"),
     "spacing": ({"spacing": 0.0}, "spacing of a SensorGrid must be above 0"),
+    "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a SensorGrid must be finite"),
     "not a number": ({"margin": math.nan}, "margin of a SensorGrid"),
     "two": ({"floor": "floor", "surface": "desk"}, "got floor= and surface="),
     "normals": ({"points": torch.zeros(1, 3)}, "belong together"),

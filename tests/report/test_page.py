@@ -192,7 +192,7 @@ def test_the_cautions_of_a_comparison_are_those_of_both_with_their_titles(browse
 def test_the_settings_of_a_sensor_grid_and_of_an_explanation_are_those_that_were_given(browser, tmp_path):
     info = {"resolution": [9, 7], "explanation_seed": 3}
     bare = noted(ranged(surfaces=None), **info)
-    described = noted(bare, **{"sensor grid": "63 points on floor, 7 × 5 m, 0.8 m high, 0.78 m apart"})
+    described = noted(bare, **{"sensor grid": "63 points on floor, 0.8 m above it, 7 × 5 m, 0.78 m apart"})
     path = written(
         tmp_path,
         bare,

@@ -44,6 +44,8 @@ def test_points_outside_are_blank_and_do_not_count():
     mesh = figure.axes[0].collections[0]
     assert mesh.get_array().mask.reshape(5, 7)[:4, 6].all()
     assert mesh.get_array().count() == 31
+    assert figure.axes[0].get_title(loc="left").startswith("blank: inside an object")
+    assert plot_plan(ramp(), plan(5, 7)).axes[0].get_title(loc="left") == ""
 
 
 def test_outer_rows_and_columns_without_a_point_are_left_out():
@@ -58,9 +60,20 @@ def test_outer_rows_and_columns_without_a_point_are_left_out():
     assert ax.collections[0].get_clim() == (300, 500)
 
 
-def test_long_texts_are_inside_a_narrow_plan():
-    title = "Occupied hours with at least 300 lx in %\nfrom 50 % on (line), a point counts for sDA300/50%"
-    figure = plot_plan(ramp(), plan(5, 7), width=4.2, title=title, label=title.partition("\n")[0].lower())
+@pytest.mark.parametrize("shape", [(5, 7), (7, 9), (12, 5), (5, 12)])
+@pytest.mark.parametrize(
+    "title",
+    [
+        "Occupied hours with at least 300 lx in %\nfrom 50 % on (line), a point counts for sDA300/50%",
+        "Occupied hours with more than 1000 lx of direct sun\n"
+        "above 250 hours (line), a point counts for ASE1000,250h",
+    ],
+)
+def test_long_texts_are_inside_a_narrow_plan(title, shape):
+    inside = torch.ones(shape, dtype=torch.bool)
+    inside[2, 2] = False
+    values, label = ramp(*shape), title.partition("\n")[0].lower()
+    figure = plot_plan(values, plan(*shape), inside, width=4.2, title=title, label=label)
     figure.canvas.draw()
     (width, height), (ax, bar) = figure.bbox.size, figure.axes
     for text in (ax._left_title, bar.yaxis.label):
@@ -89,6 +102,8 @@ def test_axes_are_in_metres_with_equal_aspect():
     assert ax.get_ylim() == (-0.25, 2.25)
     other, _ = plot_plan(ramp(), plan(5, 7), axes=("x", "z")).axes
     assert other.get_ylabel() == "z in m"
+    # Where y is up, x to the right and z up would be the room from below.
+    assert (other.get_xlim(), other.get_ylim()) == ((-0.25, 3.25), (2.25, -0.25))
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1)])

@@ -238,7 +238,7 @@ class Explanation:
         relaxed = ", relaxed" if self.definition else ""
         return (
             f"below, {there}how 10 % more light there changes {symbol} of all points{relaxed}; {rows} are counted "
-            f"from the {first.side} of the plan, where {first.name[0]} points {towards}"
+            f"from the {first.side} of the plan, where {first.towards} points {towards}"
         )
 
     def _row_line(self, row: Row) -> str:
@@ -310,6 +310,8 @@ class Explanation:
             return []
         rows = self.attribution.ranking()
         if self.attribution.covariance is None:
+            if all(row.effect == 0 for row in rows):
+                return []
             return ["which effects are due to noise: there are no error bars"]
         lines = [
             f"{step(change)}: rendered again, the effect of "

@@ -101,6 +101,8 @@ class Row:
         The mean of the metric over its points by the definition; None for metrics that points do not have.
     effect, effect_error
         The effect of 10 % more light at its points to first order, and its standard error.
+    towards
+        The direction in the scene that points to this side on the plan: ``"y"``, or ``"−z"`` where y is up.
     """
 
     number: int
@@ -110,6 +112,7 @@ class Row:
     value: float | None
     effect: float
     effect_error: float
+    towards: str = "y"
 
 
 @dataclass(frozen=True)

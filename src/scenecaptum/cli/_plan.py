@@ -26,7 +26,7 @@ def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
     """Return the value of a relaxed metric by its definition, as ``"60.3 %"``; else nothing."""
     exact = None if attribution.image is None else definition_of(metric, attribution.image[None])
     unit = metric_unit(attribution)
-    return "" if exact is None else f"{plain_number(exact.value, unit)} {unit}"
+    return "" if exact is None else f"{plain_number(exact.value, unit)} {unit}".rstrip()
 
 
 def draw_plan(

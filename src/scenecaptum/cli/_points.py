@@ -24,7 +24,11 @@ from ..grid import GridPoints, SensorGrid
 from ..rendering import SceneRenderer
 from ..visualization import rounded
 
-GRID, WEATHER, SKY = ("height", "spacing", "margin", "floor"), ("weather", "north"), ("subdivision",)
+GRID, WEATHER, SKY = (
+    ("height", "spacing", "margin", "floor", "rectangle"),
+    ("weather", "north"),
+    ("subdivision",),
+)
 MOST_POINTS = 2000  # of a floor: more take hours
 SYNTHETIC = "made-up, of no real place; the results hold for your place only with its own weather file"
 
@@ -56,6 +60,13 @@ def add_points(parser: argparse.ArgumentParser) -> None:
         "--floor",
         metavar="NAME",
         help="the shape that is the floor, or the material of its pieces (default: the lowest large level shape)",
+    )
+    group.add_argument(
+        "--rectangle",
+        type=float,
+        nargs=4,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        help="two corners in place of the outline of the floor: x and y of each, or x and z if y is up",
     )
     group.add_argument(
         "--weather",
@@ -95,6 +106,9 @@ def chosen_sensor(options: argparse.Namespace, coefficients: Coefficients | None
         )
     if getattr(options, "resolution", None) is not None:
         raise SceneCaptumError("--resolution has no effect on a sensor grid: choose --spacing, or remove it.")
+    if "rectangle" in given:
+        x0, y0, x1, y1 = given["rectangle"]
+        given["rectangle"] = ((x0, y0), (x1, y1))
     return SensorGrid(**given)
 
 
@@ -157,7 +171,7 @@ def check_grid(renderer: SceneRenderer) -> None:
         return
     raise SceneCaptumError(
         f"The sensor grid has {_grid_size(renderer.grid)}: too many, more than {MOST_POINTS}. Choose a "
-        "larger --spacing, or the floor of the room with --floor."
+        "larger --spacing, the part of the floor that is the room with --rectangle, or another floor with --floor."
     )
 
 
@@ -165,7 +179,7 @@ def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
     """Return a line that says where the points of a grid over a floor are; none of other sensors."""
     if renderer.shows_a_view or not renderer.grid.sides:
         return ()
-    return (f"grid: {_grid_size(renderer.grid)}",)
+    return (f"grid: {_grid_size(renderer.grid)}, if the scene's unit is the metre",)
 
 
 def with_settings(
@@ -181,12 +195,13 @@ def with_settings(
 
 
 def _grid_size(points: GridPoints) -> str:
-    """Return ``"63 points on floor_shape, 7 × 5 m, 0.8 m high, 0.78 m apart"``, the larger distance of the two."""
+    """Return ``"63 points on floor_shape (parquet), 0.8 m above it, 7 × 5 m, 0.78 m apart"``, of two."""
     width, depth = (rounded(side) for side in points.sides)
     gaps = torch.cat([points.plan[0, :, 0].diff(), points.plan[:, 0, 1].diff()]).abs()
     apart = [f"{rounded(gaps.max().item(), 2)} m apart"] if len(gaps) else []
-    size = [f"{width} × {depth} m", f"{rounded(points.above)} m high", *apart]
-    return f"{int(points.inside.sum())} points on {points.floor}, {', '.join(size)}"
+    size = [f"{rounded(points.above)} m above it", f"{width} × {depth} m", *apart]
+    material = f" ({points.material})" if points.material else ""
+    return f"{int(points.inside.sum())} points on {points.floor}{material}, {', '.join(size)}"
 
 
 def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import torch
 
 from ..metrics import Band, Measure
 from ._checks import choice
+from ._illuminance import illuminance
 from ._lower_limits import LowerLimits
 from ._metric import RELAXATION, DaylightMetric, Hours, mean_over_hours
 from ._plan_values import PlanValues, hours_with
@@ -76,15 +77,28 @@ class DaylightProvision(DaylightMetric):
 
     def _definition(self) -> str:
         needs = " and ".join(
-            f"{100 * share:g} % of the points have at least {illuminance:g} lx"
-            for illuminance, share in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
+            f"{100 * share:g} % of the points have at least {target:g} lx"
+            for target, share in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
-        return f"100 % where {needs}, each for half of the {self._period_in_full}; less if fewer points have that"
+        return (
+            f"in % of the points that EN 17037 requires: 100 % where {needs}, each for half of the "
+            f"{self._period_in_full}; the smaller of the two ratios to what is required"
+        )
+
+    def in_words(self, coefficients: torch.Tensor) -> str:
+        """Return the share of the points that are daylit at each illuminance, and the required one."""
+        with torch.no_grad():
+            values = illuminance(coefficients, self.sky)
+        return ", ".join(
+            f"{target:g} lx at {100 * _daylit(values, target, 0.0).item():.3g} % of the points "
+            f"({100 * required:g} required)"
+            for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
+        )
 
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         target, minimum = (
-            _daylit(values, illuminance, relaxation) / required
-            for illuminance, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
+            _daylit(values, target_of_level, relaxation) / required
+            for target_of_level, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
         return 100 * torch.minimum(target, minimum)
 

@@ -90,6 +90,10 @@ class DaylightMetric(torch.nn.Module):
         with torch.no_grad():
             return _cast(self._value(illuminance(coefficients, self.sky), 0.0), coefficients)
 
+    def in_words(self, coefficients: torch.Tensor) -> str:
+        """Return what the value by the definition consists of, in a sentence; empty if it is one number."""
+        return ""
+
     def on_plan(self, coefficients: torch.Tensor) -> PlanValues:
         """Return what a map of the room shows for daylight coefficients ``(points, P, 3)``, without relaxation.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import torch
 
 from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
-from ..daylight import DaylightMetric
+from ..daylight import AnnualSunlightExposure, DaylightMetric
 from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..metrics import DaylightGlareProbability, UnifiedGlareRating, VerticalIlluminance
@@ -27,6 +28,7 @@ from ._threshold import threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
+DARK = 1e-4  # irradiance at a point under a sky of radiance 1, relative to that of a point in the open
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
@@ -143,6 +145,11 @@ def photometric_premises(
         premises.append(
             f"valid if the scene's lights are in W/(m² sr); {efficacy:g} lm/W make them luminances"
         )
+    if isinstance(metric, DaylightMetric):
+        # The coefficients of exposure to the sun are of direct light alone.
+        if not isinstance(metric, AnnualSunlightExposure) and image.sum(1).max() < DARK * math.pi:
+            premises.append("no light of the sky reaches the points: what covers the windows?")
+        premises += filter(None, [metric.in_words(image)])
     if isinstance(metric, UnifiedGlareRating):
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"

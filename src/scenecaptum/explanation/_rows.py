@@ -7,7 +7,7 @@ import torch
 from ..attr import Row
 from ..daylight import DaylightMetric, PointMetric
 from ..estimation import TargetedMetric, delete_one_jackknife
-from ..grid import GridPoints
+from ..grid import FROM_BELOW, GridPoints
 from ..visualization import minus
 
 MORE_LIGHT = 0.1  # the change of the illuminance at a row
@@ -21,6 +21,8 @@ def find_rows(metric: TargetedMetric, images: torch.Tensor, grid: GridPoints) ->
     ``0.1 Σ ∂M/∂C · C`` over the points of a row, to first order. Rows are those along which light changes less.
     """
     axis, rows = _rows(grid, images.mean((0, 2, 3)))
+    upward = axis == grid.axes[1]
+    towards = f"−{axis}" if upward and grid.axes == FROM_BELOW else axis
     if not 1 < len(rows) <= MAX_ROWS:
         return ()
 
@@ -36,11 +38,12 @@ def find_rows(metric: TargetedMetric, images: torch.Tensor, grid: GridPoints) ->
         Row(
             index + 1,
             f"{axis} = {minus(f'{place:g}')} m",
-            "top" if axis == grid.axes[1] else "right",
+            "top" if upward else "right",
             len(row),
             None if values is None else values[row].mean().item(),
             means[index].item(),
             errors[index].item(),
+            towards,
         )
         for index, (place, row) in enumerate(rows.items())
     )
@@ -52,14 +55,14 @@ def is_of_daylight(metric: TargetedMetric) -> bool:
 
 
 def _rows(grid: GridPoints, light: torch.Tensor) -> tuple[str, dict[float, torch.Tensor]]:
-    """Return the axis across the rows, and the points of each row by its place on this axis, from high to low."""
+    """Return the axis across the rows, and the points of each row from the top or the right of the plan."""
     plan = grid.plan[grid.inside]
     found = []
     for axis in (0, 1):
         places = plan[:, axis].mul(100).round().div(100)
         rows = {
             place: torch.nonzero(places == place).flatten()
-            for place in sorted(set(places.tolist()), reverse=True)
+            for place in sorted(set(places.tolist()), reverse=axis == 0 or grid.axes != FROM_BELOW)
         }
         means = torch.stack([light[row].mean() for row in rows.values()])
         found.append((means.var(correction=0).item(), axis, rows))

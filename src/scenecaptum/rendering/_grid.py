@@ -141,6 +141,7 @@ def _floor_points(grid: SensorGrid, shapes: Mapping[str, Any], scene: Any) -> Gr
             name,
             tuple(sides.tolist()),
             grid.height,
+            _material(shapes[name]) if name in shapes else "",
         ),
         scene,
     )
@@ -194,7 +195,7 @@ def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, A
     """Return the name of the floor and its level triangles, ``(N, 3, 3)``."""
     chosen = shapes if grid.floor is None else _named_floors(grid.floor, shapes, up)
     facing = {name: _level_triangles(shape, up) for name, shape in chosen.items()}
-    areas = {name: _area(triangles, up) for name, triangles in facing.items()}
+    areas = {name: _covered(triangles, up) for name, triangles in facing.items()}
     largest = max(areas.values(), default=0.0)
     # The ceiling is as large.
     large = [name for name, area in areas.items() if area > 0 and area >= LARGE * largest]
@@ -229,12 +230,18 @@ def _named_floors(floor: str, shapes: Mapping[str, Any], up: int) -> Mapping[str
     )
 
 
+def _material(shape: Any) -> str:
+    """Return the name of the material of a shape; empty if it has none of its own."""
+    name = "" if shape.bsdf() is None else str(shape.bsdf().id())
+    return "" if name == "bsdf" or name.startswith(("_", f"{shape.id()}.")) else name
+
+
 def _largest_level(shapes: Mapping[str, Any], up: int) -> str:
     """Return the names of the largest level shapes with material and size, for a message."""
     level = {
         name: triangles for name, shape in shapes.items() if len(triangles := _level_triangles(shape, up))
     }
-    largest = sorted(level, key=lambda name: -_area(level[name], up))[:LISTED]
+    largest = sorted(level, key=lambda name: -_covered(level[name], up))[:LISTED]
     across, along = _plan_axes(up)
     found = []
     for name in largest:
@@ -256,9 +263,14 @@ def _level_triangles(shape: Any, up: int) -> Array:
     return level
 
 
-def _area(triangles: Array, up: int) -> float:
+def _covered(triangles: Array, up: int) -> float:
+    """Return the area of the plan that level triangles cover: that of a slab once, although it has two sides."""
+    if not len(triangles):
+        return 0.0
     a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    return float(np.abs(np.cross(a, b)[:, up]).sum() / 2)
+    corners = triangles[..., list(_plan_axes(up))].reshape(-1, 2)
+    outline = float((corners.max(0) - corners.min(0)).prod())
+    return min(float(np.abs(np.cross(a, b)[:, up]).sum() / 2), outline)
 
 
 def _in_triangles(points: Array, triangles: Array) -> npt.NDArray[np.bool_]:

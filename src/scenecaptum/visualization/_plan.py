@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..errors import SceneCaptumError
+from ..grid import FROM_BELOW
 from ._figures import SMALL, TEXT, TITLE, WIDTH, axes_or_new, characters_per_line, figure_of, style_axes
 from ._layout import wrapped_lines
 from ._numbers import rounded
@@ -21,12 +22,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
+BLANK = "blank: inside an object, or at the edge of the floor"
 # Of the scale of illuminance in EN 12464-1, in lx: what a room may have to reach.
 LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 5000.0)
 # A label of a contour is horizontal, in a dark box: an outline alone is hard to read on cells of many colours.
 _LABEL = {"facecolor": "black", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
 _APART = 0.06  # of the longer side, between two labels
 _MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
+_BESIDE_TITLE = 1.2  # inches left of a title, which begins at the map, and at its right
+_TITLE_LINE = 0.17  # inches
 
 
 def plot_plan(
@@ -56,7 +60,7 @@ def plot_plan(
         ``(H, W, 2)``: the coordinates of the points, ``renderer.grid.plan``, in metres.
     inside
         ``(H, W)`` bool: the points to show, ``renderer.grid.inside``; all by default. The others are left blank,
-        and outer rows and columns without a point are left out.
+        which the title of a new figure says, and outer rows and columns without a point are left out.
     ax
         Axes to draw into; by default those of a new figure.
     width
@@ -69,7 +73,8 @@ def plot_plan(
     label
         Quantity and unit, at the colour bar.
     axes
-        Names of the coordinates across and up, ``renderer.grid.axes``.
+        Names of the coordinates across and up, ``renderer.grid.axes``. The room is shown from above: with x and z,
+        −z points up.
 
     Raises
     ------
@@ -80,12 +85,15 @@ def plot_plan(
     shown, x, y = _rows_and_columns(values, plan, inside)
     if ax is None:
         across, up = _size(x, y, width)
-        ax = axes_or_new(None, across, up)
-        title = _wrap(title, across - _MARGIN, TITLE)
+        title = "\n".join(filter(None, [title, BLANK if shown.mask.any() else ""]))
+        title = _wrap(title, across - _BESIDE_TITLE, TITLE)
         label = _wrap(label, up - _MARGIN, TEXT)
+        ax = axes_or_new(None, across, up + _TITLE_LINE * len(title.splitlines()))
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
     _draw_contours(ax, x, y, shown, levels, _APART * WIDTH / width)
     ax.set_aspect("equal")
+    if axes == FROM_BELOW:
+        ax.invert_yaxis()
     style_axes(ax, title, x=f"{axes[0]} in m", y=f"{axes[1]} in m")
     bar = figure_of(ax).colorbar(mapped, ax=ax, aspect=25, pad=0.02)
     bar.ax.tick_params(labelsize=SMALL)
