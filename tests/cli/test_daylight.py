@@ -108,7 +108,7 @@ def test_the_files_of_a_grid_are_numbers_bars_and_a_plan(
     }
     report = (tmp_path / "report.html").read_text()
     assert '"names":[]' in report
-    assert re.search(r'"sensor grid":"\d+ points on \w+, ', report)
+    assert re.search(r'"sensor grid":"\d+ points on \w+( \(\w+\))?, ', report)
     assert cli.main(["compare", f"{tmp_path}/attribution.npz", f"{tmp_path}/attribution.npz"]) == 2
     assert "compare the scenes, not the files" in capsys.readouterr().err
 

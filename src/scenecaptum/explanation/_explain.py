@@ -28,7 +28,9 @@ from ._threshold import threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
-DARK = 1e-4  # irradiance at a point under a sky of radiance 1, relative to that of a point in the open
+DARK = (
+    1e-3  # irradiance under a sky of radiance 1, relative to that in the open: 10 lx of an overcast 10 000 lx
+)
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
@@ -148,7 +150,7 @@ def photometric_premises(
     if isinstance(metric, DaylightMetric):
         # The coefficients of exposure to the sun are of direct light alone.
         if not isinstance(metric, AnnualSunlightExposure) and image.sum(1).max() < DARK * math.pi:
-            premises.append("no light of the sky reaches the points: what covers the windows?")
+            premises.append("almost no light of the sky reaches the points: what covers the windows?")
         premises += filter(None, [metric.in_words(image)])
     if isinstance(metric, UnifiedGlareRating):
         premises.append(
