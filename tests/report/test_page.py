@@ -21,7 +21,6 @@ from toy import ToyRenderer
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient
 from scenecaptum.attr import Change, Definition, Explanation, Source
-from scenecaptum.cli._plan import REPORT_WIDTH
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
 from scenecaptum.report import Comparison, write_report
@@ -214,7 +213,7 @@ def test_the_settings_of_a_sensor_grid_and_of_an_explanation_are_those_that_were
 
 def test_a_plan_of_the_command_line_can_be_read_on_a_phone(browser, tmp_path):
     points = torch.stack(torch.meshgrid(torch.arange(7.0), torch.arange(9.0), indexing="xy"), -1)
-    figure = plot_plan(torch.rand(9, 7), points, width=REPORT_WIDTH)
+    figure = plot_plan(torch.rand(9, 7), points, width=4.2)  # as the commands draw it
     page = Page(browser, written(tmp_path, ranged(surfaces=None), plans=[figure]), **PHONE)
     shown = page.page.locator("#plan").bounding_box()
     size = figure.axes[0].xaxis.label.get_size() / 72 * shown["width"] / figure.get_size_inches()[0]
