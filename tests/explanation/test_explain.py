@@ -145,7 +145,7 @@ def test_a_picture_without_a_glare_source_says_so_with_its_brightest_pixel():
     metric = metrics.UnifiedGlareRating(camera)
     (note,) = [one for one in photometric_premises(metric, image, 0.0) if "no pixel" in one]
     assert note.startswith("no pixel is brighter than 2000 cd/m² (the brightest: 89.5 cd/m²): nothing counts")
-    assert note.endswith("--threshold-factor 5")
+    assert note.endswith("a threshold factor of 5")
 
 
 def test_only_a_source_that_is_close_to_an_absolute_threshold_has_a_note():

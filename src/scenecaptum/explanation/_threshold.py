@@ -21,7 +21,7 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
     if not sources:
         brightest = rounded(metric.efficacy * luminance(image).max().item())
         remedy = "check the scene's units, or use "
-        remedy += "--threshold-factor 5" if factor is None else "a smaller --threshold-factor"
+        remedy += "a threshold factor of 5" if factor is None else "a smaller threshold factor"
         return [
             f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
             f"source; {remedy}"
@@ -30,6 +30,6 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
     if factor is None and main.luminance < NEAR * metric.threshold:
         return [
             f"only pixels brighter than {limit} count; a source that falls below stops counting at once: check "
-            "with --threshold-factor 5"
+            "with a threshold factor of 5"
         ]
     return []
