@@ -210,8 +210,8 @@ class ResultKind(str, Enum):
         "variance of the change of {} per unit of the parameter",
     )
     CONTRIBUTION = "contribution", "contribution to {}"
-    ABLATION = "effect of ablation", "change of {} by ablation"
-    OCCLUSION = "effect of occlusion", "change of {} by occlusion"
+    ABLATION = "effect of ablation", "loss of {} by ablation"
+    OCCLUSION = "effect of occlusion", "loss of {} by occlusion"
     SHAPLEY_VALUE = "Shapley value", "Shapley value for {}"
 
     @property

@@ -129,7 +129,9 @@ class ProjectedPixels(Mapping[str, float]):
         ranked = sorted(self.importance.items(), key=lambda item: -abs(item[1]))
         width = max(map(len, self.importance), default=0)
         lines = [f"{name:{width}}  {value:+.3g}" for name, value in ranked if name not in self.invisible]
-        count = f"{len(self.invisible)} of {len(self)} parameters belong to no visible object"
-        return "\n".join([*lines, f"{count}: their importance is 0."])
+        if self.invisible:
+            count = f"{len(self.invisible)} of {len(self)} parameters belong to no visible object"
+            lines.append(f"{count}: their importance is 0.")
+        return "\n".join(lines)
 
     __repr__ = __str__

@@ -25,6 +25,7 @@ from ..visualization import (
     figure_of,
     grid,
     metric_name,
+    pluralize,
     shorten,
     style_axes,
     wrapped_lines,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MIN_PARAMETERS = 4  # for a meaningful rank correlation
+MIN_DRAWS = 4  # for a verdict: with fewer, chance alone often separates the correlations
 MIN_CORRELATION = 0.7  # between runs of the unmodified network, for a verdict
 _NAME_WIDTH, _NOTE_WIDTH = 36, 76
 
@@ -270,7 +272,10 @@ class RandomizationCheck:
     def verdict(self) -> str:
         """The result in one sentence."""
         changed = [name for name, v in self._reproducible().items() if _first_change(v) is not None]
-        if changed:
+        draws = self.magnitudes.shape[1]
+        if draws < MIN_DRAWS:
+            result = f"{pluralize(draws, 'draw')} of random weights cannot tell: use {MIN_DRAWS} or more"
+        elif changed:
             first = self.first_change or "the parameters of the network itself"
             result = (
                 f"the attribution depends on the learnt weights, in its {' and its '.join(changed)}, "
@@ -281,7 +286,7 @@ class RandomizationCheck:
         else:
             result = "the attribution shows no dependence on the learnt weights"
         return (
-            f"{result}: with all {len(self.layers)} layers randomized, the magnitudes have a rank correlation "
+            f"{result}: with {_all(self.layers)} randomized, the magnitudes have a rank correlation "
             f"of {_mean_and_range(self.magnitudes[-1])} with those of the unmodified network, against "
             f"{_mean_and_range(self.magnitudes[0])} for the unmodified network with other seeds; signed "
             f"attributions {_mean_and_range(self.signed[-1])} against {_mean_and_range(self.signed[0])}"
@@ -331,6 +336,10 @@ def _first_change(correlations: torch.Tensor) -> int | None:
 
 def _is_reproducible(correlations: torch.Tensor) -> bool:
     return bool(correlations[0].mean() >= MIN_CORRELATION)
+
+
+def _all(layers: Sequence[str]) -> str:
+    return "the only layer" if len(layers) == 1 else f"all {len(layers)} layers"
 
 
 def _mean_and_range(values: torch.Tensor) -> str:
