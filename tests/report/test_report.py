@@ -621,7 +621,8 @@ def test_ctrl_c_leaves_a_report_of_finished_results(tmp_path, capsys, monkeypatc
 
     monkeypatch.setattr(VanillaSceneGradient, "attribute", interrupted_at_the_second)
     arguments = ["attribute", "cornell-box", "--metric", "luminance", "--metric", "ugr", "--metric", "dgp"]
-    assert cli.main([*arguments, "--report", "--json", "--out", str(tmp_path)]) == 130
+    size = ["--resolution", "16x9"]  # of the picture that make gives
+    assert cli.main([*arguments, *size, "--report", "--json", "--out", str(tmp_path)]) == 130
     titles = [one["title"] for one in data_of(tmp_path / "report.html")["results"]]
     assert titles == ["MeanLuminance", "UnifiedGlareRating"]
 
