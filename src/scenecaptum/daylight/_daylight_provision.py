@@ -97,8 +97,8 @@ class DaylightProvision(DaylightMetric):
 
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         target, minimum = (
-            _daylit(values, target_of_level, relaxation) / required
-            for target_of_level, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
+            _daylit(values, target, relaxation) / required
+            for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
         return 100 * torch.minimum(target, minimum)
 

@@ -28,9 +28,8 @@ from ._threshold import threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
-DARK = (
-    1e-3  # irradiance under a sky of radiance 1, relative to that in the open: 10 lx of an overcast 10 000 lx
-)
+# Irradiance under a sky of radiance 1, relative to that in the open: 10 lx of an overcast 10 000 lx.
+DARK = 1e-3
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
