@@ -11,7 +11,13 @@ from chance import check_error_bars
 from seeds import seeds, shifted
 from toy import ReplayingToyRenderer
 
-from scenecaptum import FeatureAblationScene, IntegratedGradientsScene, VanillaSceneGradient, metrics
+from scenecaptum import (
+    FeatureAblationScene,
+    IntegratedGradientsScene,
+    SceneRenderer,
+    VanillaSceneGradient,
+    metrics,
+)
 
 SIGMA = 0.8
 RUNS = 80
@@ -123,3 +129,10 @@ def test_a_network_advises_smoothing_until_it_is_smoothed():
     network = metrics.ShapeClassifier.pretrained()
     assert "smoothing=0.3" in (metrics.ClassLogit(network, "cube").advice or "")
     assert metrics.ClassLogit(network, "cube", smoothing=0.3).advice is None
+
+
+def test_large_errors_of_a_metric_of_the_user_advise_to_smooth_it() -> None:
+    renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(8, 8), spp=16, max_depth=3)
+    jumping = VanillaSceneGradient(renderer, lambda image: torch.sin(1000 * image).mean()).attribute(seed=0)
+    assert "metrics.Smoothed(" in str(jumping)
+    assert "Smoothed" not in str(VanillaSceneGradient(renderer, lambda image: image.mean()).attribute(seed=0))

@@ -8,10 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.cli._formats import FORMATS
+from scenecaptum.errors import SceneCaptumError
+from scenecaptum.metrics import import_metric
 from scenecaptum.validation import AblationTest
 
 FILES = [one.file for one in FORMATS.values() if one.by_default]
@@ -122,6 +125,21 @@ def test_glare_is_rated_for_the_selected_camera(tmp_path, capsys, sensor):
     assert cli.main(["attribute", "cornell-box", *SMALL, "--out", str(out), *glare]) == 0
     assert "unified glare rating" in capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
+
+
+def test_a_metric_may_import_what_lies_beside_its_file(tmp_path, monkeypatch):
+    (tmp_path / "beside_it.py").write_text("def mean(image):\n    return image.mean()\n")
+    (tmp_path / "of_a_file.py").write_text("from beside_it import mean\n")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    image = torch.ones(2, 2, 3)
+    assert import_metric(f"{tmp_path / 'of_a_file.py'}:mean")(image) == 1
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "of_a_module.py").write_text("def total(image):\n    return image.sum()\n")
+    monkeypatch.chdir(tmp_path / "here")
+    assert import_metric("of_a_module:total")(image) == 12
+    (tmp_path / "broken.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')\n")
+    with pytest.raises(SceneCaptumError, match=r"nms does not exist\. 'scenecaptum doctor' shows the fix"):
+        import_metric(f"{tmp_path / 'broken.py'}:mean")
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_maps_draw_into_given_axes() -> None:
 
 
 def test_titles_say_what_the_metric_depends_on() -> None:
-    first, second, *_ = make().ranking()
+    first, second, third, *_ = make().ranking()
     assert f"depends most on {first.label}\n" in all_text(plot_bars(make()))
     apart = {name: 0 * value for name, value in make().items()}
     assert "depends on none of these" in all_text(plot_bars(dataclasses.replace(make(), attributions=apart)))
@@ -183,6 +183,9 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     one_noisy = {**make().covariance, second.name: noisy[second.name]}
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=one_noisy)))
     assert f"depends most on {first.label} and {second.label}\n" in text
+    two_noisy = {**one_noisy, third.name: noisy[third.name]}
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=two_noisy)))
+    assert f"depends most on {first.label}, {second.label} and others\n" in text
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
     assert "the largest effect is within the noise\n" in text
 

@@ -19,6 +19,11 @@ from ._metric_image import IDENTITY, ImageTransform
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | str | tuple[int, ...] | None"  # a str is the name of a class
 Draws: TypeAlias = Mapping[int, int]  # the number of draws of each seed
+# Against large errors, for a metric that does not say itself what it measures.
+OWN_ADVICE = (
+    "use more samples; if the metric contains a network, metrics.Smoothed(metric, sigma=0.3) has a gradient with "
+    "smaller errors"
+)
 
 
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
@@ -110,7 +115,7 @@ class TargetedMetric:
             "measure": None if self.measure is None else self.measure.describe(),
             "verdict": self.verdict(value, image),
             "gradient_note": getattr(self.metric, "gradient_note", None),
-            "advice": getattr(self.metric, "advice", None),
+            "advice": getattr(self.metric, "advice", OWN_ADVICE if self.measure is None else None),
         }
 
     @property

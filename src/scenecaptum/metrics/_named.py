@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import sys
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -58,6 +59,9 @@ class NamedMetric(NamedTuple):
 def import_metric(name: str) -> Metric:
     """Import a metric of the user by ``FILE.py:NAME`` or ``MODULE:NAME``; a class is called without arguments.
 
+    As with ``python FILE.py`` and ``python -m MODULE``, the folder of the file, or the current one, is on the
+    import path from then on, so that a file can import those beside it.
+
     Raises
     ------
     SceneCaptumError
@@ -67,8 +71,9 @@ def import_metric(name: str) -> Metric:
     try:
         imported = getattr(_import_module(module), attribute)
     except Exception as error:  # the user's code may raise anything
+        advice = ". 'scenecaptum doctor' shows the fix" if "torchvision" in str(error) else ""
         raise SceneCaptumError(
-            f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}"
+            f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}{advice}"
         ) from error
     metric: Metric = imported() if isinstance(imported, type) else imported
     if not callable(metric):
@@ -78,7 +83,11 @@ def import_metric(name: str) -> Metric:
 
 def _import_module(name: str) -> Any:
     """Import a module by its name, or by its path if it ends in ``.py``."""
-    if not name.endswith(".py"):
+    is_file = name.endswith(".py")
+    folder = str(Path(name).resolve().parent if is_file else Path.cwd())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    if not is_file:
         return importlib.import_module(name)
     spec = importlib.util.spec_from_file_location(Path(name).stem, name)
     if spec is None or spec.loader is None:

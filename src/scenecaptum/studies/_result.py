@@ -303,9 +303,8 @@ class StudyResult:
         ]
         failed = group_by_text((str(cell), error) for cell, error in self.failures.items())
         errors = [f"failed: {_first(cells)}: {error}" for error, cells in failed.items()]
-        return "\n".join(
-            [f"{', '.join(counts)} in {self.folder} ({', '.join(axes) or 'one of each'})", *errors]
-        )
+        over = f" ({', '.join(axes)})" if axes else ""
+        return "\n".join([f"{', '.join(counts)} in {self.folder}{over}", *errors])
 
     __repr__ = __str__
 

@@ -58,17 +58,19 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
 def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
-    If no effect exceeds two standard errors, it says so.
+    If the third may be the first as well, "and others" follows. If no effect exceeds two standard errors, it says
+    so.
     """
-    metric, leaders = metric_name(attribution, FINDING_WIDTH), attribution.ranking(2, scale=scale)
+    metric, leaders = metric_name(attribution, FINDING_WIDTH), attribution.ranking(3, scale=scale)
     if not leaders or not leaders[0].saliency:
         return f"{metric} depends on none of these parameters"
     if leaders[0].saliency <= 2 * (leaders[0].saliency_error or 0.0):
         return f"{metric}: the largest effect is within the noise"
-    names = shorten([row.label for row in leaders], FINDING_WIDTH)
-    if len(leaders) == 1 or _are_apart(*leaders):
-        return f"{metric} depends most on {names[0]}"
-    return f"{metric} depends most on {names[0]} and {names[1]}"
+    first, *others = leaders
+    tied = [row for row in others if not _are_apart(first, row)]
+    names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
+    listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
+    return f"{metric} depends most on {listed}"
 
 
 def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
