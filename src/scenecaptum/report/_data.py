@@ -240,10 +240,7 @@ def _premises(explanation: Explanation) -> list[str]:
 
 
 def _headline(attribution: Attribution, explanation: Explanation | None) -> tuple[str, str]:
-    """Return the value of the metric and its error, or the value by the definition, of a relaxed metric.
-
-    With an explanation, its digits are those of its sentences.
-    """
+    """Return the value of the metric and its error; that by the definition, of an explained relaxed metric."""
     if explanation is not None:
         value, _, error = explanation.value().partition(" ± ")
         return value, error
