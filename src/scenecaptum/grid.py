@@ -239,6 +239,8 @@ class GridPoints:
     floor, sides, above, material
         The shape or the material of the floor that the points are above, its size across and up, their height
         above it, and the material of the shape; empty of other points.
+    open_above
+        The number of points above a floor that have nothing straight above them, no ceiling and no glass.
     """
 
     positions: torch.Tensor = field(repr=False)
@@ -249,6 +251,7 @@ class GridPoints:
     sides: tuple[float, ...] = ()
     above: float = 0.0
     material: str = ""
+    open_above: int = 0
 
     def as_list(self) -> GridPoints:
         """Return the points that are inside, in rows of one point."""

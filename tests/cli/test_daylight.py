@@ -15,6 +15,7 @@ from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compare, _daylight
 from scenecaptum.cli._explain import explanation_numbers
+from scenecaptum.cli._points import grid_premises
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -210,3 +211,13 @@ def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(
     assert '"height":"0.7"' in report
     shown = grid.removeprefix("grid: ").partition(", if")[0]
     assert f'"sensor grid":"{shown}"'.replace("×", "\\u00d7") in report
+
+
+def test_a_grid_mostly_outside_of_the_room_has_a_caution() -> None:
+    def cautions(**options: object) -> list[str]:
+        grid = SensorGrid(spacing=2.0, **options)
+        return [line for line in grid_premises(SceneRenderer("classroom", sensor=grid)) if "caution" in line]
+
+    (caution,) = cautions(rectangle=((-12.0, -12.0), (20.0, 20.0)))
+    assert "points have nothing above them, no ceiling and no glass" in caution
+    assert cautions() == []
