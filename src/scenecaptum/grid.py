@@ -88,16 +88,16 @@ class SensorGrid:
         for name in ("height", "margin"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise SceneCaptumError(
-                    f"{name} of a SensorGrid must be at least 0, not {getattr(self, name)!r}."
+                    f"{name} of a sensor grid must be at least 0, not {getattr(self, name)!r}."
                 )
         if self.rectangle is not None and not all(
             math.isfinite(x) for corner in self.rectangle for x in corner
         ):
-            raise SceneCaptumError(f"rectangle of a SensorGrid must be finite, not {self.rectangle!r}.")
+            raise SceneCaptumError(f"rectangle of a sensor grid must be finite, not {self.rectangle!r}.")
         if self.spacing is not None and not 0 < self.spacing < math.inf:
-            raise SceneCaptumError(f"spacing of a SensorGrid must be above 0, not {self.spacing!r}.")
+            raise SceneCaptumError(f"spacing of a sensor grid must be above 0, not {self.spacing!r}.")
         if self.count < 1:
-            raise SceneCaptumError(f"count of a SensorGrid must be at least 1, not {self.count!r}.")
+            raise SceneCaptumError(f"count of a sensor grid must be at least 1, not {self.count!r}.")
         if (self.points is None) != (self.normals is None):
             raise SceneCaptumError("points and normals of a SensorGrid belong together: give both or none.")
         if self.points is not None and self.normals is not None:

@@ -43,9 +43,10 @@ REFUSED = {
         "daylight classroom --weather bad.epw",
         "bad.epw is not an EPW file: line 1 must be LOCATION",
     ),
-    "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor', 'floor_shape'"),
+    "no floor": (f"daylight {TINY} --floor flor", "--floor 'flor': the scene has no shape"),
     "no floor of this name": (f"daylight {TINY} --floor nowhere", "The largest level shapes are"),
-    "no floor of this material": (f"daylight {TINY} --floor pane", "'pane' has no level part"),
+    "no floor of this material": (f"daylight {TINY} --floor pane", "Name another with --floor. The largest"),
+    "no room": (f"daylight {TINY} --height 50", "check --height, --margin and --rectangle against"),
     **{
         f"too many points of {command}": (
             f"{command} --metric sda --spacing 0.05",

@@ -329,10 +329,10 @@ def test_a_bad_grid_is_one_clear_line(mi: Any, case: str) -> None:
 
 
 BAD_SPECS = {
-    "height": ({"height": -1.0}, "height of a SensorGrid must be at least 0"),
-    "spacing": ({"spacing": 0.0}, "spacing of a SensorGrid must be above 0"),
-    "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a SensorGrid must be finite"),
-    "not a number": ({"margin": math.nan}, "margin of a SensorGrid"),
+    "height": ({"height": -1.0}, "height of a sensor grid must be at least 0"),
+    "spacing": ({"spacing": 0.0}, "spacing of a sensor grid must be above 0"),
+    "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a sensor grid must be finite"),
+    "not a number": ({"margin": math.nan}, "margin of a sensor grid"),
     "two": ({"floor": "floor", "surface": "desk"}, "got floor= and surface="),
     "normals": ({"points": torch.zeros(1, 3)}, "belong together"),
     "zero": ({"points": torch.zeros(1, 3), "normals": torch.zeros(1, 3)}, "is \\(0, 0, 0\\)"),

@@ -206,7 +206,7 @@ def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, A
         which = f"{grid.floor!r} has no" if grid.floor else "no shape of the scene has a"
         raise SceneCaptumError(
             f"A sensor grid needs a floor, and {which} level part. Name another with "
-            "SensorGrid(floor=…), or give points= and normals=. The largest level shapes are "
+            "floor=. The largest level shapes are "
             f"{_largest_level(shapes, up)}."
         )
     name = min(large, key=lambda name: facing[name][..., up].max())
