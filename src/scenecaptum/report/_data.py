@@ -95,7 +95,11 @@ def report_data(
         results.append(
             {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
         )
-    compared = None if comparison is None else _comparison(attributions[0], attributions[1], comparison)
+    compared = None
+    if comparison is not None:
+        compared = _comparison(attributions[0], attributions[1], comparison)
+        for result in results:
+            result["arrows"] = []  # of gradients: between two designs they would look like what was moved
     return {"results": results, "comparison": compared, **shared, "maps": color_maps()}
 
 

@@ -19,6 +19,7 @@ __all__ = [
     "table_text",
 ]
 
+from ._arrows import Arrow as Arrow
 from ._arrows import arrows as arrows
 from ._bars import plot_bars as plot_bars
 from ._figures import DEFAULT_TOP as DEFAULT_TOP
