@@ -88,16 +88,16 @@ class SensorGrid:
         for name in ("height", "margin"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise SceneCaptumError(
-                    f"{name} of a SensorGrid must be at least 0, not {getattr(self, name)!r}."
+                    f"{name} of a sensor grid must be at least 0, not {getattr(self, name)!r}."
                 )
         if self.rectangle is not None and not all(
             math.isfinite(x) for corner in self.rectangle for x in corner
         ):
-            raise SceneCaptumError(f"rectangle of a SensorGrid must be finite, not {self.rectangle!r}.")
+            raise SceneCaptumError(f"rectangle of a sensor grid must be finite, not {self.rectangle!r}.")
         if self.spacing is not None and not 0 < self.spacing < math.inf:
-            raise SceneCaptumError(f"spacing of a SensorGrid must be above 0, not {self.spacing!r}.")
+            raise SceneCaptumError(f"spacing of a sensor grid must be above 0, not {self.spacing!r}.")
         if self.count < 1:
-            raise SceneCaptumError(f"count of a SensorGrid must be at least 1, not {self.count!r}.")
+            raise SceneCaptumError(f"count of a sensor grid must be at least 1, not {self.count!r}.")
         if (self.points is None) != (self.normals is None):
             raise SceneCaptumError("points and normals of a SensorGrid belong together: give both or none.")
         if self.points is not None and self.normals is not None:
@@ -239,6 +239,8 @@ class GridPoints:
     floor, sides, above, material
         The shape or the material of the floor that the points are above, its size across and up, their height
         above it, and the material of the shape; empty of other points.
+    open_above
+        The number of points above a floor that have nothing straight above them, no ceiling and no glass.
     """
 
     positions: torch.Tensor = field(repr=False)
@@ -249,6 +251,7 @@ class GridPoints:
     sides: tuple[float, ...] = ()
     above: float = 0.0
     material: str = ""
+    open_above: int = 0
 
     def as_list(self) -> GridPoints:
         """Return the points that are inside, in rows of one point."""

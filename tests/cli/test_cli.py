@@ -155,11 +155,14 @@ def test_a_metric_may_import_what_lies_beside_its_file(tmp_path, monkeypatch):
             ["open.xml", "-D", "spp=4", "-D", "size=8", "-D", "siz=8"],
             ["no placeholder $siz", "Did you mean 'size'"],
         ),
-        (["cornell-box", "-D", "spp=4"], ["parameters=", "cornell-box is not an XML file"]),
-        (["cornell-box", "--inputs", "reflectence"], ["'reflectence'", "Did you mean 'reflectance'"]),
+        (["cornell-box", "-D", "spp=4"], ["-D gives values", "cornell-box is not an XML file"]),
+        (
+            ["cornell-box", "--inputs", "reflectence"],
+            ["--inputs 'reflectence' matches", "Did you mean 'reflectance'"],
+        ),
         (["cornell-box", "--inputs", "light.to_world"], ["'light.to_world'", "changes visibility"]),
         (["cornell-box", "--metric", "luminence"], ["'luminence'", "Did you mean 'luminance'"]),
-        (["cornell-box", "--metric", "my_metrics.py:per_channel"], ["(3,)", "target="]),
+        (["cornell-box", "--metric", "my_metrics.py:per_channel"], ["(3,)", "--target"]),
         (["cornell-box", "--metric", "my_metrics.py:blind"], ["blind", "does not depend on the image"]),
         (["cornell-box", "--metric", "my_metrics.py:number"], ["number", "torch tensor, not float"]),
         (

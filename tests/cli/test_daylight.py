@@ -15,6 +15,7 @@ from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compare, _daylight
 from scenecaptum.cli._explain import explanation_numbers
+from scenecaptum.cli._points import grid_premises
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -42,9 +43,10 @@ REFUSED = {
         "daylight classroom --weather bad.epw",
         "bad.epw is not an EPW file: line 1 must be LOCATION",
     ),
-    "no floor": (f"daylight {TINY} --floor flor", "Did you mean 'floor', 'floor_shape'"),
+    "no floor": (f"daylight {TINY} --floor flor", "--floor 'flor': the scene has no shape"),
     "no floor of this name": (f"daylight {TINY} --floor nowhere", "The largest level shapes are"),
-    "no floor of this material": (f"daylight {TINY} --floor pane", "'pane' has no level part"),
+    "no floor of this material": (f"daylight {TINY} --floor pane", "Name another with --floor. The largest"),
+    "no room": (f"daylight {TINY} --height 50", "check --height, --margin and --rectangle against"),
     **{
         f"too many points of {command}": (
             f"{command} --metric sda --spacing 0.05",
@@ -210,3 +212,13 @@ def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(
     assert '"height":"0.7"' in report
     shown = grid.removeprefix("grid: ").partition(", if")[0]
     assert f'"sensor grid":"{shown}"'.replace("×", "\\u00d7") in report
+
+
+def test_a_grid_mostly_outside_of_the_room_has_a_caution() -> None:
+    def cautions(**options: object) -> list[str]:
+        grid = SensorGrid(spacing=2.0, **options)
+        return [line for line in grid_premises(SceneRenderer("classroom", sensor=grid)) if "caution" in line]
+
+    (caution,) = cautions(rectangle=((-12.0, -12.0), (20.0, 20.0)))
+    assert "points have nothing above them, no ceiling and no glass" in caution
+    assert cautions() == []

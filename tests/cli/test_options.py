@@ -594,6 +594,10 @@ def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> No
     goal_values = json.loads((folder / "out" / "explanation.json").read_text())["goal"]
     (note,) = found["notes"]
     assert all(f"{goal_values[side]['value']:.1f}" in note for side in ("before", "after"))
+    card = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"][1]
+    reached = goal_values["after"]
+    assert card["value"] == pytest.approx(reached["value"], rel=1e-6)
+    assert card["error"] == pytest.approx(reached["standard_error"], rel=1e-6)
 
 
 def test_titles_stand_in_the_report(folder: Path) -> None:

@@ -257,7 +257,7 @@ def test_invalid_options_are_refused():
     def bent(image: torch.Tensor) -> torch.Tensor:
         return image.square().mean()
 
-    with pytest.raises(SceneCaptumError, match=r"denoise=True requires an image \(H, W, 3\)"):
+    with pytest.raises(SceneCaptumError, match=r"Denoising requires an image \(H, W, 3\)"):
         VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16, denoise=True)
     assert not VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16).info["picture"]["denoised"]
     with pytest.raises(SceneCaptumError, match="Only an image"):

@@ -188,7 +188,7 @@ def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(raised,)))
     ((heading, (line,)),) = [item for item in said.items() if item[0].startswith("What would change it")]
     assert "jump by whole points" in heading
-    assert line.endswith("sDA 47 → 48.6 % (relaxed: +2.00 ± 0.10 rendered, +2.10 ± 0.01 predicted)")
+    assert line.endswith("sDA 47 → 48.6 % (relaxed: +2.00 ± 0.10 rendered, +2.100 ± 0.010 predicted)")
     known = dataclasses.replace(raised, exact_error=0.7)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(known,)))
     (line,) = next(item for heading, item in said.items() if heading.startswith("What would change it"))

@@ -108,7 +108,7 @@ def test_a_point_without_light_has_a_finite_derivative():
 
 def test_the_verdict_has_the_value_by_the_definition():
     image = torch.tensor([1.0, 3.0]).reshape(1, 2, 1).expand(1, 2, 3)
-    assert Uniformity().verdict(image) == "0.5 by the definition, without relaxation"
+    assert Uniformity().verdict(image) == "0.5 without relaxation"
 
 
 def test_bad_input_is_one_clear_line():

@@ -13,8 +13,9 @@ import torch
 from chance import allowed
 from seeds import seeds, shifted
 
-from scenecaptum import SceneRenderer, metrics, optimize
+from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics, optimize
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.optimize import Search, SearchOptions
 from scenecaptum.optimize._adam import BoundedAdam
 from scenecaptum.optimize._bounds import LIGHTEST, first_of_each_light
 
@@ -131,6 +132,27 @@ def test_a_scene_below_the_goal_is_kept_even_if_no_parameter_affects_the_metric(
     assert not found.history
     assert "already below the goal of 19" in str(found)
     assert all(torch.equal(found.values[name], value) for name, value in Lamps().inputs.items())
+
+
+class CountsRankings(VanillaSceneGradient):
+    """The method that ranks, and how often it was asked."""
+
+    count = 0
+
+    def attribute(self, *args, **options):
+        type(self).count += 1
+        return super().attribute(*args, **options)
+
+
+def test_parameters_are_ranked_when_needed_and_once(monkeypatch):
+    monkeypatch.setattr("scenecaptum.optimize._minimize.VanillaSceneGradient", CountsRankings)
+    monkeypatch.setattr(CountsRankings, "count", 0)
+    assert optimize.minimize(Lamps(), torch.mean, 19.0).was_below
+    assert CountsRankings.count == 0
+    search = Search(Lamps(), torch.mean)
+    alone, together = (search.to(0.6, SearchOptions(top=top, steps=2)) for top in (1, 2))
+    assert [len(found.moved) for found in (alone, together)] == [1, 2]
+    assert CountsRankings.count == 1
 
 
 def test_the_scale_and_the_map_of_a_sky_are_one_light():

@@ -209,6 +209,27 @@ def test_points_inside_furniture_are_left_out(mi: Any) -> None:
     assert (picture[renderer.grid.inside] > 0).all()
 
 
+@pytest.mark.parametrize(("sides", "under_the_sky"), [((2, 2), 0), ((2, 1), 8)])
+def test_points_without_a_roof_above_are_counted(
+    mi: Any, sides: tuple[float, float], under_the_sky: int
+) -> None:
+    """Of 4 × 4 points, below glass over all of the floor or over its middle."""
+    place = mi.ScalarTransform4f().translate([0, 0, 3]) @ mi.ScalarTransform4f().scale([*sides, 1])
+    roof = {"type": "rectangle", "to_world": place, "bsdf": {"type": "thindielectric"}}
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(2)}
+    upright = mi.ScalarTransform4f().look_at(origin=[0, -9, 1], target=[0, 0, 1], up=[0, 0, 1])
+    scene = {
+        "type": "scene",
+        "camera": {"type": "perspective", "to_world": upright},
+        "sky": {"type": "constant"},
+        "floor": floor,
+        "roof": roof,
+    }
+    points = SceneRenderer(scene, sensor=SensorGrid(floor="floor", spacing=1.0, margin=0.0)).grid
+    assert points.inside.sum() == 16
+    assert points.open_above == under_the_sky
+
+
 def test_points_lie_on_a_surface(mi: Any) -> None:
     scene = box(mi)
     block = mi.ScalarTransform4f().translate([-1, 0, 0.4]).scale([0.5, 0.5, 0.4])
@@ -308,10 +329,10 @@ def test_a_bad_grid_is_one_clear_line(mi: Any, case: str) -> None:
 
 
 BAD_SPECS = {
-    "height": ({"height": -1.0}, "height of a SensorGrid must be at least 0"),
-    "spacing": ({"spacing": 0.0}, "spacing of a SensorGrid must be above 0"),
-    "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a SensorGrid must be finite"),
-    "not a number": ({"margin": math.nan}, "margin of a SensorGrid"),
+    "height": ({"height": -1.0}, "height of a sensor grid must be at least 0"),
+    "spacing": ({"spacing": 0.0}, "spacing of a sensor grid must be above 0"),
+    "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a sensor grid must be finite"),
+    "not a number": ({"margin": math.nan}, "margin of a sensor grid"),
     "two": ({"floor": "floor", "surface": "desk"}, "got floor= and surface="),
     "normals": ({"points": torch.zeros(1, 3)}, "belong together"),
     "zero": ({"points": torch.zeros(1, 3), "normals": torch.zeros(1, 3)}, "is \\(0, 0, 0\\)"),

@@ -24,9 +24,9 @@ from seeds import shifted
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
-from scenecaptum.report import write_report
+from scenecaptum.report import Comparison, write_report
 from scenecaptum.report._pixels import LAYERS, encode_surfaces
-from scenecaptum.visualization import plot_heatmap
+from scenecaptum.visualization import Arrow, plot_heatmap
 
 # ------------------------------------------------------------------------------------------ what is written
 
@@ -47,6 +47,16 @@ def test_pictures_of_different_cameras_are_kept_apart(tmp_path):
     data = data_of(tmp_path / "report.html")
     assert [len(data[key]) for key in ("results", "views", "pictures")] == [2, 2, 2]
     assert [data["views"][one["view"]]["width"] for one in data["results"]] == [WIDTH, 7]
+
+
+def test_arrows_of_gradients_are_left_out_between_two_designs(tmp_path, monkeypatch):
+    """They would look like what was moved."""
+    arrow = Arrow("chair.pose.translation", 1.0, 1.0, 2.0, 0.0)
+    monkeypatch.setattr("scenecaptum.report._data.arrows", lambda attribution: [arrow])
+    for comparison, count in ((None, 1), (Comparison(0.1), 0)):
+        write_report([make(), make()], tmp_path / "report.html", ["A", "B"], comparison=comparison)
+        data = data_of(tmp_path / "report.html")
+        assert [len(one["arrows"]) for one in data["results"]] == [count, count]
 
 
 def test_objects_are_coloured_as_in_the_heatmap(tmp_path):

@@ -15,7 +15,6 @@ from scenecaptum.protocols import ResultKind
 from scenecaptum.visualization import (
     align_decimals,
     plot_bars,
-    sentence_number,
     shorten,
     table_html,
     table_text,
@@ -295,13 +294,3 @@ def test_html_is_escaped_and_complete() -> None:
     assert "a &lt; b" in text
     assert text.count("<tr>") == 1 + len(CASES)
     assert "0.0978 " in text
-
-
-@pytest.mark.parametrize(
-    ("value", "error"), [(5.396, 0.031), (18.813, 0.0061), (-0.1572, 0.0004), (89.08, 0.134)]
-)
-def test_the_error_of_a_sentence_is_that_of_the_table_with_fewer_digits_and_never_0(value, error):
-    written = sentence_number(value, error).partition(" ± ")[2]
-    unit = 10.0 ** -len(written.partition(".")[2])
-    assert float(written) > 0
-    assert float(written) == pytest.approx(max(error, unit), abs=0.501 * unit)

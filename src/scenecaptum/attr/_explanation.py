@@ -10,6 +10,7 @@ from ..protocols import Attribution
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
+    format_with_error,
     metric_name,
     metric_symbol,
     metric_unit,
@@ -17,7 +18,6 @@ from ..visualization import (
     plain_number,
     pluralize,
     rounded,
-    sentence_number,
     terminal_width,
     verdict,
     with_error,
@@ -153,7 +153,7 @@ class Explanation:
 
     def _relaxed(self) -> str:
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
-        return self._in_unit(sentence_number(value, error, digits=4))
+        return self._in_unit(format_with_error(value, error))
 
     def _which_to_quote(self) -> str:
         assert self.definition is not None
@@ -170,9 +170,9 @@ class Explanation:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
         if self.definition is not None:
             value, error = self.definition.value, self.definition.error
-            return sentence_number(value, error) if error else self._plain(value)
+            return format_with_error(value, error) if error else self._plain(value)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
-        return sentence_number(value, error, digits=4)
+        return format_with_error(value, error)
 
     def _pixels(self) -> str:
         """Return ``" at 160×90 pixels"`` for a rating of a picture; empty for other metrics, and of a grid."""

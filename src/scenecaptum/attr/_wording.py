@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from ..scene import pose_component
-from ..visualization import rounded, sentence_number
+from ..visualization import format_with_error, rounded, signed_with_error
 from ._findings import Row
 
 _MOVES = {"translation": "towards", "rotation": "about"}
@@ -47,12 +47,12 @@ def in_words(label: str) -> str:
 
 def percent(share: float, error: float) -> str:
     """Return a share and its error in percent."""
-    return f"{sentence_number(100 * share, 100 * error)} %"
+    return f"{format_with_error(100 * share, 100 * error)} %"
 
 
 def signed(effect: float, error: float | None) -> str:
     """Return an effect with its sign and its error."""
-    return sentence_number(effect, error, signed=True)
+    return signed_with_error(effect, error)
 
 
 def value_in_words(value: torch.Tensor) -> str:

@@ -13,11 +13,12 @@ from typing import Any
 import torch
 
 from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
-from ..estimation import Metric
+from ..estimation import Metric, TargetedMetric
 from ..explanation import explain
+from ..optimize import Measured
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
-from ..visualization import metric_name, metric_unit, sentence_number, verdict
+from ..visualization import format_with_error, metric_name, metric_unit, verdict
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
@@ -29,8 +30,8 @@ from ._points import check_grid, grid_premises, needed_coefficients, premises, w
 
 REPORT = "report.html"
 SEPARATE = (
-    "Both values of this change come from separate renders: {} and {}. Those of the results below are of other "
-    "renders, and can differ by about their errors."
+    "Both values of this change, {} and {}, come from renders apart from those of the search. Every other number "
+    "below is of other renders, and can differ by about its error."
 )
 
 
@@ -104,12 +105,13 @@ def _write_report(
     if (goal := explanation.goal) is not None and goal.reached and not goal.was_below:
         progress = _arguments.shows_progress(options)
         method = VanillaSceneGradient(renderer, metric)
-        results.append(
-            method.attribute(goal.values, target=options.target, seed=options.seed, show_progress=progress)
+        reached = method.attribute(
+            goal.values, target=options.target, seed=options.seed, show_progress=progress
         )
+        results.append(_with_value(reached, goal.after, TargetedMetric(metric, options.target)))
         titles = ["as it is", f"below {goal.below:g}"]
         change = goal.after.value - goal.before.value
-        values = [sentence_number(one.value, one.error, digits=4) for one in (goal.before, goal.after)]
+        values = [format_with_error(one.value, one.error) for one in (goal.before, goal.after)]
         error = math.hypot(goal.after.error, goal.before.error)
         comparison = Comparison(change, error, [SEPARATE.format(*values)])
     attributions = [one.attribution if isinstance(one, Explanation) else one for one in results]
@@ -120,6 +122,18 @@ def _write_report(
         title=options.title,
         plans=[plan_of(one, renderer, metric) for one in attributions],
         comparison=comparison,
+    )
+
+
+def _with_value(
+    attribution: SceneAttribution, measured: Measured, metric: TargetedMetric
+) -> SceneAttribution:
+    """Return the attribution of a design with the value that confirmed it, so that no second one is shown."""
+    return dataclasses.replace(
+        attribution,
+        metric_value=measured.value,
+        metric_standard_error=measured.error,
+        info={**attribution.info, "verdict": metric.verdict(measured.value, measured.image)},
     )
 
 

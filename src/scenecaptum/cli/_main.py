@@ -29,6 +29,7 @@ from . import (
     _validate,
 )
 from ._interrupt import INTERRUPTED, leave, prompt_exit
+from ._messages import in_options
 
 COMMANDS = (
     _explain,
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status: int = options.run(options)
             sys.stdout.flush()
     except SceneCaptumError as error:
-        print(f"scenecaptum: error: {error}", file=sys.stderr)
+        print(f"scenecaptum: error: {in_options(str(error), options)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         say()

@@ -176,10 +176,22 @@ def check_grid(renderer: SceneRenderer) -> None:
 
 
 def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
-    """Return a line that says where the points of a grid over a floor are; none of other sensors."""
+    """Return a line that says where the points of a grid over a floor are; none of other sensors.
+
+    Where most of the points have nothing above them, neither a ceiling nor glass, a caution says so.
+    """
     if renderer.shows_a_view or not renderer.grid.sides:
         return ()
-    return (f"grid: {_grid_size(renderer.grid)}, if the scene's unit is the metre",)
+    points = renderer.grid
+    line = f"grid: {_grid_size(points)}, if the scene's unit is the metre"
+    count = int(points.inside.sum())
+    if 2 * points.open_above <= count:
+        return (line,)
+    return (
+        line,
+        f"caution: {points.open_above} of the {count} points have nothing above them, no ceiling and no glass: if "
+        "they are to be in a room, choose a grid that is no larger than the room",
+    )
 
 
 def with_settings(

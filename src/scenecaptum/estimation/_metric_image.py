@@ -54,7 +54,7 @@ def choose_transform(
     if not is_picture(images[0]):
         if mode is True:
             raise SceneCaptumError(
-                f"denoise=True requires an image (H, W, 3), but this sensor returns {tuple(images[0].shape)}. "
+                f"Denoising requires an image (H, W, 3), but this sensor returns {tuple(images[0].shape)}. "
                 "Leave denoise out."
             )
         return IDENTITY
@@ -121,7 +121,7 @@ class TransformSelector:
         shows_a_view = Capabilities(renderer).shows_a_view is not False
         if mode is True and not shows_a_view:
             raise SceneCaptumError(
-                "denoise=True requires a picture, and this sensor shows none. Leave denoise out."
+                "Denoising requires a picture, and this sensor shows none: leave denoise= out."
             )
         self.mode = mode
         self._denoises = shows_a_view and (not smoothed or mode is True)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import TypeGuard
 
 import torch
 
 from ..attr import Definition
 from ..daylight import DaylightMetric
-from ..estimation import Metric
+from ..estimation import Metric, half_sample_error
 from ..metrics import Uniformity
-
-SPLITS = 16  # of the replicates into halves
 
 
 def definition_of(metric: Metric, images: torch.Tensor) -> Definition | None:
@@ -49,25 +45,3 @@ def difference_by_definition(
         return second - first
 
     return difference(torch.arange(len(after))), half_sample_error(difference, len(after))
-
-
-def half_sample_error(statistic: Callable[[torch.Tensor], float], count: int) -> float | None:
-    """Return the standard error of a statistic of samples, given by their indices; None of a single sample.
-
-    The mean of half of the samples differs from that of all by as much as the latter from the truth, which is
-    what a value that jumps needs: it may not jump at all for the small steps of a delete-one jackknife.
-
-    References
-    ----------
-    McCarthy, "Pseudo-replication: half samples", Review of the International Statistical Institute 37(3), 1969.
-    """
-    if count < 2:
-        return None
-    generator = torch.Generator().manual_seed(0)
-    centre, half, squares = statistic(torch.arange(count)), count // 2, []
-    for _ in range(SPLITS):
-        for kept in torch.randperm(count, generator=generator).split([half, count - half]):
-            # The variance of the mean of all, relative to that of the difference.
-            scale = len(kept) / (count - len(kept))
-            squares.append(scale * (statistic(kept) - centre) ** 2)
-    return math.sqrt(sum(squares) / len(squares))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 
@@ -14,7 +13,7 @@ from ..daylight import AnnualSunlightExposure, DaylightMetric
 from ..errors import whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
 from ..metrics import DaylightGlareProbability, UnifiedGlareRating, VerticalIlluminance
-from ..optimize import Optimization, minimize
+from ..optimize import Optimization, Search, SearchOptions
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
@@ -80,14 +79,14 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         As ``VanillaSceneGradient`` and ``optimize.minimize``.
     """
     attribution_seed, scenes_seed, goal_seed = derived_seeds(seed, Stream.EXPLANATION, 3)
-    options: dict[str, Any] = {
-        "target": target,
-        "spp": spp,
-        "denoise": denoise,
-        "show_progress": show_progress,
-    }
     attribution = VanillaSceneGradient(renderer, metric).attribute(
-        inputs, seed=attribution_seed, replicates=replicates, **options
+        inputs,
+        target=target,
+        seed=attribution_seed,
+        spp=spp,
+        replicates=replicates,
+        denoise=denoise,
+        show_progress=show_progress,
     )
     attribution = dataclasses.replace(attribution, info={**attribution.info, "explanation_seed": seed})
     values = input_values(renderer, inputs)
@@ -107,9 +106,19 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         values=inputs,
     )
     grid = renderer.grid if is_of_daylight(scenes.metric) and isinstance(renderer, SceneRenderer) else None
-    goal = (
-        None if below is None else _reach(below, renderer, metric, inputs=inputs, seed=goal_seed, **options)
-    )
+    goal = None
+    if below is not None:
+        search = Search(
+            renderer,
+            metric,
+            inputs=inputs,
+            target=target,
+            seed=goal_seed,
+            spp=spp,
+            denoise=denoise,
+            ranked=attribution,
+        )
+        goal = _reach(below, search, show_progress=show_progress)
     shown = scenes.metric.transform(scenes.images.mean(0))
     premises = photometric_premises(metric, scenes.images.mean(0), attribution.metric_value, shown)
     if goal is not None and not goal.was_below:  # a lamp that it dims may fall below the threshold
@@ -127,10 +136,10 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     )
 
 
-def _reach(below: float, renderer: Renderer, metric: Metric, **options: Any) -> Optimization:
+def _reach(below: float, search: Search, *, show_progress: bool) -> Optimization:
     """Search with the leading parameter alone, and with more where that is not enough."""
-    alone = minimize(renderer, metric, below, top=1, steps=STEPS_ALONE, **options)
-    return alone if alone.reached else minimize(renderer, metric, below, **options)
+    alone = search.to(below, SearchOptions(top=1, steps=STEPS_ALONE), show_progress=show_progress)
+    return alone if alone.reached else search.to(below, SearchOptions(), show_progress=show_progress)
 
 
 def photometric_premises(

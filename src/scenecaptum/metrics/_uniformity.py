@@ -74,8 +74,8 @@ class Uniformity(GridMetric):
             return cast_like(self._relative(image).min(), image)
 
     def verdict(self, image: torch.Tensor, target: object = None) -> str:
-        """Return the value by the definition of a picture ``image`` in words; there is no ``target``."""
-        return f"{self.hard(image).item():.2g} by the definition, without relaxation"
+        """Return the value without relaxation of a picture ``image`` in words; there is no ``target``."""
+        return f"{self.hard(image).item():.3g} without relaxation"
 
     def _relative(self, image: torch.Tensor) -> torch.Tensor:
         values = self.illuminance(image)

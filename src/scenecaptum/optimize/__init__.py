@@ -6,6 +6,8 @@ __all__ = ["Measured", "Moved", "Optimization", "minimize"]
 from ._bounds import BOUND_MARGIN as BOUND_MARGIN
 from ._bounds import design_bounds as design_bounds
 from ._bounds import first_of_each_light as first_of_each_light
+from ._minimize import Search as Search
+from ._minimize import SearchOptions as SearchOptions
 from ._minimize import minimize as minimize
 from ._result import Measured as Measured
 from ._result import Moved as Moved

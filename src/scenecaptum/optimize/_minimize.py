@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from tqdm import tqdm
 
-from ..attr import VanillaSceneGradient
+from ..attr import Ranked, SceneAttribution, VanillaSceneGradient
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     DEFAULT_REPLICATES,
@@ -19,14 +21,15 @@ from ..estimation import (
     TargetedMetric,
     TransformSelector,
     at_values,
+    check_renderer_and_metric,
     derived_seeds,
     input_values,
     jackknife,
     render_images,
+    require_memory,
     with_image_transform,
 )
 from ..protocols import Capabilities, Renderer
-from ..visualization import metric_symbol, metric_unit
 from ._adam import BoundedAdam
 from ._bounds import Limit, chosen_limits, construction, first_of_each_light
 from ._result import Measured, Optimization
@@ -36,6 +39,24 @@ CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
 NOISE_ONLY = "the errors are of noise only: rate the design again at twice the resolution"
 
 
+@dataclass(frozen=True)
+class SearchOptions:
+    """How far and how long ``minimize`` searches; the fields are its parameters."""
+
+    top: int = 5
+    change: float = 0.5
+    limits: Mapping[str, tuple[Limit, Limit]] | None = None
+    steps: int = 60
+
+    def __post_init__(self) -> None:
+        if not 0 < self.change <= 1:
+            raise SceneCaptumError(
+                f"change must be a fraction of a range, above 0 and at most 1, not {self.change!r}."
+            )
+        whole_number("top", self.top)
+        whole_number("steps", self.steps)
+
+
 def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     renderer: Renderer,
     metric: Metric,
@@ -43,10 +64,10 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     *,
     inputs: Mapping[str, torch.Tensor] | None = None,
     target: Target = None,
-    top: int = 5,
-    change: float = 0.5,
+    top: int = SearchOptions.top,
+    change: float = SearchOptions.change,
     limits: Mapping[str, tuple[Limit, Limit]] | None = None,
-    steps: int = 60,
+    steps: int = SearchOptions.steps,
     seed: int = 0,
     spp: int | None = None,
     denoise: Denoise = "auto",
@@ -113,76 +134,120 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     ----------
     Kingma and Ba, "Adam: A Method for Stochastic Optimization", 2015.
     """
-    if not 0 < change <= 1:
-        raise SceneCaptumError(
-            f"change must be a fraction of a range, above 0 and at most 1, not {change!r}."
-        )
-    values = input_values(renderer, inputs)
-    spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
-    count = whole_number("steps", steps)
-    ranking_seed, measurement_seed, *step_seeds = derived_seeds(seed, Stream.OPTIMIZATION, 2 + count)
-    ranked = VanillaSceneGradient(renderer, metric).attribute(
-        values, target=target, seed=ranking_seed, spp=spp, denoise=denoise
-    )
-    name = metric_symbol(ranked)
-    most = whole_number("top", top)
-    budget = Budget.split(spp, DEFAULT_REPLICATES, measurement_seed)
+    options = SearchOptions(top, change, limits, steps)
+    search = Search(renderer, metric, inputs=inputs, target=target, seed=seed, spp=spp, denoise=denoise)
+    return search.to(below, options, show_progress=show_progress)
 
-    def render(changed: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
-        return render_images(renderer, changed, budget.seeds[0], budget.spp[0])
 
-    targeted = TargetedMetric(metric, target)
-    selector = TransformSelector(denoise, renderer, values, smoothed=targeted.is_smoothed)
-    (transformed,) = with_image_transform([targeted], render(values), selector)
+class Search:
+    """The start of a search: a scene whose metric is measured, and whose parameters are ranked when needed.
 
-    def measure(changed: Mapping[str, torch.Tensor]) -> Measured:
-        images = render(changed)
-        estimate = jackknife(at_values(transformed, renderer, changed), images)
-        return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
+    The parameters are those of ``minimize``; ``ranked`` is an attribution of this scene, if there is one already.
+    """
 
-    before = after = measure(values)
-    if before.is_below(below):
-        return Optimization(dict(values), (), before, before, (), below, name, metric_unit(ranked))
-    fixed = construction(renderer)
-    movable = [row for row in ranked.ranking() if any(row.total) and row.name not in fixed]
-    # Those in the noise would move in either direction; they only count where nothing is clear of it.
-    clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
-    top_rows = first_of_each_light(clear or movable)[:most]
-    if not top_rows:
-        raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
-    start = {row.name: values[row.name] for row in top_rows}
-    optimizer = BoundedAdam(renderer, start, change, chosen_limits(values, start, limits or {}))
+    def __init__(
+        self,
+        renderer: Renderer,
+        metric: Metric,
+        *,
+        inputs: Mapping[str, torch.Tensor] | None = None,
+        target: Target = None,
+        seed: int = 0,
+        spp: int | None = None,
+        denoise: Denoise = "auto",
+        ranked: SceneAttribution | None = None,
+    ) -> None:
+        check_renderer_and_metric(renderer, metric)
+        self._renderer, self._metric, self._denoise = renderer, metric, denoise
+        self._values = input_values(renderer, inputs)
+        self._spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
+        self._seed, self._given = seed, ranked
+        self._ranking_seed, measurement_seed = derived_seeds(seed, Stream.OPTIMIZATION, 2)
+        budget = Budget.split(self._spp, DEFAULT_REPLICATES, measurement_seed)
+        self._seeds, self._spp_of_replicate = budget.seeds[0], budget.spp[0]
+        require_memory(renderer, budget.spp, len(self._seeds))
+        self._targeted = TargetedMetric(metric, target)
+        selector = TransformSelector(denoise, renderer, self._values, smoothed=self._targeted.is_smoothed)
+        images = self._render(self._values)
+        (self._transformed,) = with_image_transform([self._targeted], images, selector)
+        self._before = self._measured(self._values, images)
 
-    def optimized() -> dict[str, torch.Tensor]:
-        return values | {name: value.detach() for name, value in optimizer.values().items()}
+    def to(self, below: float, options: SearchOptions, *, show_progress: bool = False) -> Optimization:
+        """Search until the metric is below a goal; at once where it is already."""
+        measure = {} if self._targeted.measure is None else self._targeted.measure.describe()
+        name = str(measure.get("symbol") or self._targeted.label)
+        unit = str(measure.get("unit") or "")
+        if self._before.is_below(below):
+            return Optimization(dict(self._values), (), self._before, self._before, (), below, name, unit)
+        rows = self._movable(options.top)
+        if not rows:
+            raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
+        start = {row.name: self._values[row.name] for row in rows}
+        limits = chosen_limits(self._values, start, options.limits or {})
+        optimizer = BoundedAdam(self._renderer, start, options.change, limits)
 
-    history: list[float] = []
-    for step_seed in tqdm(step_seeds, disable=not show_progress, desc=name, unit="step"):
-        current = {**values, **optimizer.values()}
-        image = renderer(current, seed=step_seed, spp=spp)
-        value, adjoint = at_values(transformed, renderer, current).value_and_adjoint(image)
-        history.append(value)
-        # The value of a step is biased low, since the optimizer fits its noise: check with independent samples.
-        if value < below:
-            after = measure(optimized())
-            if after.is_below(below):
-                after = _shortened(optimizer, lambda: measure(optimized()), after, below)
+        def optimized() -> dict[str, torch.Tensor]:
+            return self._values | {name: value.detach() for name, value in optimizer.values().items()}
+
+        history: list[float] = []
+        after = None
+        _, _, *seeds = derived_seeds(self._seed, Stream.OPTIMIZATION, 2 + options.steps)
+        for seed in tqdm(seeds, disable=not show_progress, desc=name, unit="step"):
+            current = {**self._values, **optimizer.values()}
+            image = self._renderer(current, seed=seed, spp=self._spp)
+            metric = at_values(self._transformed, self._renderer, current)
+            value, adjoint = metric.value_and_adjoint(image)
+            history.append(value)
+            # A step's value is biased low, since the optimizer fits its noise: check with independent samples.
+            if value < below and (confirmed := self._measure(optimized())).is_below(below):
+                after = _shortened(optimizer, lambda: self._measure(optimized()), confirmed, below)
                 break
-        optimizer.step(image, adjoint)
-    else:
-        after = measure(optimized())
-    rates_picture = ranked.surfaces is not None and (ranked.info.get("measure") or {}).get("limits")
-    return Optimization(
-        values=optimized(),
-        moved=optimizer.summary({row.name: row.label for row in top_rows}),
-        before=before,
-        after=after,
-        history=tuple(history),
-        below=below,
-        metric=name,
-        unit=metric_unit(ranked),
-        note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
-    )
+            optimizer.step(image, adjoint)
+        if after is None:
+            after = self._measure(optimized())
+        rates_picture = self._ranked.surfaces is not None and measure.get("limits")
+        return Optimization(
+            values=optimized(),
+            moved=optimizer.summary({row.name: row.label for row in rows}),
+            before=self._before,
+            after=after,
+            history=tuple(history),
+            below=below,
+            metric=name,
+            unit=unit,
+            note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
+        )
+
+    @cached_property
+    def _ranked(self) -> SceneAttribution:
+        if self._given is not None:
+            return self._given
+        ranked: SceneAttribution = VanillaSceneGradient(self._renderer, self._metric).attribute(
+            self._values,
+            target=self._targeted.target,
+            seed=self._ranking_seed,
+            spp=self._spp,
+            denoise=self._denoise,
+        )
+        return ranked
+
+    def _movable(self, count: int) -> list[Ranked]:
+        """Return the parameters with the largest effects that may be changed."""
+        fixed = construction(self._renderer)
+        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in fixed]
+        # Those in the noise would move in either direction; they only count where nothing is clear of it.
+        clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
+        return first_of_each_light(clear or movable)[:count]
+
+    def _render(self, values: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
+        return render_images(self._renderer, values, self._seeds, self._spp_of_replicate)
+
+    def _measure(self, values: Mapping[str, torch.Tensor]) -> Measured:
+        return self._measured(values, self._render(values))
+
+    def _measured(self, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]) -> Measured:
+        estimate = jackknife(at_values(self._transformed, self._renderer, values), images)
+        return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
 
 
 def _shortened(

@@ -18,10 +18,10 @@ from ..visualization import (
     automatic_exposure,
     display_image,
     figure_of,
+    format_with_error,
     grid,
     new_figure,
     rounded,
-    sentence_number,
     shorten,
     style_axes,
     write_at,
@@ -181,7 +181,7 @@ class Optimization:
         return f"{self.metric} {self._format(self.before)} → {self._format(self.after)}, {outcome}"
 
     def _format(self, measured: Measured) -> str:
-        return f"{sentence_number(measured.value, measured.error, digits=4)} {self.unit}".rstrip()
+        return f"{format_with_error(measured.value, measured.error)} {self.unit}".rstrip()
 
 
 def _format_values(value: torch.Tensor) -> str:

@@ -162,7 +162,10 @@ def _open_points(points: GridPoints, scene: Any) -> GridPoints:
             "and are left out.",
             stacklevel=2,
         )
-    return dataclasses.replace(points, inside=inside & ~hidden)
+    inside = inside & ~hidden
+    above, _ = _rays(scene, positions[inside], points.normals[inside])
+    open_above = int((~np.array(above.is_valid())).sum())
+    return dataclasses.replace(points, inside=inside, open_above=open_above)
 
 
 def _centres(low: Array, high: Array, spacing: float | None) -> list[Array]:
@@ -203,7 +206,7 @@ def _floor(grid: SensorGrid, shapes: Mapping[str, Any], up: int) -> tuple[str, A
         which = f"{grid.floor!r} has no" if grid.floor else "no shape of the scene has a"
         raise SceneCaptumError(
             f"A sensor grid needs a floor, and {which} level part. Name another with "
-            "SensorGrid(floor=…), or give points= and normals=. The largest level shapes are "
+            "floor=. The largest level shapes are "
             f"{_largest_level(shapes, up)}."
         )
     name = min(large, key=lambda name: facing[name][..., up].max())
@@ -316,14 +319,20 @@ def _back_faces_above(scene: Any, positions: torch.Tensor, up: int) -> torch.Ten
     """Return the fraction of rays upward from points ``(H, W, 3)`` that meet the back of a surface."""
     count = positions[..., 0].numel()
     directions = _upper_hemisphere(PROBES, up)
-    origin = positions.reshape(-1, 1, 3).expand(-1, PROBES, 3).reshape(-1, 3).float()
-    towards = directions.repeat(count, 1).float()
-    ray = mi.Ray3f(
-        *(mi.Point3f(*(mi.Float(column.contiguous()) for column in rows.T)) for rows in (origin, towards))
-    )
-    si = scene.ray_intersect(ray)
-    back = dr.select(si.is_valid() & (dr.dot(si.n, ray.d) > 0), mi.Float(1), 0)
+    origins = positions.reshape(-1, 1, 3).expand(-1, PROBES, 3)
+    si, towards = _rays(scene, origins, directions.expand(count, PROBES, 3))
+    back = dr.select(si.is_valid() & (dr.dot(si.n, towards) > 0), mi.Float(1), 0)
     return torch.from_numpy(np.array(back)).reshape(count, PROBES).mean(1).reshape(positions.shape[:2])
+
+
+def _rays(scene: Any, origins: torch.Tensor, directions: torch.Tensor) -> tuple[Any, Any]:
+    """Return what rays meet, and their directions as vectors of Mitsuba."""
+    columns = (
+        mi.Point3f(*(mi.Float(column.contiguous()) for column in rows.reshape(-1, 3).float().T))
+        for rows in (origins, directions)
+    )
+    ray = mi.Ray3f(*columns)
+    return scene.ray_intersect(ray), ray.d
 
 
 def _upper_hemisphere(count: int, up: int) -> torch.Tensor:

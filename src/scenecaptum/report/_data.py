@@ -95,7 +95,11 @@ def report_data(
         results.append(
             {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
         )
-    compared = None if comparison is None else _comparison(attributions[0], attributions[1], comparison)
+    compared = None
+    if comparison is not None:
+        compared = _comparison(attributions[0], attributions[1], comparison)
+        for result in results:
+            result["arrows"] = []  # of gradients: between two designs they would look like what was moved
     return {"results": results, "comparison": compared, **shared, "maps": color_maps()}
 
 
@@ -240,10 +244,7 @@ def _premises(explanation: Explanation) -> list[str]:
 
 
 def _headline(attribution: Attribution, explanation: Explanation | None) -> tuple[str, str]:
-    """Return the value of the metric and its error, or the value by the definition, of a relaxed metric.
-
-    With an explanation, its digits are those of its sentences.
-    """
+    """Return the value of the metric and its error; that by the definition, of an explained relaxed metric."""
     if explanation is not None:
         value, _, error = explanation.value().partition(" ± ")
         return value, error

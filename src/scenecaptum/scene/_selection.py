@@ -102,7 +102,8 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
         hint = " Names like object_… contain memory addresses; here objects without an id get stable names."
     return (
         f"inputs={item!r} matches no parameter of the scene.{hint} "
-        f"Kinds are {', '.join(KINDS)}; parameters_table() and `scenecaptum parameters SCENE` list every name."
+        f"Kinds are {', '.join(KINDS)}; `scenecaptum parameters SCENE`, in Python parameters_table(), lists every "
+        "name."
     )
 
 

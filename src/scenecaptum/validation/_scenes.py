@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cached_property
 
 import torch
 
@@ -20,6 +19,7 @@ from ..estimation import (
     at_values,
     channel_totals,
     derived_seeds,
+    half_sample_error,
     input_values,
     pseudo_values,
     require_memory,
@@ -60,6 +60,7 @@ class Scenes:
         targeted, self.images = TargetedMetric(metric, target), self.render({})
         selector = TransformSelector(denoise, renderer, self.values, smoothed=targeted.is_smoothed)
         (self.metric,) = with_image_transform([targeted], list(self.images), selector)
+        self._values_unmodified: dict[tuple[int, ...], float] = {}  # by the indices of the pictures
         self.unmodified = self._pseudo_values(
             self.images, self.metric
         )  # what ``measure`` returns for no changes
@@ -82,28 +83,23 @@ class Scenes:
     def difference(self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]) -> tuple[float, float]:
         """Return by how much changes raise the metric, and the error, of the pictures that ``render`` returned.
 
-        The error is of values of complementary halves of the pictures: where a value jumps, as a glare rating does
-        when a source is joined to another, the small steps of a delete-one jackknife may miss the jump, or
-        multiply it. For a linear metric, and a power of two of pictures, it is the usual standard error.
-
-        References
-        ----------
-        McCarthy, "Pseudo-replication: half samples", Review of the International Statistical Institute
-        37(3), 1969.
+        The error is that of half samples, because a rating may jump.
         """
         metric = at_values(self.metric, self.renderer, {**self.values, **changes})
-        difference, *halves = (_of_halves(metric, images) - self._halves_unmodified).tolist()
-        squares = [
-            (first - second) ** 2 * len(kept) * len(others) / len(images) ** 2
-            for (kept, others), first, second in zip(
-                _halves(len(images)), halves[::2], halves[1::2], strict=True
-            )
-        ]
-        return difference, math.sqrt(sum(squares) / len(squares))
 
-    @cached_property
-    def _halves_unmodified(self) -> torch.Tensor:
-        return _of_halves(self.metric, self.images)
+        def difference(kept: torch.Tensor) -> float:
+            return metric.value(images[kept].mean(0)) - self._unmodified_of(kept)
+
+        error = half_sample_error(difference, len(images))
+        assert error is not None, "there are at least 2 replicates"
+        return difference(torch.arange(len(images))), error
+
+    def _unmodified_of(self, kept: torch.Tensor) -> float:
+        """Return the metric of the mean of some pictures of the unmodified scene, the same for all changes."""
+        key = tuple(kept.tolist())
+        if key not in self._values_unmodified:
+            self._values_unmodified[key] = self.metric.value(self.images[kept].mean(0))
+        return self._values_unmodified[key]
 
     @staticmethod
     def _pseudo_values(images: torch.Tensor, metric: TargetedMetric) -> torch.Tensor:
@@ -111,20 +107,6 @@ class Scenes:
             return torch.tensor(metric.value(images[kept].mean(0)), dtype=torch.float64)
 
         return pseudo_values(value, len(images))
-
-
-def _halves(count: int) -> list[tuple[list[int], list[int]]]:
-    """Return balanced splits of at least 2 samples into halves: rows of Sylvester's Hadamard matrix."""
-    rows = range(1, 1 << (count - 1).bit_length())
-    odd = [[(sample & row).bit_count() % 2 for sample in range(count)] for row in rows]
-    first, second = ([[s for s in range(count) if signs[s] == half] for signs in odd] for half in (0, 1))
-    return list(zip(first, second, strict=True))
-
-
-def _of_halves(metric: TargetedMetric, images: torch.Tensor) -> torch.Tensor:
-    """Return the metric of the mean of all pictures, and of the means of the halves, in float64."""
-    kept = [list(range(len(images))), *(half for halves in _halves(len(images)) for half in halves)]
-    return torch.tensor([metric.value(images[indices].mean(0)) for indices in kept], dtype=torch.float64)
 
 
 def denoise_of(attribution: SceneAttribution) -> Denoise:

@@ -19,6 +19,7 @@ __all__ = [
     "table_text",
 ]
 
+from ._arrows import Arrow as Arrow
 from ._arrows import arrows as arrows
 from ._bars import plot_bars as plot_bars
 from ._figures import DEFAULT_TOP as DEFAULT_TOP
@@ -63,7 +64,6 @@ from ._numbers import format_with_error as format_with_error
 from ._numbers import minus as minus
 from ._numbers import plain_number as plain_number
 from ._numbers import rounded as rounded
-from ._numbers import sentence_number as sentence_number
 from ._numbers import shorten as shorten
 from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error

@@ -116,26 +116,6 @@ def signed_with_error(value: float, error: float | None) -> str:
     return " ± ".join([style.write_signed(value), *([style.write(error)] if error else [])])
 
 
-def sentence_number(value: float, error: float | None, *, digits: int = 3, signed: bool = False) -> str:
-    """Return ``'−0.157 ± 0.001'``: a value of few digits, and its error rounded to the same place, never to 0.
-
-    For sentences: a person has no use for the fifth digit, however small the error. Tables show all digits, of
-    which these are the first.
-
-    Example
-    -------
-    >>> sentence_number(89.08, 0.13), sentence_number(-0.1572, 0.0005), sentence_number(24.778, 0.01, digits=4)
-    ('89.1 ± 0.1', '−0.157 ± 0.001', '24.78 ± 0.01')
-    """
-    full = Format.of(value, error)
-    style = full.at_most(digits, max(abs(value), error or 0.0))
-    if error and math.isfinite(error) and style.place < full.place:
-        unit = 10.0**-style.place
-        error = max(round(error / unit), 1) * unit
-    text = style.write_signed(value) if signed else style.write(value)
-    return f"{text} ± {style.write(error)}" if error else text
-
-
 def align_with_errors(numbers: Sequence[tuple[float, float | None]], *, signed: bool = False) -> list[str]:
     """Return ``'0.0978 ± 0.0008'`` for each value and error, with the decimal points of both aligned.
 

@@ -1,0 +1,47 @@
+"""Standard errors by resampling: of a mean, and of values that jump."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from seeds import shifted
+
+from scenecaptum.estimation import half_sample_error, mean_and_error
+
+RUNS = 200
+
+
+@pytest.mark.parametrize("count", [2, 4, 8, 16])
+def test_of_a_mean_of_a_power_of_two_it_is_the_usual_standard_error(count: int):
+    samples = torch.randn(count, generator=torch.Generator().manual_seed(shifted()))
+    error = half_sample_error(lambda kept: samples[kept].mean().item(), count)
+    assert error == pytest.approx(mean_and_error(samples)[1], rel=1e-4)
+
+
+def test_of_a_mean_it_is_the_standard_error_on_average():
+    samples = torch.randn(RUNS, 9, generator=torch.Generator().manual_seed(shifted()))
+    squares = [half_sample_error(lambda kept, one=one: one[kept].mean().item(), 9) ** 2 for one in samples]
+    assert sum(squares) / RUNS == pytest.approx(1 / 9, rel=0.2)  # each is known to a half
+    assert half_sample_error(lambda kept: 1.0, 1) is None
+
+
+@pytest.mark.parametrize("shared", [0.0, 1.0])
+def test_of_a_share_of_points_it_is_the_spread_between_runs_and_no_less(shared: float):
+    """Points in a row across a threshold, with noise that is their own, or the same at all."""
+    points, replicates, noise = 63, 8, 0.2
+    generator = torch.Generator().manual_seed(shifted())
+    light = torch.linspace(-1, 1, points)
+    own = torch.randn(RUNS, replicates, points, generator=generator)
+    common = torch.randn(RUNS, replicates, 1, generator=generator)
+    images = light + noise * replicates**0.5 * (shared * common + (1 - shared) * own)
+
+    def percent(mean: torch.Tensor) -> float:
+        return 100 * (mean >= 0).double().mean().item()
+
+    values = torch.tensor([percent(image.mean(0)) for image in images])
+    squares = [
+        half_sample_error(lambda kept, image=image: percent(image[kept].mean(0)), replicates) ** 2
+        for image in images
+    ]
+    error = (sum(squares) / RUNS) ** 0.5
+    assert 0.85 < error / values.std().item() < 1.4
