@@ -43,8 +43,8 @@ class RenderPlan:
     reasons
         ``(decision, reason)`` pairs.
     differences
-        The inputs that are differentiated by finite differences with common random numbers, each with the reason
-        why path replay is not used. They are determined at the scene's own values and may differ at others.
+        The inputs that attributions differentiate by finite differences with common random numbers, each with the
+        reason why path replay is not used. They are determined at the scene's own values and may differ at others.
     cautions
         ``(parameter, caution)`` pairs: for inputs, known errors of their derivatives; for other parameters, a
         value in the scene that is not finite or not physical.
@@ -148,7 +148,14 @@ def make_plan(
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
     if differences:
         from ._moved_materials import movable_materials
+        from ._turning_camera import turned_names
 
+        turned = turned_names(dict(differences), sensors)
+        differences = tuple((name, reason) for name, reason in differences if name not in turned)
+        if count := sum(math.prod(parameters[name].shape) for name in turned):
+            reasons[f"{pluralize(count, 'number')} of the camera by moving the film"] = (
+                "one more evaluation of the light in attributions; plain autograd takes differences"
+            )
         moved = movable_materials(graph, parameters, dict(differences)) if integrator.path_differences else {}
         if moved:
             reasons[f"{len(moved)} of them by differences of paths"] = "one pass for all together, see below"
