@@ -16,9 +16,10 @@ from ..backend import activate
 from ..errors import SceneCaptumError
 from ..scene import SceneGraph, SceneParameters
 from ..visualization import STYLE, group_by_text, html_cells, pluralize, terminal_width, wrap
-from ._derivative_routes import derivative_routes, low_roughness_names
+from ._derivative_routes import Routes, derivative_routes, low_roughness_names, noisy_roughness_names
 from ._integrators import INTEGRATORS, IntegratorKind, check_integrator, choose_integrator
 from ._memory import format_bytes
+from ._sensors import allows_light_tracing
 
 # Up to this depth there is no Russian roulette: the last bounces cost little, and without random termination the
 # image is a smooth function of the parameters.
@@ -48,6 +49,9 @@ class RenderPlan:
     cautions
         ``(parameter, caution)`` pairs: for inputs, known errors of their derivatives; for other parameters, a
         value in the scene that is not finite or not physical.
+    noisy_roughness
+        The inputs of low roughness that are differentiated by path replay, because light tracing would take
+        samples from the others. Attributed alone they are light traced; lit by lamps, they have smaller errors.
     memory
         Upper bound on the bytes of a render and its backward pass with the renderer's own ``spp``.
     """
@@ -59,6 +63,7 @@ class RenderPlan:
     reasons: tuple[tuple[str, str], ...]
     differences: tuple[tuple[str, str], ...]
     cautions: tuple[tuple[str, str], ...]
+    noisy_roughness: tuple[str, ...] = ()
     memory: int = 0
 
     def __str__(self) -> str:
@@ -69,6 +74,8 @@ class RenderPlan:
             lines.append((f"finite difference for {', '.join(names)}: {text}", 4))
         for text, names in group_by_text(self.cautions).items():
             lines.append((f"caution: {', '.join(names)}: {text}", 4))
+        if self.noisy_roughness:
+            lines.append((f"low roughness among other inputs: {', '.join(self.noisy_roughness)}", 4))
         return "\n".join(text if width is None else wrap(text, width, indent) for text, indent in lines)
 
     def _repr_html_(self) -> str:
@@ -79,6 +86,9 @@ class RenderPlan:
             for title, pairs in (("Finite difference for", self.differences), ("Caution:", self.cautions))
             for text, names in group_by_text(pairs).items()
         ]
+        if self.noisy_roughness:
+            names = html.escape(", ".join(self.noisy_roughness))
+            notes.append(f"<div><b>Low roughness among other inputs:</b> {names}</div>")
         return (
             f'<div class="scenecaptum">\n{STYLE}\n'
             f"<table>\n<thead><tr>{html_cells(('decision', 'reason'), 'th')}</tr></thead>\n"
@@ -173,6 +183,11 @@ def make_plan(
         reasons[f"{count} of them by light tracing"] = (
             "low roughness (pinhole and lens cameras, no bump maps)"
         )
+    noisy = _noisy_roughness(graph, routes, sensors) if integrator.light_tracing and not hide_emitters else ()
+    if noisy:
+        reasons[f"{len(noisy)} of low roughness among others"] = (
+            "attribute each alone: lit by lamps, its error will be smaller"
+        )
     cautions = (
         *(
             (name, f"{p.why_left_out}; left out, and rendered as it is")
@@ -182,8 +197,21 @@ def make_plan(
         *((name, caution) for name in inputs if (caution := parameters[name].caution)),
     )
     return RenderPlan(
-        integrator.plugin, depth, rr_depth, hide_emitters, tuple(reasons.items()), differences, cautions
+        integrator.plugin,
+        depth,
+        rr_depth,
+        hide_emitters,
+        tuple(reasons.items()),
+        differences,
+        cautions,
+        noisy,
     )
+
+
+def _noisy_roughness(graph: SceneGraph, routes: Routes, sensors: Sequence[Any]) -> tuple[str, ...]:
+    """Return the low roughnesses that light tracing would differentiate with less noise, were they alone."""
+    names = noisy_roughness_names(routes)
+    return tuple(names) if all(allows_light_tracing(graph, sensor) for sensor in sensors) else ()
 
 
 STOCK_DERIVATIVES = (
@@ -248,6 +276,7 @@ def with_integrator(plan: RenderPlan, plugin: str, surfaces: Sequence[str]) -> R
         integrator=kind.plugin,
         reasons=((f"integrator {kind.plugin}", kind.reason), *plan.reasons[1 : 4 if kind.is_stock else None]),
         differences=() if kind.is_stock else plan.differences,
+        noisy_roughness=plan.noisy_roughness if kind.light_tracing else (),
         cautions=tuple((name, STOCK_DERIVATIVES) for name in surfaces) if kind.is_stock else plan.cautions,
     )
 
