@@ -920,8 +920,9 @@ def test_a_black_texture_has_the_derivative_of_a_black_colour(mi: Any) -> None:
     ("in_scene", "argument", "expected", "words"),
     [
         (5, None, 5, "max_depth 5 as set by the scene's integrator"),
-        (5, 3, 3, "max_depth 3 as requested"),
-        (5, -1, -1, "max_depth unlimited"),
+        (5, 3, 3, "max_depth 3 as requested; the scene's integrator sets 5"),
+        (5, -1, -1, "max_depth unlimited as requested; the scene's integrator sets 5"),
+        (-1, 3, 3, "max_depth 3 as requested; the scene's integrator sets unlimited"),
         (-1, None, -1, "max_depth unlimited"),
     ],
 )

@@ -52,6 +52,8 @@ class RenderPlan:
     noisy_roughness
         The inputs of low roughness that are differentiated by path replay, because light tracing would take
         samples from the others. Attributed alone they are light traced; lit by lamps, they have smaller errors.
+    scene_depth
+        The depth that the scene's own integrator sets, -1 for no limit; None where it sets none.
     memory
         Upper bound on the bytes of a render and its backward pass with the renderer's own ``spp``.
     """
@@ -64,6 +66,7 @@ class RenderPlan:
     differences: tuple[tuple[str, str], ...]
     cautions: tuple[tuple[str, str], ...]
     noisy_roughness: tuple[str, ...] = ()
+    scene_depth: int | None = None
     memory: int = 0
 
     def __str__(self) -> str:
@@ -135,7 +138,7 @@ def make_plan(
     reasons[f"variant {mi.variant()}"] = "linear RGB; spectra are converted when the scene is loaded"
 
     depth, reason = _depth(own, max_depth)
-    reasons[f"max_depth {'unlimited' if depth == -1 else depth}"] = reason
+    reasons[f"max_depth {_in_words(depth)}"] = reason
 
     if 0 < depth <= FULL_PATH_DEPTH:
         rr_depth = depth + 1
@@ -205,6 +208,7 @@ def make_plan(
         differences,
         cautions,
         noisy,
+        _scene_depth(own),
     )
 
 
@@ -282,15 +286,29 @@ def with_integrator(plan: RenderPlan, plugin: str, surfaces: Sequence[str]) -> R
 
 
 def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
+    in_scene = _scene_depth(own)
     if max_depth is not None:
-        return max_depth, "as requested"
-    depth = _setting(own, "max_depth")
-    if depth is None and "Direct" in _description(own):
-        return 2, "the scene's integrator renders direct light only"
-    if depth is None:
+        if in_scene in (None, max_depth):
+            return max_depth, "as requested"
+        return max_depth, f"as requested; the scene's integrator sets {_in_words(in_scene)}"
+    if in_scene is None:
         return DEFAULT_DEPTH, "the scene sets no depth"
+    if _setting(own, "max_depth") is None:
+        return in_scene, "the scene's integrator renders direct light only"
+    return in_scene, "as set by the scene's integrator"
+
+
+def _in_words(depth: int | None) -> str:
+    return "unlimited" if depth == -1 else str(depth)
+
+
+def _scene_depth(own: Any) -> int | None:
+    """Return the depth of the scene's integrator, -1 for no limit; None where it sets none."""
+    depth = _setting(own, "max_depth")
+    if depth is None:
+        return 2 if "Direct" in _description(own) else None
     # Mitsuba stores "no limit" as the largest unsigned integer.
-    return (-1 if depth >= 2**31 else depth), "as set by the scene's integrator"
+    return -1 if depth >= 2**31 else depth
 
 
 def _setting(integrator: Any, name: str) -> int | None:
