@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import scenecaptum
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
+from scenecaptum.visualization import metric_line
 
 
 def glare_like(image: torch.Tensor) -> torch.Tensor:
@@ -304,6 +306,43 @@ def test_failed_saving_leaves_no_file(tmp_path, cornell_attribution):
 def test_difference_of_a_result_with_itself_is_exactly_zero(cornell_attribution):
     zero = cornell_attribution - cornell_attribution
     assert all(not zero[name].any() and not zero.standard_error[name].any() for name in zero)
+
+
+def made(metric: Any = None, inputs: Any = None, **info: Any) -> SceneAttribution:
+    attribution = VanillaSceneGradient(ToyRenderer(), metric or metrics.MeanLuminance()).attribute(
+        inputs and {"x": torch.tensor(inputs)}, seed=shifted()
+    )
+    return dataclasses.replace(attribution, info={**attribution.info, **info})
+
+
+def test_a_difference_names_both_of_its_metrics_and_keeps_their_common_unit():
+    difference = made() - made(metrics.LuminancePercentile(50))
+    assert metric_line(difference).startswith("mean luminance − 50th percentile of luminance = ")
+    assert metric_line(difference).endswith(" cd/m²")
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "name"),
+    [
+        ({"integrator": "ours"}, {"integrator": "prb"}, "(ours − prb)"),
+        ({"scene": "night", "seed": 0}, {"scene": "day", "seed": 1}, "(night − day)"),
+        ({"seed": 0}, {"seed": 1}, "(seed 0 − 1)"),
+        ({"inputs": [0.8] * 3}, {"inputs": [0.4] * 3}, "(x 0.8 − 0.4)"),
+        ({"inputs": [0.8, 0.1, 0.1]}, {}, "(x, first − second)"),
+        ({}, {}, "(first − second)"),
+    ],
+)
+def test_a_difference_of_one_metric_says_what_its_sides_differ_by(a, b, name):
+    assert metric_line(made(**a) - made(**b)).startswith(f"mean luminance {name} = ")
+    assert metric_line(made(**a) + made(**b)).startswith(f"mean luminance {name.replace('−', '+')} = ")
+    assert metric_line(made(log_mean, **a) - made(log_mean, **b)).startswith(f"log_mean {name} = ")
+
+
+@pytest.mark.parametrize("result", [lambda a, b: a - b, lambda a, b: a + b, lambda a, b: (a - b) / 2])
+def test_values_in_different_units_are_not_subtracted_to_a_number(result):
+    combined = result(made(), made(metrics.MeanLuminance(efficacy=1)))
+    assert "of different units (cd/m² and W/(sr m²))" in metric_line(combined)
+    assert "=" not in metric_line(combined)
 
 
 def test_errors_of_a_difference_use_shared_noise_where_there_is_some():

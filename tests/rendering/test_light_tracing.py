@@ -160,3 +160,45 @@ def test_what_is_left_to_path_replay_is_importance_sampled(mi: Any) -> None:
     assert not noise[near == 0].any()
     assert by_surface.sum() == pytest.approx(1)
     assert noise.max() > 3 * noise[near > 0].mean()
+
+
+@pytest.mark.parametrize(
+    ("inputs", "changes", "noisy"),
+    [
+        (["*alpha*", "*reflectance*", "emitters"], {}, ["ball.bsdf.alpha.value"]),
+        (["*alpha*"], {}, []),
+        (["*alpha*", "floor.*"], {}, []),  # half of the inputs: light traced
+        (["*alpha*", "*reflectance*", "emitters"], {"camera": {"type": "orthographic"}}, []),
+    ],
+    ids=["among others", "alone", "half", "no connection to the camera"],
+)
+def test_the_plan_names_the_low_roughness_that_is_better_attributed_alone(
+    mi: Any, inputs: list[str], changes: dict[str, dict[str, Any]], noisy: list[str]
+) -> None:
+    scene = room(mi, METAL)
+    for name, change in changes.items():
+        scene[name] |= change
+    renderer = SceneRenderer(scene, inputs, spp=4)
+    assert list(renderer.plan.noisy_roughness) == renderer.info["noisy_roughness"] == noisy
+    assert ("attribute each alone" in str(renderer.plan)) is bool(noisy)
+    assert renderer.replace(integrator="prb").plan.noisy_roughness == ()
+
+
+def test_a_low_roughness_lit_by_a_lamp_has_a_smaller_error_alone(mi: Any) -> None:
+    """What the plan claims."""
+    box = mi.cornell_box()
+    box["sensor"]["film"] |= {"width": 24, "height": 24, "rfilter": {"type": "box"}}
+    box["large-box"]["bsdf"] = METAL | {"alpha": 0.1}
+    name, names = "large-box.bsdf.alpha.value", ["*alpha*", "*reflectance*", "emitters"]
+    spread = []
+    for inputs in (names[:1], names):
+        renderer = SceneRenderer(box, inputs, spp=32, max_depth=5)
+        assert list(renderer.plan.noisy_roughness) == ([] if inputs == names[:1] else [name])
+        gradients = []
+        for seed in seeds(SEEDS):
+            leaves = renderer.leaves()
+            renderer(leaves, seed=shifted(), seed_grad=100 + seed).mean().backward()
+            gradients.append(leaves[name].grad.item())
+        spread.append(np.std(gradients, ddof=1))
+    alone, among_others = spread
+    assert alone < among_others / 2, f"standard deviation {alone} alone, {among_others} among other inputs"

@@ -872,6 +872,27 @@ def test_finite_differences_are_listed_in_the_plan(mi: Any) -> None:
     assert "finite difference for floor.eta: it turns refracted light" in str(plan)
 
 
+@pytest.mark.parametrize(
+    ("changed", "differences"),
+    [
+        ({}, set()),
+        ({"type": "thinlens", "aperture_radius": 0.01, "focus_distance": 3.0}, {"rotation", "fov"}),
+        ({"sampler": {"type": "stratified", "sample_count": 4}}, {"rotation", "fov"}),
+    ],
+)
+def test_the_plan_takes_a_difference_for_the_camera_where_the_engine_does(
+    mi: Any, changed: dict[str, Any], differences: set[str]
+) -> None:
+    box = mi.cornell_box()
+    box["sensor"] |= changed
+    renderer = SceneRenderer(box, ["camera.pose.rotation", "camera.fov"], resolution=(8, 8))
+    plan = renderer.plan
+    assert {name.rpartition(".")[2] for name, _ in plan.differences} == differences
+    assert set(dict(plan.differences)) == set(renderer.rendered_separately)
+    assert ("4 numbers of the camera by moving the film" in str(plan)) is not bool(differences)
+    assert ("4 numbers of 2 poses by differences of renders" in str(plan)) is bool(differences)
+
+
 def test_a_textured_mask_over_glass_carries_a_caution(mi: Any) -> None:
     holes = {"type": "bitmap", "bitmap": mi.Bitmap(np.full((2, 2, 1), 0.5, np.float32)), "raw": True}
     mask = {"type": "mask", "opacity": holes, "glass": {"type": "dielectric"}}
@@ -899,8 +920,9 @@ def test_a_black_texture_has_the_derivative_of_a_black_colour(mi: Any) -> None:
     ("in_scene", "argument", "expected", "words"),
     [
         (5, None, 5, "max_depth 5 as set by the scene's integrator"),
-        (5, 3, 3, "max_depth 3 as requested"),
-        (5, -1, -1, "max_depth unlimited"),
+        (5, 3, 3, "max_depth 3 as requested; the scene's integrator sets 5"),
+        (5, -1, -1, "max_depth unlimited as requested; the scene's integrator sets 5"),
+        (-1, 3, 3, "max_depth 3 as requested; the scene's integrator sets unlimited"),
         (-1, None, -1, "max_depth unlimited"),
     ],
 )

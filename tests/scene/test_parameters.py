@@ -158,6 +158,15 @@ def test_names_are_those_of_mitsuba_unmerged(mi: Any, zoo_dict: Config, zoo: Sce
     assert list(zoo) == list(mi.traverse(mi.load_dict(zoo_dict, optimize=False)).keys())
 
 
+def test_the_scale_of_a_bump_map_is_not_labelled_as_that_of_its_object(mi: Any) -> None:
+    relief = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.full((4, 4, 1), 0.5, np.float32))}
+    bumpy = {"type": "bumpmap", "relief": relief, "scale": 2.0, "nested": {"type": "diffuse"}}
+    found = table(small_scene(tile=ball({"type": "twosided", "bumpy": bumpy})))
+    labels = {one.label for one in found.values() if not one.problem}
+    assert {"tile: bump scale", "tile: bump texture", "tile: reflectance"} <= labels
+    assert "tile: scale" not in labels
+
+
 def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
     labels = [p.label for p in zoo.values()]
     assert len(set(labels)) == len(labels)

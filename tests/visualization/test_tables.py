@@ -145,6 +145,26 @@ def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
     assert "overstated" not in text(0.02, 0.05), "the range is that of the user"
 
 
+def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alone() -> None:
+    def text(error: float, **info: Any) -> str:
+        name = "metal.alpha.value"
+        return table_text(
+            dataclasses.replace(
+                make(**info),
+                attributions={name: torch.tensor(-2.0), "floor": torch.tensor(1.0)},
+                covariance={name: torch.tensor([[error**2]]), "floor": torch.tensor([[1.0]])},
+                parameter_values={},
+                extents={name: torch.ones(1), "floor": torch.ones(1)},
+                info={**make(**info).info, "noisy_roughness": [name, "not in this result"]},
+            )
+        )
+
+    note = "~  metal.alpha.value: attribute this roughness alone: lit by lamps, its error will be smaller"
+    assert note in text(1.0)
+    assert "alone" not in text(0.1), "its error is small enough"
+    assert "alone" not in text(1.0, quantity="effect of ablation"), "no gradient is taken"
+
+
 def test_table_says_that_the_scale_of_a_map_is_the_effect_of_its_light() -> None:
     sky = {"sky.data": torch.ones(2, 3, 3), "sky.scale": torch.tensor(1.0)}
     result = dataclasses.replace(

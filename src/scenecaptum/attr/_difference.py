@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import torch
 
+from ..visualization import rounded
 from ._convergence import convergence
 from ._data import AttributionData, Tensors, covariances
 from ._quadrature_error import covariance_of_quadrature
@@ -48,15 +49,7 @@ def add(a: A, b: A) -> A:
     """Return ``a + b`` for attributions to the same parameters."""
     total = subtract(a, multiply(b, -1.0))
     info = {key: value for key, value in total.info.items() if key != "minus"}
-    return dataclasses.replace(
-        total,
-        info={
-            **info,
-            "metric": f"{a.info.get('metric')} + {b.info.get('metric')}",
-            "measure": a.info.get("measure") if a.info.get("measure") == b.info.get("measure") else None,
-            "plus": dict(b.info),
-        },
-    )
+    return dataclasses.replace(total, info={**info, **_combined(a, b, "+"), "plus": dict(b.info)})
 
 
 def subtract(a: A, b: A) -> A:
@@ -89,13 +82,7 @@ def subtract(a: A, b: A) -> A:
 def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
-    info |= {
-        "metric": f"{a.info.get('metric')} − {b.info.get('metric')}",
-        "minus": dict(b.info),
-        "verdict": "",
-    }
-    if a.info.get("measure") != b.info.get("measure"):
-        info["measure"] = None
+    info |= {**_combined(a, b, "−"), "minus": dict(b.info), "verdict": ""}
     delta = _minus(a.convergence_delta, b.convergence_delta)
     explained_a, explained_b = a.info.get("explained"), b.info.get("explained")
     if delta is None or explained_a is None or explained_b is None:
@@ -103,6 +90,54 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     error = _hypot(a.convergence_delta_error, b.convergence_delta_error)
     magnitude = abs(explained_a) + abs(explained_b)
     return info | convergence(delta, error, explained_a - explained_b, magnitude)
+
+
+def _combined(a: AttributionData, b: AttributionData, sign: str) -> dict[str, Any]:
+    """Return the metric of a sum or difference, by a name that tells the sides apart, and the unit they share."""
+    measures = [side.info.get("measure") or {} for side in (a, b)]
+    classes = [str(side.info.get("metric", "metric")) for side in (a, b)]
+    units = [str(measure.get("unit") or "") for measure in measures]
+    info: dict[str, Any] = {"metric": _name(a, b, classes, sign), "measure": None}
+    if any(measures):
+        names = [str(measure.get("name") or one) for measure, one in zip(measures, classes, strict=True)]
+        info["measure"] = {"name": _name(a, b, names, sign), "unit": units[0] if units[0] == units[1] else ""}
+    if all(measures) and units[0] != units[1]:
+        info["units"] = units
+    return info
+
+
+def _name(a: AttributionData, b: AttributionData, metrics: Sequence[str], sign: str) -> str:
+    """Return ``'UGR − DGP'``, or for one metric what its two results differ by, ``'UGR (first − second)'``."""
+    if metrics[0] != metrics[1]:
+        return f"{metrics[0]} {sign} {metrics[1]}"
+    subject, (first, second) = _sides(a, b)
+    return f"{metrics[0]} ({subject}{first} {sign} {second})"
+
+
+def _sides(a: AttributionData, b: AttributionData) -> tuple[str, tuple[str, str]]:
+    """Return what differs between two results of one metric, if it needs to be said, and its two values."""
+    changed = [
+        name
+        for name, value in a.parameter_values.items()
+        if name in b.parameter_values and not torch.equal(value, b.parameter_values[name])
+    ]
+    if a.info.get("scene") == b.info.get("scene") and len(changed) > 1:
+        return "", ("first design", "second design")
+    if a.info.get("scene") == b.info.get("scene") and changed:
+        label, values = a.labels.get(changed[0], changed[0]), [s.parameter_values[changed[0]] for s in (a, b)]
+        written = [rounded(float(value.mean())) for value in values]
+        if written[0] != written[1] and all(value.unique().numel() == 1 for value in values):
+            return f"{label} ", (written[0], written[1])
+        return f"{label}, ", ("first", "second")
+    for key, subject in _SETTINGS.items():
+        settings = str(a.info.get(key)), str(b.info.get(key))
+        if settings[0] != settings[1]:
+            return subject, settings
+    return "", ("first", "second")
+
+
+# What may tell two results of one metric apart, by its key in ``info``, and what to write before its values.
+_SETTINGS = {"scene": "", "integrator": "", "method": "", "max_depth": "depth ", "seed": "seed "}
 
 
 def _quadrature_error(a: AttributionData, b: AttributionData) -> dict[str, torch.Tensor] | None:

@@ -170,7 +170,7 @@ def selection(options: argparse.Namespace) -> list[str]:
 def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None = None) -> SceneRenderer:
     """Create the renderer from the arguments; that of daylight coefficients, if a metric needs these."""
     default_depth = MAX_DEPTH if coefficients is None else DAYLIGHT_DEPTH
-    return SceneRenderer(
+    renderer = SceneRenderer(
         options.scene,
         selection(options),
         objects=dict(options.objects or ()) or None,
@@ -181,7 +181,21 @@ def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None
         parameters=dict(options.parameters or ()),
         sky_patches=None if coefficients is None else coefficients.patches,
         direct_sky=coefficients is not None and coefficients.direct,
-    ).with_checkpoint(getattr(options, "checkpoint", None))
+    )
+    if options.max_depth is None and coefficients is None:
+        _say_depth(renderer)
+    return renderer.with_checkpoint(getattr(options, "checkpoint", None))
+
+
+def _say_depth(renderer: SceneRenderer) -> None:
+    """Print that the scene asks for another depth than that of the command, if it does."""
+    own, used = renderer.plan.scene_depth, renderer.plan.max_depth
+    if own not in (None, used):
+        wanted = "paths of any length" if own == -1 else str(own)
+        print(
+            f"paths have at most {used} segments; {Path(renderer.name).name} asks for {wanted}: --max-depth {own}",
+            file=sys.stderr,
+        )
 
 
 def print_resumed(renderer: SceneRenderer) -> None:

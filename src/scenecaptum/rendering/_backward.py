@@ -245,9 +245,21 @@ class FilmFilter:
         return filtered
 
 
+def has_independent_samples(sensor: Any) -> bool:
+    """Whether samples are drawn independently, each for one pixel of the whole film, and can be weighted."""
+    film = sensor.film()
+    whole = list(film.size()) == list(film.crop_size())
+    return whole and _weights_samples(film) and sensor.sampler().class_name() == "IndependentSampler"
+
+
+def _weights_samples(film: Any) -> bool:
+    """Whether a film's samples can be weighted individually."""
+    return not film.sample_border() and not mi.has_flag(film.flags(), mi.FilmFlags.Special)
+
+
 def film_filter(film: Any) -> FilmFilter | None:
     """Return a film's filter, or None for a film whose samples cannot be weighted individually."""
-    if film.sample_border() or mi.has_flag(film.flags(), mi.FilmFlags.Special):
+    if not _weights_samples(film):
         return None
     rfilter = film.rfilter()
     # Mitsuba's box filter never contributes to neighbouring pixels, whatever its radius.

@@ -126,9 +126,17 @@ def low_roughness_names(routes: Routes) -> list[str]:
 
     Their light tracing takes samples from the other parameters.
     """
-    replayed = replayed_names(routes)
-    names = [name for name in replayed if routes[name].is_low_roughness]
-    return names if 2 * len(names) >= len(replayed) else []
+    names = _low_roughness(routes)
+    return names if 2 * len(names) >= len(replayed_names(routes)) else []
+
+
+def noisy_roughness_names(routes: Routes) -> list[str]:
+    """Return the low roughnesses that the other parameters leave to path replay, with more noise."""
+    return [] if low_roughness_names(routes) else _low_roughness(routes)
+
+
+def _low_roughness(routes: Routes) -> list[str]:
+    return [name for name in replayed_names(routes) if routes[name].is_low_roughness]
 
 
 def _finite_difference(parameter: Parameter, value: torch.Tensor) -> FiniteDifference:

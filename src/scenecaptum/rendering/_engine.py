@@ -17,7 +17,7 @@ import torch
 from torch.nn.functional import pad
 
 from ..scene import SceneParameters
-from ._backward import AdjointSampledIntegrator
+from ._backward import AdjointSampledIntegrator, has_independent_samples
 from ._bridge import evaluate
 from ._chunks import Chunk, chunks
 from ._derivative_routes import (
@@ -110,12 +110,8 @@ class Engine:
     @cached_property
     def _has_independent_samples(self) -> bool:
         """Whether samples are drawn independently, each for one pixel of the whole film."""
-        film = self._live.sensor.film()
-        return (
-            isinstance(self._integrator, AdjointSampledIntegrator)
-            and self._importance_maps.film is not None
-            and list(film.size()) == list(film.crop_size())
-            and self._live.sensor.sampler().class_name() == "IndependentSampler"
+        return isinstance(self._integrator, AdjointSampledIntegrator) and has_independent_samples(
+            self._live.sensor
         )
 
     def vjp(

@@ -16,9 +16,10 @@ from ..backend import activate
 from ..errors import SceneCaptumError
 from ..scene import SceneGraph, SceneParameters
 from ..visualization import STYLE, group_by_text, html_cells, pluralize, terminal_width, wrap
-from ._derivative_routes import derivative_routes, low_roughness_names
+from ._derivative_routes import Routes, derivative_routes, low_roughness_names, noisy_roughness_names
 from ._integrators import INTEGRATORS, IntegratorKind, check_integrator, choose_integrator
 from ._memory import format_bytes
+from ._sensors import allows_light_tracing
 
 # Up to this depth there is no Russian roulette: the last bounces cost little, and without random termination the
 # image is a smooth function of the parameters.
@@ -43,11 +44,16 @@ class RenderPlan:
     reasons
         ``(decision, reason)`` pairs.
     differences
-        The inputs that are differentiated by finite differences with common random numbers, each with the reason
-        why path replay is not used. They are determined at the scene's own values and may differ at others.
+        The inputs that attributions differentiate by finite differences with common random numbers, each with the
+        reason why path replay is not used. They are determined at the scene's own values and may differ at others.
     cautions
         ``(parameter, caution)`` pairs: for inputs, known errors of their derivatives; for other parameters, a
         value in the scene that is not finite or not physical.
+    noisy_roughness
+        The inputs of low roughness that are differentiated by path replay, because light tracing would take
+        samples from the others. Attributed alone they are light traced; lit by lamps, they have smaller errors.
+    scene_depth
+        The depth that the scene's own integrator sets, -1 for no limit; None where it sets none.
     memory
         Upper bound on the bytes of a render and its backward pass with the renderer's own ``spp``.
     """
@@ -59,6 +65,8 @@ class RenderPlan:
     reasons: tuple[tuple[str, str], ...]
     differences: tuple[tuple[str, str], ...]
     cautions: tuple[tuple[str, str], ...]
+    noisy_roughness: tuple[str, ...] = ()
+    scene_depth: int | None = None
     memory: int = 0
 
     def __str__(self) -> str:
@@ -69,6 +77,8 @@ class RenderPlan:
             lines.append((f"finite difference for {', '.join(names)}: {text}", 4))
         for text, names in group_by_text(self.cautions).items():
             lines.append((f"caution: {', '.join(names)}: {text}", 4))
+        if self.noisy_roughness:
+            lines.append((f"low roughness among other inputs: {', '.join(self.noisy_roughness)}", 4))
         return "\n".join(text if width is None else wrap(text, width, indent) for text, indent in lines)
 
     def _repr_html_(self) -> str:
@@ -79,6 +89,9 @@ class RenderPlan:
             for title, pairs in (("Finite difference for", self.differences), ("Caution:", self.cautions))
             for text, names in group_by_text(pairs).items()
         ]
+        if self.noisy_roughness:
+            names = html.escape(", ".join(self.noisy_roughness))
+            notes.append(f"<div><b>Low roughness among other inputs:</b> {names}</div>")
         return (
             f'<div class="scenecaptum">\n{STYLE}\n'
             f"<table>\n<thead><tr>{html_cells(('decision', 'reason'), 'th')}</tr></thead>\n"
@@ -125,7 +138,7 @@ def make_plan(
     reasons[f"variant {mi.variant()}"] = "linear RGB; spectra are converted when the scene is loaded"
 
     depth, reason = _depth(own, max_depth)
-    reasons[f"max_depth {'unlimited' if depth == -1 else depth}"] = reason
+    reasons[f"max_depth {_in_words(depth)}"] = reason
 
     if 0 < depth <= FULL_PATH_DEPTH:
         rr_depth = depth + 1
@@ -148,7 +161,14 @@ def make_plan(
     differences = tuple((name, route.reason) for name, route in routes.items() if route.reason is not None)
     if differences:
         from ._moved_materials import movable_materials
+        from ._turning_camera import turned_names
 
+        turned = turned_names(dict(differences), sensors)
+        differences = tuple((name, reason) for name, reason in differences if name not in turned)
+        if count := sum(math.prod(parameters[name].shape) for name in turned):
+            reasons[f"{pluralize(count, 'number')} of the camera by moving the film"] = (
+                "one more evaluation of the light in attributions; plain autograd takes differences"
+            )
         moved = movable_materials(graph, parameters, dict(differences)) if integrator.path_differences else {}
         if moved:
             reasons[f"{len(moved)} of them by differences of paths"] = "one pass for all together, see below"
@@ -166,6 +186,11 @@ def make_plan(
         reasons[f"{count} of them by light tracing"] = (
             "low roughness (pinhole and lens cameras, no bump maps)"
         )
+    noisy = _noisy_roughness(graph, routes, sensors) if integrator.light_tracing and not hide_emitters else ()
+    if noisy:
+        reasons[f"{len(noisy)} of low roughness among others"] = (
+            "attribute each alone: lit by lamps, its error will be smaller"
+        )
     cautions = (
         *(
             (name, f"{p.why_left_out}; left out, and rendered as it is")
@@ -175,8 +200,22 @@ def make_plan(
         *((name, caution) for name in inputs if (caution := parameters[name].caution)),
     )
     return RenderPlan(
-        integrator.plugin, depth, rr_depth, hide_emitters, tuple(reasons.items()), differences, cautions
+        integrator.plugin,
+        depth,
+        rr_depth,
+        hide_emitters,
+        tuple(reasons.items()),
+        differences,
+        cautions,
+        noisy,
+        _scene_depth(own),
     )
+
+
+def _noisy_roughness(graph: SceneGraph, routes: Routes, sensors: Sequence[Any]) -> tuple[str, ...]:
+    """Return the low roughnesses that light tracing would differentiate with less noise, were they alone."""
+    names = noisy_roughness_names(routes)
+    return tuple(names) if all(allows_light_tracing(graph, sensor) for sensor in sensors) else ()
 
 
 STOCK_DERIVATIVES = (
@@ -241,20 +280,35 @@ def with_integrator(plan: RenderPlan, plugin: str, surfaces: Sequence[str]) -> R
         integrator=kind.plugin,
         reasons=((f"integrator {kind.plugin}", kind.reason), *plan.reasons[1 : 4 if kind.is_stock else None]),
         differences=() if kind.is_stock else plan.differences,
+        noisy_roughness=plan.noisy_roughness if kind.light_tracing else (),
         cautions=tuple((name, STOCK_DERIVATIVES) for name in surfaces) if kind.is_stock else plan.cautions,
     )
 
 
 def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
+    in_scene = _scene_depth(own)
     if max_depth is not None:
-        return max_depth, "as requested"
-    depth = _setting(own, "max_depth")
-    if depth is None and "Direct" in _description(own):
-        return 2, "the scene's integrator renders direct light only"
-    if depth is None:
+        if in_scene in (None, max_depth):
+            return max_depth, "as requested"
+        return max_depth, f"as requested; the scene's integrator sets {_in_words(in_scene)}"
+    if in_scene is None:
         return DEFAULT_DEPTH, "the scene sets no depth"
+    if _setting(own, "max_depth") is None:
+        return in_scene, "the scene's integrator renders direct light only"
+    return in_scene, "as set by the scene's integrator"
+
+
+def _in_words(depth: int | None) -> str:
+    return "unlimited" if depth == -1 else str(depth)
+
+
+def _scene_depth(own: Any) -> int | None:
+    """Return the depth of the scene's integrator, -1 for no limit; None where it sets none."""
+    depth = _setting(own, "max_depth")
+    if depth is None:
+        return 2 if "Direct" in _description(own) else None
     # Mitsuba stores "no limit" as the largest unsigned integer.
-    return (-1 if depth >= 2**31 else depth), "as set by the scene's integrator"
+    return -1 if depth >= 2**31 else depth
 
 
 def _setting(integrator: Any, name: str) -> int | None:

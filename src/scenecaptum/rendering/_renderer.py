@@ -623,6 +623,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             "max_depth": self.plan.max_depth,
             "variant": self._variant,
             "cautions": dict(self.plan.cautions),
+            "noisy_roughness": list(self.plan.noisy_roughness),
             "left_out": {name: p.why_left_out for name, p in self._table.items() if p.why_left_out},
         }
 

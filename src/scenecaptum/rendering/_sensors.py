@@ -10,7 +10,7 @@ from ..camera import Camera, View
 from ..daylight import SkyPatches
 from ..errors import SceneCaptumError, whole_number
 from ..grid import GridPoints, SensorGrid
-from ..scene import rgb_film
+from ..scene import SceneGraph, rgb_film
 
 
 class SensorType(NamedTuple):
@@ -52,6 +52,16 @@ def is_connectable(sensor: Any) -> bool:
     """Whether light tracing can connect paths to a sensor."""
     name = _type_name(sensor)
     return name is not None and SENSORS[name].connectable
+
+
+def allows_light_tracing(graph: SceneGraph, sensor: Any) -> bool:
+    """Whether light paths can be connected to the camera, and scattering is reciprocal."""
+    film = sensor.film()
+    return (
+        is_connectable(sensor)
+        and list(film.size()) == list(film.crop_size())
+        and not graph.class_names() & {"Instance", "BumpMap", "NormalMap"}
+    )
 
 
 def camera_of(sensor: Any) -> Camera:

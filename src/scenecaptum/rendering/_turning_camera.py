@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from ..scene import pose_name
-from ._backward import FilmFilter
+from ._backward import FilmFilter, has_independent_samples
 from ._chunks import Chunk
 from ._dr_arrays import owned
 from ._film_motion import FilmMotion, film_samples, turning
@@ -30,6 +30,16 @@ SAMPLES = 0.25
 MAX_POINTS = 2**19
 
 
+def turned_names(names: Iterable[str], sensors: Iterable[Any]) -> list[str]:
+    """Return which parameters turn or zoom the camera of all sensors without a difference of renders."""
+    film_only = all(_is_pinhole(sensor) and has_independent_samples(sensor) for sensor in sensors)
+    return [name for name in names if name in (ROTATION, FOV) and film_only]
+
+
+def _is_pinhole(sensor: Any) -> bool:
+    return bool(sensor.class_name() == "PerspectiveCamera")
+
+
 class TurningCamera:
     """The derivatives of a live scene's picture when its pinhole camera turns or zooms.
 
@@ -40,7 +50,7 @@ class TurningCamera:
         self._live = live
         self._film = film
         self._radiance_at = radiance_at
-        self._is_pinhole = live.sensor.class_name() == "PerspectiveCamera"
+        self._is_pinhole = _is_pinhole(live.sensor)
 
     def moves(self, name: str) -> bool:
         """Whether a parameter turns or zooms the camera, so that no difference of renders is needed."""

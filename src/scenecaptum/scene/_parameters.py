@@ -39,6 +39,8 @@ _LABEL_WORDS = {
     "alpha_v": "roughness v",
     "interior_medium": "medium",
 }
+# Those of a bump map, whose scale is not that of its object.
+_BUMP_WORDS = {"scale": "bump scale", "nested_texture": "bump"}
 
 
 def discover(graph: SceneGraph) -> SceneParameters:
@@ -287,8 +289,10 @@ def _label(graph: SceneGraph, name: str, node: Any) -> str:
     if area_emitter_id(owner) in (scene_object.id() for _, scene_object in path):
         owner = area_emitter_id(owner)
     words = [
-        _LABEL_WORDS.get(segment, segment.replace("_", " "))
-        for segment in inner
+        (_BUMP_WORDS if parent.class_name() == "BumpMap" else _LABEL_WORDS).get(
+            segment, segment.replace("_", " ")
+        )
+        for (_, parent), segment in zip(path, inner, strict=True)
         if segment not in _OMITTED_SEGMENTS
     ]
     if _is_on_a_lamp(path):

@@ -12,7 +12,7 @@ from ._numbers import format_with_error, rounded, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
-_LARGE_ERROR = 0.3  # of the norm of all effects
+_LARGE_ERROR = 0.3  # of the norm of all effects, or of a parameter's own
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
 _MAP_NDIM = 3
@@ -24,7 +24,13 @@ METRIC_WIDTH = FINDING_WIDTH  # and of a metric's on an axis, which keeps both c
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
-    """Return ``'mean luminance = 2.337 ± 0.005 cd/m²'``, with the name shortened to ``width``."""
+    """Return ``'mean luminance = 2.337 ± 0.005 cd/m²'``, with the name shortened to ``width``.
+
+    Of two metrics in different units it has no number, which would mean nothing.
+    """
+    if units := attribution.info.get("units"):
+        first, second = (one or "a number without a unit" for one in units)
+        return f"{metric_name(attribution, width)}, of different units ({first} and {second})"
     value = format_with_error(attribution.metric_value, attribution.metric_standard_error)
     unit = metric_unit(attribution)
     return f"{metric_name(attribution, width)} = {value}{f' {unit}' if unit else ''}"
@@ -243,10 +249,33 @@ def scene_cautions(attribution: Attribution) -> list[str]:
 
 
 def range_notes(attribution: Attribution, scale: Scale | None = None) -> list[str]:
-    """Return notes on effects over a range that may be read for something else."""
-    if attribution.kind.in_scale(attribution.scale_or_default(scale)) is not ResultKind.EFFECT:
+    """Return notes on effects that may be read for something else, or that would have smaller errors alone."""
+    notes = _alone_notes(attribution)
+    if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
+        notes += [*_sky_notes(attribution), *_roughness_notes(attribution, scale)]
+    return notes
+
+
+def _alone_notes(attribution: Attribution) -> list[str]:
+    """Return a note on the low roughnesses that are lost in the noise of a gradient of many inputs."""
+    effects, errors = attribution.saliency(), attribution.saliency_error()
+    if not errors or attribution.kind in _OF_DIFFERENCES:
         return []
-    return [*_sky_notes(attribution), *_roughness_notes(attribution, scale)]
+    noisy = [
+        attribution.labels.get(name, name)
+        for name in attribution.info.get("noisy_roughness", ())
+        if name in attribution and errors[name] > _LARGE_ERROR * effects[name]
+    ]
+    if not noisy:
+        return []
+    which = "this roughness" if len(noisy) == 1 else "each of these roughnesses"
+    return [f"{_named(noisy)}: attribute {which} alone: lit by lamps, its error will be smaller"]
+
+
+def _named(labels: Sequence[str]) -> str:
+    """Return the first few labels, and how many more there are."""
+    more = f" and {len(labels) - _NAMED} more" if len(labels) > _NAMED else ""
+    return f"{', '.join(labels[:_NAMED])}{more}"
 
 
 def _sky_notes(attribution: Attribution) -> list[str]:
@@ -278,9 +307,8 @@ def _roughness_notes(attribution: Attribution, scale: Scale | None) -> list[str]
     ]
     if not small:
         return []
-    more = f" and {len(small) - _NAMED} more" if len(small) > _NAMED else ""
     return [
-        f"{', '.join(small[:_NAMED])}{more}: a small roughness acts most near 0, so its effect over the whole "
+        f"{_named(small)}: a small roughness acts most near 0, so its effect over the whole "
         "range is overstated; give it a range, or use ablation"
     ]
 

@@ -31,7 +31,7 @@ from .._backward import CameraAdjoint, filtered_adjoint
 from .._plan import RenderPlan
 from .._registry import index_table, shape_index
 from .._sampler import SobolSampler
-from .._sensors import is_connectable
+from .._sensors import allows_light_tracing
 from .path import is_in_mask, is_valid_sample
 
 LOBE_STRATA = 16  # a square number
@@ -61,14 +61,7 @@ def find_sampled_shapes(
     be connected to the camera, where a shape cannot be sampled, or where a bump or normal map makes scattering
     non-reciprocal.
     """
-    film = sensor.film()
-    if (
-        not plan.kind.light_tracing
-        or plan.hide_emitters
-        or not is_connectable(sensor)
-        or list(film.size()) != list(film.crop_size())
-        or graph.class_names() & {"Instance", "BumpMap", "NormalMap"}
-    ):
+    if not plan.kind.light_tracing or plan.hide_emitters or not allows_light_tracing(graph, sensor):
         return None
     shapes = graph.scene.shapes()
     areas, probabilities = np.ones(len(shapes)), np.zeros(len(shapes))
