@@ -9,6 +9,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneCaptumError, metrics
+from scenecaptum.estimation import TargetedMetric
 
 
 def ordinary(height: int = 12, width: int = 16) -> torch.Tensor:
@@ -111,6 +112,19 @@ def test_a_smoothed_logit_is_the_smoothed_metric(target):
     torch.testing.assert_close(smoothed(image), loop(image), rtol=1e-4, atol=1e-5)
     assert smoothed.n_draws == metrics.Smoothed(plain).n_draws
     assert plain.n_draws == 0
+
+
+def test_elements_of_a_smoothed_metric_have_the_names_of_its_classes():
+    logits = metrics.ClassLogit(metrics.ShapeClassifier.pretrained())
+    smoothed = metrics.Smoothed(logits, 0.3, n=2)
+    assert smoothed.target_index("cube") == 1
+    assert TargetedMetric(smoothed, "cube").name == "Smoothed[cube]"
+    assert TargetedMetric(logits, 1).name == "ClassLogit[cube]"
+    assert TargetedMetric(smoothed, "cube").label == "smoothed logit of cube"
+    with pytest.raises(SceneCaptumError, match="'sphere', 'cube'|sphere, cube"):
+        TargetedMetric(smoothed).value_of(smoothed(ordinary().float()))
+    with pytest.raises(SceneCaptumError, match="The elements of function have no names, such as 'cube'"):
+        metrics.Smoothed(squares).target_index("cube")
 
 
 def test_without_noise_the_expectation_is_the_metric():

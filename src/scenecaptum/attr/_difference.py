@@ -40,7 +40,7 @@ def multiply(a: A, factor: float) -> A:
         else size * a.convergence_delta_error,
         metric_value=factor * a.metric_value,
         metric_standard_error=None if a.metric_standard_error is None else size * a.metric_standard_error,
-        info={**info, "metric": f"{factor:g} × {a.info.get('metric')}", "measure": None},
+        info={**info, "metric": f"{factor:g} × {_metric_name(a)}", "measure": None},
     )
 
 
@@ -52,7 +52,7 @@ def add(a: A, b: A) -> A:
         total,
         info={
             **info,
-            "metric": f"{a.info.get('metric')} + {b.info.get('metric')}",
+            "metric": f"{_metric_name(a)} + {_metric_name(b)}",
             "measure": a.info.get("measure") if a.info.get("measure") == b.info.get("measure") else None,
             "plus": dict(b.info),
         },
@@ -90,7 +90,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {
-        "metric": f"{a.info.get('metric')} − {b.info.get('metric')}",
+        "metric": f"{_metric_name(a)} − {_metric_name(b)}",
         "minus": dict(b.info),
         "verdict": "",
     }
@@ -103,6 +103,11 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     error = _hypot(a.convergence_delta_error, b.convergence_delta_error)
     magnitude = abs(explained_a) + abs(explained_b)
     return info | convergence(delta, error, explained_a - explained_b, magnitude)
+
+
+def _metric_name(a: AttributionData) -> str:
+    """Return what is measured in words, such as ``logit of cube``, or the name of the metric's class."""
+    return str((a.info.get("measure") or {}).get("name") or a.info.get("metric"))
 
 
 def _quadrature_error(a: AttributionData, b: AttributionData) -> dict[str, torch.Tensor] | None:
