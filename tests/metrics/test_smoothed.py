@@ -141,7 +141,7 @@ def test_names_and_verdicts_say_what_smoothing_changes():
     assert metric.measure.name == "smoothed logit of cube"
     value = metrics.ClassLogit(metric.model, "cube")(image).item()
     text = metric.verdict(image)
-    said = f"of one noisy picture: {value:.2g} without smoothing; probability"
+    said = f"{value:.2g} without smoothing, on one noisy render; probability"
     assert text.startswith(said.replace("-", "−"))
     of_all = metrics.Smoothed(metrics.ClassLogit(metric.model), 0.5)
     assert of_all.measure_of(1).name == "smoothed logit of cube"
