@@ -151,6 +151,7 @@ def objects_of_unclear_sign(
     *,
     parameter: Names = None,
     scale: Scale | None = None,
+    texels: bool = False,
     surfaces: SurfaceMap | None = None,
 ) -> list[str]:
     """Return the visible objects whose effect, the sum over their parameters, is less than two errors from zero.
@@ -164,7 +165,8 @@ def objects_of_unclear_sign(
     used = used_by_objects(attribution, surfaces, rows)
     unclear = []
     for index in visible:
-        own = [rows[name] for name in used[index]]
+        # Texels have signs of their own.
+        own = [rows[name] for name in used[index] if not (texels and name in surfaces.texels)]
         if any(row.saliency for row in own) and not clear_sum(own):
             unclear.append(surfaces.objects[index])
     return unclear

@@ -296,9 +296,7 @@ def _panels(
 
 def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:
     """Return how many objects of the picture have no colour, because their sign is lost in the noise."""
-    if options.get("texels"):
-        return ""
-    kept = {name: options[name] for name in ("parameter", "scale", "surfaces") if name in options}
+    kept = {name: options[name] for name in ("parameter", "scale", "texels", "surfaces") if name in options}
     count = len(objects_of_unclear_sign(attribution, **kept))
     return f"{pluralize(count, 'object')} in {color}: sign lost in the noise" if count else ""
 
