@@ -11,12 +11,16 @@ and with the smoothed logit, and Captum's SmoothGrad over ``renderer.as_captum``
 ``filters``: smoothing against fixed edge-aware filters of the picture (weights from noise-free albedo and normals)
 in front of the network: spread, and bias against the gradient of the plain logit of a converged picture.
 
+``path``: integrated gradients in the Cornell box at 48×48, of the plain and of the smoothed logit, by the samples:
+spread, bias against long runs of the same logit, and the standard errors that the runs state.
+
 ``resnet``: time and peak memory of an attribution of torchvision's ResNet-50 with random weights and its own
 preprocessing, at 224×224 in the living room, by the number of draws, each in its own process.
 
     python benchmarks/network.py spread [--seeds 20] [--resolution 128x72] [--spp 64]
     python benchmarks/network.py limits --limit 5 --limit 20
     python benchmarks/network.py filters
+    python benchmarks/network.py path --seeds 5
     python benchmarks/network.py resnet --draws 64 --draws 128
 """
 
@@ -33,7 +37,13 @@ from pathlib import Path
 import torch
 from peers import Script
 
-from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum import (
+    IntegratedGradientsScene,
+    SceneAttribution,
+    SceneRenderer,
+    VanillaSceneGradient,
+    metrics,
+)
 from scenecaptum.estimation import channel_totals, student_t
 
 SCENES = Path(os.environ.get("SCENECAPTUM_SCENES", Path(__file__).parents[2] / "shared" / "scenes"))
@@ -46,6 +56,14 @@ REFERENCE_RUNS = 6
 STDEV = 0.05  # of each range, for Captum's SmoothGrad
 CAPTUM_SPP = 64  # of each of its samples
 GIBIBYTE = 2**30
+PATH_SIZE = (48, 48)
+PATH_RUNS = 3
+PATH_REFERENCE = {"n_steps": 16, "spp": 1024, "picture_spp": 16384}
+PATH_SETTINGS: tuple[dict[str, int], ...] = (
+    {"n_steps": 16, "spp": 32},
+    {"n_steps": 16, "spp": 32, "picture_spp": 4096},
+    {"n_steps": 16, "spp": 512, "picture_spp": 4096},
+)
 
 
 def main() -> None:
@@ -352,6 +370,47 @@ def filters(options: argparse.Namespace) -> None:
         report(name, runs, seconds, f"bias {100 * bias:.0f} %")
 
 
+def path(options: argparse.Namespace) -> None:
+    """Print spread, bias and stated errors of integrated gradients by their samples."""
+    renderer = SceneRenderer("cornell-box", INPUTS, resolution=PATH_SIZE, spp=32, max_depth=4)
+    for name, logit in (("plain", plain_logit()), ("smoothed", smoothed_logit())):
+        method = IntegratedGradientsScene(renderer, logit)
+        long = torch.stack(
+            [effects(method.attribute(seed=10_000 + seed, **PATH_REFERENCE)) for seed in range(PATH_RUNS)]
+        )
+        own = float((long.var(0).sum() / len(long)).sqrt() / long.mean(0).norm())
+        print(
+            f"{name} logit: the reference ({settings_of(PATH_REFERENCE)}) is known to {100 * own:.0f} %",
+            flush=True,
+        )
+        for settings in PATH_SETTINGS:
+            stated = []
+
+            def run(
+                seed: int,
+                method: IntegratedGradientsScene = method,
+                settings: Mapping[str, int] = settings,
+                stated: list[float] = stated,
+            ) -> torch.Tensor:
+                found = method.attribute(seed=seed, **settings)
+                errors = torch.tensor(list((found.effects_error() or {}).values()), dtype=torch.float64)
+                stated.append(float(errors.norm()))
+                return effects(found)
+
+            runs, seconds = timed(run, range(1, options.seeds + 1))
+            norm = long.mean(0).norm()
+            noise = runs.var(0).sum() / len(runs) + long.var(0).sum() / len(long)
+            bias = ((runs.mean(0) - long.mean(0)).square().sum() - noise).clamp_min(0).sqrt() / norm
+            errors = sum(stated) / len(stated) / norm
+            text = f"bias {100 * bias:.0f} %, stated error {100 * errors:.0f} %"
+            report(f"{name} logit, {settings_of(settings)}", runs, seconds, text)
+
+
+def settings_of(settings: Mapping[str, int]) -> str:
+    """Return settings in words."""
+    return ", ".join(f"{name}={value}" for name, value in settings.items())
+
+
 def resnet(options: argparse.Namespace) -> None:
     """Print time and peak memory by the number of draws, each in a process of its own."""
     spawn = multiprocessing.get_context("spawn")
@@ -386,6 +445,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace], None]] = {
     "spread": spread,
     "limits": limits,
     "filters": filters,
+    "path": path,
     "resnet": resnet,
 }
 

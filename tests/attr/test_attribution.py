@@ -19,7 +19,7 @@ import scenecaptum
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
-from scenecaptum.visualization import metric_line
+from scenecaptum.visualization import metric_line, metric_name
 
 
 def glare_like(image: torch.Tensor) -> torch.Tensor:
@@ -364,6 +364,19 @@ def test_errors_of_unrelated_results_add_in_squares():
     expected = torch.hypot(a.standard_error["x"], b.standard_error["x"])
     torch.testing.assert_close((a - b).standard_error["x"], expected)
     assert (a - b).saliency_error()["x"] > 0
+
+
+def test_a_difference_is_called_by_what_its_sides_measure():
+    def named(metric: str, measure: str | None) -> SceneAttribution:
+        info = {"metric": metric, "measure": measure and {"name": measure}}
+        return SceneAttribution({"x": torch.ones(())}, None, 1.0, None, info=info)
+
+    cube, sphere = named("ClassLogit[cube]", "logit of cube"), named("ClassLogit[sphere]", "logit of sphere")
+    assert metric_name(cube - sphere) == "logit of cube − logit of sphere"
+    assert metric_name(cube + sphere) == "logit of cube + logit of sphere"
+    assert metric_name(2 * cube) == "2 × logit of cube"
+    assert metric_name(cube - named("own", None)) == "logit of cube − own"
+    assert metric_name(cube - cube) == "logit of cube"
 
 
 def test_results_for_different_parameters_cannot_be_subtracted(cornell_attribution):

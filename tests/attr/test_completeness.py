@@ -62,7 +62,7 @@ def test_each_integral_lies_within_its_error_from_black(n_steps, groups):
             error, width = found.saliency_error()[name], (high - low).sum() / found.standard_error[name].sum()
             assert abs(found.saliency()[name] - truth.saliency()[name]) < width / 2 * error
         assert abs(found.convergence_delta) < allowed(8) * found.convergence_delta_error
-        assert found.info["convergence"] == ("adds up" if n_steps == 32 else "cannot be told")
+        assert found.info["convergence"] == ("adds up" if n_steps == 32 else "inconclusive")
     assert n_steps != 8 or abs(found.convergence_delta) > 4 * noise_of(found)
 
 
@@ -93,7 +93,7 @@ def test_a_difference_includes_the_quadrature_errors_of_both():
         torch.testing.assert_close(error, one.quadrature_error[name].hypot(other.quadrature_error[name]))
         assert (both.covariance[name].diagonal().sqrt() >= error).all()
     assert both.info["explained"] == pytest.approx(one.info["explained"] - other.info["explained"])
-    assert both.info["convergence"] == "cannot be told"
+    assert both.info["convergence"] == "inconclusive"
     assert "quadrature_error" not in both.info
 
 
@@ -111,17 +111,17 @@ def test_quadrature_errors_are_saved(tmp_path):
     [
         (0.01, 0.019, 1.0, "adds up"),
         (-0.01, 0.019, -1.0, "adds up"),
-        (0.01, 0.021, 1.0, "cannot be told"),
-        (5.81, 7.25, 0.92, "cannot be told"),
+        (0.01, 0.021, 1.0, "inconclusive"),
+        (5.81, 7.25, 0.92, "inconclusive"),
         (0.10, 0.024, 1.0, "does not add up"),
-        (-0.10, 0.026, 1.0, "cannot be told"),
+        (-0.10, 0.026, 1.0, "inconclusive"),
         (0.0, 0.0, 0.0, "adds up"),
-        (0.0, 0.1, 0.0, "cannot be told"),
+        (0.0, 0.1, 0.0, "inconclusive"),
         (0.2, 0.01, 0.0, "does not add up"),
-        (math.inf, 0.1, -math.inf, "cannot be told"),
-        (math.nan, 0.1, math.nan, "cannot be told"),
+        (math.inf, 0.1, -math.inf, "inconclusive"),
+        (math.nan, 0.1, math.nan, "inconclusive"),
         (0.0, None, 1.0, "adds up"),
-        (0.01, None, 1.0, "cannot be told"),
+        (0.01, None, 1.0, "inconclusive"),
     ],
 )
 def test_the_verdict_has_three_values(delta, error, explained, said):
@@ -137,10 +137,10 @@ def test_the_verdict_is_printed_with_its_reasons():
     found = IntegratedGradientsScene(ToyRenderer(), log_mean).attribute(
         n_steps=8, baselines=0.0, seed=shifted()
     )
-    info = {**found.info, "convergence": "cannot be told", "quadrature_error": 0.3}
+    info = {**found.info, "convergence": "inconclusive", "quadrature_error": 0.3}
     made = dataclasses.replace(found, convergence_delta=-0.52, convergence_delta_error=0.31, info=info)
     text = " ".join(str(made).split())
-    assert "cannot be told: delta −0.52 ± 0.31 of" in text
+    assert "inconclusive whether the effects add up: delta −0.52 ± 0.31 of" in text
     assert "mostly quadrature error: use more steps" in text
     noisy = dataclasses.replace(made, info={**made.info, "quadrature_error": 0.1})
     assert "quadrature" not in str(noisy)
@@ -156,8 +156,10 @@ def test_completeness_is_undecided_if_the_metric_is_infinite_at_the_baseline():
         n_steps=8, baselines=0.0, method="riemann_middle", seed=shifted()
     )
     assert found.info["explained"] is None
-    assert found.info["convergence"] == "cannot be told"
-    assert "cannot be told: the metric is not finite at the baseline" in " ".join(table_text(found).split())
+    assert found.info["convergence"] == "inconclusive"
+    assert "inconclusive whether the effects add up: the metric is not finite at the baseline" in " ".join(
+        table_text(found).split()
+    )
     assert (found.standard_error["x"] > 0).all()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -51,6 +52,18 @@ def test_spread_is_the_standard_deviation_of_the_effects():
     torch.testing.assert_close(torch.tensor(row.effects).double(), truth)
     assert row.spread == pytest.approx(truth.std().item(), rel=1e-5)
     assert row.noise == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_table_of_few_replicates_says_so():
+    method = VanillaSceneGradient(ReplayingToyRenderer(0.5), quarters)
+    table = mean_effects(method.attribute(target=TARGETS, seed=shifted(), replicates=2))
+    assert "?  with 2 replicates the standard error has about 71 % relative uncertainty" in str(table)
+    [row] = table.rows
+    some = dataclasses.replace(table, rows=(row, row._replace(name="y", label="y")), untrusted={"y": "why"})
+    marks = ["?" in line for line in str(some).splitlines()[1:3]]
+    assert marks == [False, True]
+    assert "?  why (1 parameter)" in str(some)
+    assert "?" not in str(mean_effects(results(0.5, shifted(), TARGETS)))
 
 
 def test_noise_is_the_part_of_the_spread_that_renders_cause():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -110,11 +111,13 @@ def test_large_errors_come_with_the_advice_of_the_metric():
 def test_a_network_metric_says_that_its_gradient_is_rough_until_it_is_smoothed(create: Any) -> None:
     network = metrics.ShapeClassifier.pretrained()
     renderer = ReplayingToyRenderer(0.001)
-    note = "of the rough gradient of a noisy picture, without smoothing"
+    note = "effects of the rough gradient of a noisy picture, without smoothing"
     for smoothing, is_rough in ((None, True), (0.3, False)):
         asked = create(network, transform=_enlarged, smoothing=smoothing)
         found = VanillaSceneGradient(renderer, asked).attribute(seed=shifted(0), spp=16)
         assert (note in str(found)) is is_rough
+        path = IntegratedGradientsScene(renderer, asked).attribute(n_steps=4, seed=shifted(0), spp=16)
+        assert (note in str(path)) is is_rough
     ablation = FeatureAblationScene(renderer, create(network, transform=_enlarged))
     assert note not in str(ablation.attribute(baselines=0.0, seed=shifted(0), spp=16))
     smoothed = metrics.Smoothed(create(network, transform=_enlarged), n=16)
@@ -123,6 +126,19 @@ def test_a_network_metric_says_that_its_gradient_is_rough_until_it_is_smoothed(c
 
 def _enlarged(picture: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.interpolate(picture, (64, 64))
+
+
+def test_integrated_gradients_of_a_network_advise_samples_of_the_pictures_too():
+    renderer = ReplayingToyRenderer(0.001)
+    logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube", transform=_enlarged)
+    for method, more in ((VanillaSceneGradient, False), (IntegratedGradientsScene, True)):
+        found = method(renderer, logit).attribute(seed=shifted(0), spp=16)
+        # With errors that are large for certain.
+        large = {name: 1e6 * torch.eye(len(one)).double() for name, one in found.covariance.items()}
+        found = dataclasses.replace(found, covariance=large)
+        text = " ".join(str(found).split())
+        assert "smoothing=0.3" in text
+        assert ("picture_spp=" in text) is more
 
 
 def test_a_network_advises_smoothing_until_it_is_smoothed():

@@ -57,7 +57,7 @@ def test_names_say_what_is_compared():
     assert logit("lamp", against="desk", classes=names).measure.name == "logit of lamp minus that of desk"
     margin = logit(against="best", classes=names, smoothing=0.1)
     assert margin.measure_of(1).name == "smoothed margin of lamp over the best other class"
-    assert margin.verdict(WHITE, 1).startswith("of one noisy picture: 1.5 without smoothing; probability")
+    assert margin.verdict(WHITE, 1).startswith("1.5 without smoothing, on one noisy render; probability")
     assert "against=2 (desk)" in repr(logit(0, against="desk", classes=names))
     assert "against=best" in repr(margin)
 
@@ -99,7 +99,7 @@ def test_a_probability_is_the_softmax_of_the_logits():
     assert metric(WHITE).item() == pytest.approx(math.exp(VALUES[2]) / total)
     assert ClassProbability(logits_of(VALUES), None, UNCHANGED)(WHITE).sum().item() == pytest.approx(1.0)
     assert metric.measure.name == "probability of class 2"
-    assert metric.verdict(WHITE) == "probability 0.18 of class 2; 0.79 of class 1"
+    assert metric.verdict(WHITE) == "probability 0.18 of class 2, but 0.79 of class 1"
 
 
 def test_the_gradient_of_a_probability_is_p_times_q_that_of_the_contrast_with_all_others():

@@ -117,7 +117,7 @@ def test_names_and_verdicts_say_what_is_found():
     in_box = DetectionScore(model, 2, BOXES[1], smoothing=0.1)
     assert in_box.measure.name == "smoothed detection score of class 2 in the box"
     seen = "1 detection of class 2, the best with score 0.9 and overlap 1"
-    assert in_box.verdict(image) == f"of one noisy picture: 0.9 without smoothing; {seen}"
+    assert in_box.verdict(image) == f"0.9 without smoothing, on one noisy render; {seen}"
     assert DetectionScore(model, 3).verdict(image) == "0 detections of class 3"
     assert "target=1 (chair), box=None" in repr(metric)
 

@@ -137,7 +137,7 @@ def test_names_and_verdicts_say_what_the_network_sees():
     smoothed = SegmentationScore(colors, None, mask, UNCHANGED, smoothing=0.3)
     assert smoothed.measure_of(1).name == "smoothed mean logit of class 1 on the mask"
     assert smoothed.verdict(image, 1).startswith(
-        "of one noisy picture: 0.74 without smoothing; 1 of the mask is class 1"
+        "0.74 without smoothing, on one noisy render; 1 of the mask is class 1"
     )
     assert smoothed.n_draws == Smoothed(torch.mean).n_draws
     assert "mask=(16, 20)" in repr(metric)

@@ -9,6 +9,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneCaptumError, metrics
+from scenecaptum.estimation import TargetedMetric
 
 
 def ordinary(height: int = 12, width: int = 16) -> torch.Tensor:
@@ -113,6 +114,19 @@ def test_a_smoothed_logit_is_the_smoothed_metric(target):
     assert plain.n_draws == 0
 
 
+def test_elements_of_a_smoothed_metric_have_the_names_of_its_classes():
+    logits = metrics.ClassLogit(metrics.ShapeClassifier.pretrained())
+    smoothed = metrics.Smoothed(logits, 0.3, n=2)
+    assert smoothed.target_index("cube") == 1
+    assert TargetedMetric(smoothed, "cube").name == "Smoothed[cube]"
+    assert TargetedMetric(logits, 1).name == "ClassLogit[cube]"
+    assert TargetedMetric(smoothed, "cube").label == "smoothed logit of cube"
+    with pytest.raises(SceneCaptumError, match="a value for each of 3 classes"):
+        TargetedMetric(smoothed).value_of(smoothed(ordinary().float()))
+    with pytest.raises(SceneCaptumError, match="The elements of function have no names, such as 'cube'"):
+        metrics.Smoothed(squares).target_index("cube")
+
+
 def test_without_noise_the_expectation_is_the_metric():
     image = ordinary(48, 64).float()
     plain = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube")
@@ -127,7 +141,7 @@ def test_names_and_verdicts_say_what_smoothing_changes():
     assert metric.measure.name == "smoothed logit of cube"
     value = metrics.ClassLogit(metric.model, "cube")(image).item()
     text = metric.verdict(image)
-    said = f"of one noisy picture: {value:.2g} without smoothing; probability"
+    said = f"{value:.2g} without smoothing, on one noisy render; probability"
     assert text.startswith(said.replace("-", "−"))
     of_all = metrics.Smoothed(metrics.ClassLogit(metric.model), 0.5)
     assert of_all.measure_of(1).name == "smoothed logit of cube"

@@ -12,7 +12,14 @@ import torch
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
-from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
+from scenecaptum.projection import (
+    SurfaceMap,
+    TexelMap,
+    export,
+    heatmap,
+    objects_of_unclear_sign,
+    shared_maximum,
+)
 from scenecaptum.projection._cryptomatte import identifier, murmur3
 
 relative = partial(heatmap, norm="linear")  # in proportion to the saliencies
@@ -104,6 +111,20 @@ def test_a_signed_map_has_the_sign_of_the_summed_effects():
     result = dataclasses.replace(result, attributions=colours)
     torch.testing.assert_close(relative(result, signed=True), torch.tensor([[-1.0, -0.25]]))
     assert torch.equal(relative(result), relative(result).abs())
+
+
+def test_a_signed_map_is_zero_where_the_sign_is_lost_in_the_noise():
+    result = attribution((("a", "b"), ("c",)), a=3.0, b=4.0, c=-8.0)
+    for error, right, unclear in ((3.9, (5 - 8) / 16, []), (4.1, 5 / 16, ["object_1"])):
+        errors = {"a": 2.0, "b": 2.0, "c": error}
+        noisy = dataclasses.replace(
+            result,
+            standard_error={name: torch.tensor(one) for name, one in errors.items()},
+            covariance={name: torch.tensor([[one**2]]) for name, one in errors.items()},
+        )
+        torch.testing.assert_close(relative(noisy, signed=True), torch.tensor([[5 / 8, right]]))
+        torch.testing.assert_close(relative(noisy), torch.tensor([[5 / 8, (5 + 8) / 16]]))
+        assert objects_of_unclear_sign(noisy) == unclear
 
 
 def test_a_logarithmic_map_shows_the_decades_below_its_maximum():

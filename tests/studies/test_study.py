@@ -64,6 +64,10 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Study(["office"], metrics=[{"metric": "luminance", "threshold_factor": 3}]),
         "'threshold_factor' has no effect",
     ),
+    "an element of a number": (
+        lambda: Study(["office"], metrics=[{"metric": "luminance", "target": 0}]),
+        "'target' has no effect",
+    ),
     "options alone": (
         lambda: Study(["office"], metrics=[{"threshold_factor": 3}]),
         "needs the entry 'metric'",
@@ -302,6 +306,34 @@ def test_designs_change_what_their_globs_match(run: Run, tmp_path: Path) -> None
     values = {cell.design: result.numbers(cell)["value"] for cell in result.cells}
     assert values["black"] < values["as it is"]
     assert "'*carpet*' (its last * is an operator), which is not an input" in str(result.failures)
+
+
+def test_a_metric_names_its_element_by_class_by_index_or_by_indices(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def channels(image):\n    return image.mean((0, 1))\n\n"
+        "channels.target_index = ['red', 'green', 'blue'].index\n\n"
+        "def columns(image):\n    return image.mean(0)\n"
+    )
+    (tmp_path / "rooms.toml").write_text(
+        'scenes = ["cornell-box"]\nresolution = [8, 8]\nspp = 4\nmax_depth = 2\ninputs = "reflectance"\n'
+        'methods = ["value", "gradient"]\n[metrics]\n'
+        'name = { metric = "mine.py:channels", target = "blue" }\n'
+        'index = { metric = "mine.py:channels", target = 2 }\n'
+        'red = { metric = "mine.py:channels", target = 0 }\n'
+        'indices = { metric = "mine.py:columns", target = [3, 2] }\n'
+        'none = "mine.py:channels"\n'
+    )
+    result = run(Study.from_file(tmp_path / "rooms.toml"), tmp_path / "out")
+    for method in ("value", "gradient"):
+        values = {
+            cell.metric: result.numbers(cell)["value"]
+            for cell in result.cells
+            if cell.method == method and cell not in result.failures
+        }
+        assert values.keys() == {"name", "index", "red", "indices"}
+        assert values["name"] == values["index"]
+        assert len(set(values.values())) == 3
+    assert all("Select an element with target=" in error for error in result.failures.values())
 
 
 def test_metrics_of_daylight_have_their_coefficients(run: Run, tmp_path: Path) -> None:

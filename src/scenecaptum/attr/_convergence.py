@@ -10,7 +10,7 @@ import torch
 # Allowed deviation relative to the explained difference, including two standard errors.
 TOLERANCE = 0.05
 
-ADDS_UP, DOES_NOT_ADD_UP, INCONCLUSIVE = "adds up", "does not add up", "cannot be told"
+ADDS_UP, DOES_NOT_ADD_UP, INCONCLUSIVE = "adds up", "does not add up", "inconclusive"
 
 # Rounding error of a sum in single precision, relative to the sum of the magnitudes.
 ROUNDING = 16 * torch.finfo(torch.float32).eps
@@ -32,12 +32,12 @@ def convergence(delta: float, error: float | None, explained: float, magnitude: 
 def verdict(delta: float, error: float | None, explained: float, rounding: float = 0.0) -> str:
     """Return whether attributions add up to what they explain, within 5 % including two standard errors.
 
-    The verdict is ``"cannot be told"`` if the error is too large to decide.
+    The verdict is ``"inconclusive"`` if the error is too large to decide.
 
     Example
     -------
     >>> verdict(0.01, 0.01, 1.0), verdict(0.2, 0.01, 1.0), verdict(0.2, 1.0, 1.0)
-    ('adds up', 'does not add up', 'cannot be told')
+    ('adds up', 'does not add up', 'inconclusive')
     """
     if error is None or not math.isfinite(delta):
         return ADDS_UP if abs(delta) <= rounding < math.inf else INCONCLUSIVE

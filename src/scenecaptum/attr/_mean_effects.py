@@ -5,13 +5,22 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ..errors import SceneCaptumError
 from ..protocols import Scale
-from ..visualization import DEFAULT_TOP, align_decimals, align_with_errors, grid, pluralize, rounded, shorten
+from ..visualization import (
+    DEFAULT_TOP,
+    align_decimals,
+    align_with_errors,
+    grid,
+    group_by_text,
+    pluralize,
+    rounded,
+    shorten,
+)
 from ._attribution import SceneAttribution
 
 _NAME_WIDTH = 60
@@ -57,17 +66,27 @@ class MeanEffects:
         A `MeanEffect` for each parameter, by descending mean effect.
     count
         Number of results.
+    untrusted
+        The parameters whose standard error is unreliable in one of the results, each with the reason; see
+        ``SceneAttribution.untrusted_errors``.
     """
 
     rows: tuple[MeanEffect, ...]
     count: int
+    untrusted: Mapping[str, str] = field(default_factory=dict)
 
     def text(self, top: int | None = DEFAULT_TOP) -> str:
         """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
         rows = self.rows[:top]
+        doubts = group_by_text(self.untrusted.items())
+        # No marks if all rows would have one.
+        marked = {name for names in doubts.values() if len(names) < len(self.rows) for name in names}
+        labels = shorten([row.label for row in rows], _NAME_WIDTH)
         columns = {
             "": [str(row.rank) for row in rows],
-            "parameter": shorten([row.label for row in rows], _NAME_WIDTH),
+            "parameter": [
+                f"{label} ?" if row.name in marked else label for row, label in zip(rows, labels, strict=True)
+            ],
             "mean effect": align_with_errors([(row.mean, row.mean_error) for row in rows]),
             "spread": align_decimals([rounded(row.spread, 2) for row in rows]),
         }
@@ -76,8 +95,11 @@ class MeanEffects:
             columns["by noise alone"] = align_decimals(noises)
         hidden = len(self.rows) - len(rows)
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
-        note = f"Mean and standard deviation of the effects in {self.count} results"
-        return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", note])
+        notes = [f"Mean and standard deviation of the effects in {self.count} results"]
+        for reason, names in doubts.items():
+            whose = "all parameters" if len(names) == len(self.rows) else pluralize(len(names), "parameter")
+            notes.append(f"?  {reason} ({whose})")
+        return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", *notes])
 
     def __str__(self) -> str:
         return self.text()
@@ -146,7 +168,8 @@ def mean_effects(results: Sequence[SceneAttribution], *, scale: Scale | None = N
         )
         for rank, name in enumerate(sorted(means, key=lambda name: -abs(means[name])), start=1)
     ]
-    return MeanEffects(tuple(rows), len(results))
+    doubts = {name: reason for one in (mean, *results) for name, reason in one.untrusted_errors().items()}
+    return MeanEffects(tuple(rows), len(results), doubts)
 
 
 def _deviation(deviations: Sequence[float]) -> float:

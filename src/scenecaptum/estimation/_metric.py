@@ -74,8 +74,18 @@ class TargetedMetric:
 
     @property
     def name(self) -> str:
-        """Name for tables and figures."""
-        return self._metric_name if self.target is None else f"{self._metric_name}[{self.target}]"
+        """Name for tables and figures: ``ClassLogit[cube]``, or ``metric[1]`` if its elements have no names."""
+        if self.target is None:
+            return self._metric_name
+        known = isinstance(self.target, int) and 0 <= self.target < len(self._classes)
+        element = self._classes[cast(int, self.target)] if known else self.target
+        return f"{self._metric_name}[{element}]"
+
+    @property
+    def _classes(self) -> tuple[str, ...]:
+        """The names of the metric's elements; empty if they have none."""
+        found = getattr(self.metric, "classes", ())
+        return found if isinstance(found, tuple) else ()
 
     @property
     def _metric_name(self) -> str:
@@ -258,8 +268,8 @@ class TargetedMetric:
 
     def _how_to_select(self) -> str:
         """Return how to choose an element of an output: by the names of the classes, if the metric knows them."""
-        classes = getattr(self.metric, "classes", None)
-        if not isinstance(classes, tuple) or not classes:
+        classes = self._classes
+        if not classes:
             return "Select an element with target=, or reduce it, for example with .mean()."
         return (
             f"It has a value for each of {len(classes)} classes: choose one with --target on the command line or "

@@ -91,7 +91,7 @@ class ClassifierMetric(NetworkMetric):
         best = int(probabilities.argmax())
         if best == index:
             return text
-        return f"{text}; {_probability(probabilities[best].item())} of {class_name(best, self.classes)}"
+        return f"{text}, but {_probability(probabilities[best].item())} of {class_name(best, self.classes)}"
 
     def extra_repr(self) -> str:
         """Show the class and the settings."""

@@ -93,7 +93,7 @@ def smoothed_measure(measure: Measure) -> Measure:
 
 
 # What the derivatives of a network metric are without smoothing.
-ROUGH = "of the rough gradient of a noisy picture, without smoothing"
+ROUGH = "effects of the rough gradient of a noisy picture, without smoothing"
 
 
 def without_smoothing(value: float, meaning: str) -> str:
@@ -101,7 +101,7 @@ def without_smoothing(value: float, meaning: str) -> str:
 
     One picture has no spread, so that few digits are shown, and the text says that its noise is in them.
     """
-    text = f"of one noisy picture: {rounded(value, 2)} without smoothing"
+    text = f"{rounded(value, 2)} without smoothing, on one noisy render"
     return f"{text}; {meaning}" if meaning else text
 
 

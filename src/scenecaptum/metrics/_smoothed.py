@@ -104,6 +104,22 @@ class Smoothed(torch.nn.Module):
         )
         return values
 
+    def target_index(self, name: str) -> int:
+        """Return the element of the output for a class, by its name; raise if the metric knows no such class."""
+        find = getattr(self.metric, "target_index", None)
+        if find is None:
+            raise SceneCaptumError(
+                f"The elements of {type(self.metric).__name__} have no names, such as {name!r}: give an index."
+            )
+        index: int = find(name)
+        return index
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """The names of the metric's classes; empty if it has none."""
+        found: tuple[str, ...] = getattr(self.metric, "classes", ())
+        return found
+
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure | None:
         """Return what an element of the output measures."""
         of_element = getattr(self.metric, "measure_of", None)

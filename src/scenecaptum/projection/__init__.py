@@ -18,6 +18,7 @@ from ._pixels import sum_over_objects as sum_over_objects
 from ._projection import DECADES as DECADES
 from ._projection import DEFAULT_NORM as DEFAULT_NORM
 from ._projection import MapNorm as MapNorm
+from ._projection import clear_sum as clear_sum
 from ._projection import heatmap as heatmap
 from ._projection import normalized as normalized
 from ._projection import objects_of_unclear_sign as objects_of_unclear_sign

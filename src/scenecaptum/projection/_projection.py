@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
-from ..protocols import Attribution, Scale
+from ..protocols import Attribution, RankedParameter, Scale
 from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
@@ -61,8 +61,8 @@ def heatmap(
         A name or glob of the attribution's parameters (or groups), or a list of these: only they are mapped and
         determine the scale. By default all.
     signed
-        Whether to give an object's saliency the sign of the sum of its parameters' effects. Objects of opposite
-        sign cancel within a pixel.
+        Whether to give an object's saliency the sign of the sum of its parameters' effects, or 0 where this sum is
+        less than two standard errors from 0. Objects of opposite sign cancel within a pixel.
     scale
         What is compared, as for ``SceneAttribution.ranking``: by default effects over the parameters' ranges.
     norm
@@ -151,12 +151,12 @@ def objects_of_unclear_sign(
     *,
     parameter: Names = None,
     scale: Scale | None = None,
+    texels: bool = False,
     surfaces: SurfaceMap | None = None,
 ) -> list[str]:
     """Return the visible objects whose effect, the sum over their parameters, is less than two errors from zero.
 
-    A signed map colours them nevertheless. Objects without an effect are not counted; the options are those of
-    ``heatmap``.
+    A signed map is 0 there. Objects without an effect are not counted; the options are those of ``heatmap``.
     """
     surfaces = surfaces_of(attribution, surfaces)
     selected = set(_select(attribution, parameter)) - set(attribution.info.get("jumps", {}))
@@ -165,11 +165,20 @@ def objects_of_unclear_sign(
     used = used_by_objects(attribution, surfaces, rows)
     unclear = []
     for index in visible:
-        own = [rows[name] for name in used[index]]
-        error = math.hypot(*(row.effect_error or 0.0 for row in own))
-        if any(row.saliency for row in own) and abs(math.fsum(row.effect for row in own)) <= 2 * error:
+        # Texels have signs of their own.
+        own = [rows[name] for name in used[index] if not (texels and name in surfaces.texels)]
+        if any(row.saliency for row in own) and not clear_sum(own):
             unclear.append(surfaces.objects[index])
     return unclear
+
+
+def clear_sum(rows: Sequence[RankedParameter]) -> float:
+    """Return the sum of the effects of some parameters, 0 if it is less than two standard errors from 0."""
+    total, error = (
+        math.fsum(row.effect for row in rows),
+        math.hypot(*(row.effect_error or 0.0 for row in rows)),
+    )
+    return total if abs(total) > 2 * error else 0.0
 
 
 def surfaces_of(attribution: Attribution, given: SurfaceMap | None) -> SurfaceMap:
@@ -188,7 +197,7 @@ def _entries(
     jumps = attribution.info.get("jumps", {})  # which have no derivative
     selected = [name for name in _select(attribution, parameter) if name not in jumps]
     saliency = {name: value for name, value in attribution.saliency(scale).items() if name in selected}
-    effects, factors = attribution.effects(scale), attribution.factors(scale)
+    rows, factors = {row.name: row for row in attribution.ranking(scale=scale)}, attribution.factors(scale)
     is_norm = attribution.ranks_by_norm(scale)
     params_by_object = used_by_objects(attribution, surfaces, saliency)
     textures = _texel_maps(attribution, surfaces, selected) if texels else {}
@@ -199,7 +208,7 @@ def _entries(
         params_by_object = [names - textures.keys() for names in params_by_object]
         objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
     magnitude = np.array(objects)[surfaces.object_index]
-    sums = np.array([math.fsum(effects[name] for name in names) for names in params_by_object])
+    sums = np.array([clear_sum([rows[name] for name in names]) for names in params_by_object])
     effect = sums[surfaces.object_index]
     for name, texel_map in textures.items():
         density = texel_map.density(attribution[name].numpy(force=True), len(surfaces.pixel))

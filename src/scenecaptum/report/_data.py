@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..attr import Explanation
 from ..errors import SceneCaptumError
 from ..estimation import student_t
-from ..projection import SurfaceMap, heatmap, shared_maximum, used_by_objects
+from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects
 from ..protocols import Attribution, RankedParameter
 from ..visualization import (
     LOWERS,
@@ -189,7 +189,8 @@ def _result(
     row_index = {row.name: row.rank - 1 for row in ranking}
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
-    saliencies = [_object_effect(ranking, rows) for rows in object_rows]
+    saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in object_rows]
+    sums = [clear_sum([ranking[index] for index in rows]) for rows in object_rows]
     return {
         "title": title,
         "metric": metric_name(attribution),
@@ -223,13 +224,14 @@ def _result(
         "objects": [
             {
                 "rows": object_rows[i],
-                "magnitude": _number(abs(saliencies[i])),
-                "signed": _number(saliencies[i]),
+                "magnitude": _number(saliencies[i]),
+                # As in ``heatmap``.
+                "signed": _number(math.copysign(saliencies[i], sums[i]) if sums[i] else 0.0),
             }
             for i in shown
         ],
         # Including objects that no pixel shows, as in ``heatmap``.
-        "largest": _number(max([row.saliency for row in ranking] + list(map(abs, saliencies)), default=0.0)),
+        "largest": _number(max([*(row.saliency for row in ranking), *saliencies], default=0.0)),
         "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in object_rows[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
@@ -263,12 +265,6 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
             for name, signed in maps.items()
         },
     }
-
-
-def _object_effect(ranking: Sequence[RankedParameter], rows: Sequence[int]) -> float:
-    """Return an object's saliency as in ``heatmap``, with the sign of the sum of its effects."""
-    magnitude = math.hypot(*(ranking[index].saliency for index in rows))
-    return math.copysign(magnitude, math.fsum(ranking[index].effect for index in rows))
 
 
 def _is_noise(attribution: Attribution, ranking: Sequence[RankedParameter], rows: Collection[int]) -> bool:

@@ -168,6 +168,8 @@ function captionOf(result, scale) {
   const pointing = result.arrows.length ? ["; arrows: where moving an object raises the metric most"] : [];
   if (result.isNoise && !scale.texels) pointing.push(". No pixel differs from noise: no effect is larger than its error explains.");
   if (!scale.signed) return [axis, ...pointing];
+  const unclear = result.objects.filter((one) => one.magnitude && !one.signed).length;
+  if (unclear && !scale.texels) pointing.unshift(`; white: sign lost in the noise (${unclear} ${unclear === 1 ? "object" : "objects"})`);
   return [
     `${axis}; all parameters of an object together: `,
     make("span", { class: "sign lowers" }, "▼"), `${result.signs[1]}, `, make("span", { class: "sign raises" }, "▲"), result.signs[0],

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..attr import SceneAttribution
 from ..errors import SceneCaptumError
-from ..projection import DEFAULT_NORM, heatmap, shared_maximum
+from ..projection import DEFAULT_NORM, heatmap, objects_of_unclear_sign, shared_maximum
 from ..ranks import kendall_tau
 from ..visualization import (
     DEFAULT_TOP,
@@ -398,6 +398,8 @@ def _draw_gallery(
     bar.set_label(f"relative to the largest {'of all' if maximum else 'in each'}", fontsize=SMALL)
     raises, lowers = sign_labels(some) or ("positive", "negative")
     title = f"Effects on {metric_name(some)} of the objects in each pixel; blue: {raises}, orange: {lowers}"
+    if any(map(objects_of_unclear_sign, places.values())):
+        title += "; grey: sign lost in the noise"
     more = [f"{pluralize(hidden, 'more room')} not shown"] if hidden else []
     lines = [*wrapped_lines(title, characters_per_line(inches[0] - 0.3, TITLE)), *more]
     part.suptitle("\n".join(lines), fontsize=TITLE, x=0.02, ha="left", parse_math=False)

@@ -8,11 +8,12 @@ from typing import Any
 from .. import daylight, metrics
 from ..daylight import SkyPatches, Weather, synthetic_weather
 from ..errors import SceneCaptumError, near_misses
-from ..estimation import Metric
+from ..estimation import Metric, Target
 from ..rendering import SceneRenderer
 
 # Options of metrics of daylight; those of others are parameters of their classes.
 SKY_OPTIONS = ("weather", "north", "subdivision")
+OWN_OPTIONS = ("target",)  # of the user's own functions
 
 
 def check_metric(name: str, metric: Any, options: Mapping[str, Any]) -> None:
@@ -22,13 +23,13 @@ def check_metric(name: str, metric: Any, options: Mapping[str, Any]) -> None:
             raise SceneCaptumError(
                 f"The metric {name!r} must be a name or a function of an image, not {metric!r}."
             )
-        known: Any = ()
+        known: Any = OWN_OPTIONS
     elif metric in metrics.BY_NAME:
         known = set(metrics.BY_NAME[metric].parameters) - {"camera", "grid"}
     elif metric in daylight.BY_NAME:
         known = SKY_OPTIONS
     elif ":" in metric:
-        known = ()
+        known = OWN_OPTIONS
     else:
         names = [*metrics.BY_NAME, *daylight.BY_NAME]
         raise SceneCaptumError(
@@ -46,6 +47,14 @@ def renderer_options_for(metric: Any, options: Mapping[str, Any]) -> dict[str, A
     named = daylight.BY_NAME[metric]
     patches = SkyPatches(options.get("subdivision", named.subdivision))
     return {"sky_patches": patches, "direct_sky": named.direct}
+
+
+def target_of(metric: Any, options: Mapping[str, Any]) -> Target:
+    """Return the element to attribute of the user's own metric; a named metric is created with its element."""
+    if isinstance(metric, str) and ":" not in metric:
+        return None
+    target = options.get("target")
+    return tuple(target) if isinstance(target, list) else target  # TOML has no tuples
 
 
 def create_metric(metric: Any, options: Mapping[str, Any], renderer: SceneRenderer) -> Metric:

@@ -61,7 +61,8 @@ class Study:
     metrics
         By name, or a list: the names of the command line, ``"FILE.py:NAME"`` or ``"MODULE:NAME"``, functions at
         the top level of a module, or dicts of such a ``metric`` with its options:
-        ``{"metric": "ugr", "threshold_factor": 5}``.
+        ``{"metric": "ugr", "threshold_factor": 5}``. ``target``, the index or the class of an element, is an
+        option of ``"shape-logit"`` and of your own metrics.
     designs
         Values or changes of inputs, by name: ``{"lighter": {"*wall*.reflectance.value*": 1.2}}`` multiplies all
         that the glob matches. A last ``+`` adds. By default the scene as it is.

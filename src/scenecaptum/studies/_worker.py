@@ -21,7 +21,7 @@ from ..scene import restored
 from ..validation import Scenes
 from ..visualization import metric_name, metric_unit, verdict
 from ._folder import StudyFolder
-from ._metrics import create_metric, renderer_options_for
+from ._metrics import create_metric, renderer_options_for, target_of
 from ._recipe import Recipe
 
 VALUE = "value"  # the method that measures the metric, without derivatives
@@ -61,6 +61,8 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     metric = create_metric(recipe.metric, recipe.metric_options, renderer)
     values = design_of(renderer, recipe.design) if recipe.design else None
     options = {"seed": recipe.cell.seed, **recipe.method_options}
+    if (target := target_of(recipe.metric, recipe.metric_options)) is not None:
+        options["target"] = target
     if recipe.method == VALUE:
         return _measure(renderer, metric, values, options), None
     attribution = METHODS[recipe.method].create(renderer, metric).attribute(values, **options)

@@ -85,7 +85,7 @@ def plot_heatmap(
     if ax is None:
         denoised = denoised or _is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
-        unclear = _unclear_note(attribution, options) if signed else ""
+        unclear = _unclear_note(attribution, options, "white") if signed else ""
         left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"), unclear)
         left.imshow(render)
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
@@ -130,7 +130,7 @@ def plot_overlay(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
-        unclear = _unclear_note(attribution, options) if signed else ""
+        unclear = _unclear_note(attribution, options, "grey") if signed else ""
         ax, bar = _panels(attribution, heat, 1, figsize, title, options.get("scale"), unclear)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
@@ -294,13 +294,11 @@ def _panels(
     return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
 
 
-def _unclear_note(attribution: Attribution, options: dict[str, Any]) -> str:
-    """Return how many objects of the picture have a colour whose sign is lost in the noise."""
-    if options.get("texels"):
-        return ""
-    kept = {name: options[name] for name in ("parameter", "scale", "surfaces") if name in options}
+def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:
+    """Return how many objects of the picture have no colour, because their sign is lost in the noise."""
+    kept = {name: options[name] for name in ("parameter", "scale", "texels", "surfaces") if name in options}
     count = len(objects_of_unclear_sign(attribution, **kept))
-    return f"{pluralize(count, 'object')}: sign lost in the noise" if count else ""
+    return f"{pluralize(count, 'object')} in {color}: sign lost in the noise" if count else ""
 
 
 def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
-from ..projection import DEFAULT_NORM, MapNorm, heatmap, shared_maximum
+from ..projection import DEFAULT_NORM, MapNorm, heatmap, objects_of_unclear_sign, shared_maximum
 from ..protocols import Attribution, Scale
 from ._bars import bar_legend, draw_bars
 from ._figures import (
@@ -98,7 +98,9 @@ def plot_specificity(
     axes = lower.subplots(1, columns, squeeze=False)[0]
     mapped = [draw_map(ax, heat, signed=signed) for ax, heat in zip(axes, heats, strict=True)]
     bar = draw_colorbar(mapped[-1], signed, norm, ax=list(axes), aspect=18, pad=0.02)
-    bar.set_label(f"relative to the largest\n{'of all' if shared else 'in each'}", fontsize=SMALL)
+    noisy = signed and any(objects_of_unclear_sign(one, scale=scale) for one in attributions)
+    unclear = "; white:\nsign lost in the noise" if noisy else ""
+    bar.set_label(f"relative to the largest\n{'of all' if shared else 'in each'}{unclear}", fontsize=SMALL)
     return figure_of(part)
 
 

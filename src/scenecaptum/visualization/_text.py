@@ -180,7 +180,10 @@ def _advice(attribution: Attribution) -> list[str]:
     if not advice or not errors:
         return []
     are_large = math.hypot(*errors.values()) > _LARGE_ERROR * math.hypot(*attribution.saliency().values())
-    return [str(advice)] if are_large else []
+    if not are_large:
+        return []
+    has_path = ((attribution.info.get("budget") or {}).get("points") or 1) > 1
+    return [f"{advice}, and so do more samples of the pictures, picture_spp=" if has_path else str(advice)]
 
 
 def convergence_notes(attribution: Attribution) -> list[str]:
@@ -189,6 +192,8 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     if delta is None:
         return []
     verdict, explained = attribution.info.get("convergence"), attribution.info.get("explained")
+    if verdict == "inconclusive":
+        verdict += " whether the effects add up"
     if verdict is None or explained is None:
         unknown = f"{verdict}: the metric is not finite at the baseline" if not math.isfinite(delta) else ""
         return [unknown or f"convergence delta {rounded(delta, 2)}"]
