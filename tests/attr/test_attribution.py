@@ -376,7 +376,7 @@ def test_a_difference_is_called_by_what_its_sides_measure():
     assert metric_name(cube + sphere) == "logit of cube + logit of sphere"
     assert metric_name(2 * cube) == "2 × logit of cube"
     assert metric_name(cube - named("own", None)) == "logit of cube − own"
-    assert metric_name(cube - cube) == "logit of cube"
+    assert metric_name(cube - cube) == "logit of cube (first − second)"
 
 
 def test_results_for_different_parameters_cannot_be_subtracted(cornell_attribution):

@@ -8,25 +8,32 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum import daylight, metrics
-from scenecaptum.explanation import definition_of, difference_by_definition, photometric_premises
+from scenecaptum import Camera, daylight, metrics
+from scenecaptum.estimation import TargetedMetric
+from scenecaptum.explanation import (
+    definition_of,
+    difference_by_definition,
+    photometric_premises,
+    states_definition,
+)
 
 
 def test_the_noise_of_both_values_cancels_in_their_difference():
     """Of renders with common random numbers: without, the error of the change would be that of both values."""
     patches = daylight.SkyPatches.tregenza()
     sky = daylight.SkyMatrix.from_weather(daylight.synthetic_weather(), patches)
-    metric = daylight.DaylightAutonomy(sky)
+    metric = TargetedMetric(daylight.DaylightAutonomy(sky))
     generator = torch.Generator().manual_seed(shifted())
     noise = torch.rand(8, 12, 1, 1, generator=generator)
     coefficients = torch.linspace(0.001, 0.02, 12)[:, None, None].expand(12, patches.count, 3)
     before, after = (scale * (0.5 + noise) * coefficients for scale in (1.0, 1.1))
-    change, error = difference_by_definition(metric, before, after)
+    change, error = difference_by_definition(metric, metric, (before, after))
     values = [definition_of(metric, images) for images in (before, after)]
     assert change == pytest.approx(values[1].value - values[0].value)
     assert 0 < error < 0.5 * math.hypot(*(value.error for value in values))
-    assert difference_by_definition(metric, before, before) == (0, 0)
-    assert difference_by_definition(metrics.MeanLuminance(), before, after) is None
+    assert difference_by_definition(metric, metric, (before, before)) == (0, 0)
+    brightness = TargetedMetric(metrics.MeanLuminance())
+    assert difference_by_definition(brightness, brightness, (before, after)) is None
 
 
 def test_a_room_without_light_of_the_sky_is_named_so() -> None:
@@ -51,12 +58,36 @@ def test_of_uniformity_it_is_the_smallest_over_the_mean_with_an_error() -> None:
     """Points of 2 to 4 with noise of 2 % in each of eight pictures: 2/3, to 2 % / √8."""
     noise = torch.randn(8, 1, 9, 1, generator=torch.Generator().manual_seed(shifted()))
     images = torch.linspace(2, 4, 9)[None, None, :, None] * (1 + 0.02 * noise).expand(8, 1, 9, 3)
-    found = definition_of(metrics.Uniformity(), images)
+    metric = TargetedMetric(metrics.Uniformity())
+    found = definition_of(metric, images)
     assert found.value == pytest.approx(metrics.Uniformity().hard(images.mean(0)).item())
     assert found.value == pytest.approx(2 / 3, rel=0.03)
     assert 0.3 < found.error / (2 / 3 * 0.02 / 8**0.5) < 2.5
     assert (found.verdict, found.points) == ("", None)
-    assert definition_of(metrics.Uniformity(relaxation=0), images) is None
-    change, error = difference_by_definition(metrics.Uniformity(), images, 2 * images)
+    assert definition_of(TargetedMetric(metrics.Uniformity(relaxation=0)), images) is None
+    change, error = difference_by_definition(metric, metric, (images, 2 * images))
     assert change == pytest.approx(0, abs=1e-6)
     assert error == pytest.approx(0, abs=1e-6)
+
+
+def test_a_glare_rating_near_its_threshold_is_stated_by_the_definition() -> None:
+    """A source of 2200 cd/m² counts in full, where the relaxed rating gives it a part of its weight."""
+    camera = Camera.perspective(16, 16, fov_x=60)
+    images = torch.full((8, 16, 16, 3), 0.5)
+    images[:, 4:6, 7:9] = 2200 / 179
+    metric = TargetedMetric(metrics.UnifiedGlareRating(camera))
+    assert states_definition(metric, images[0])
+    found = definition_of(metric, images)
+    hard = metrics.UnifiedGlareRating(camera, relaxation=0)
+    assert found.value == pytest.approx(hard(images[0]).item())
+    assert found.value > metric.value(images[0]) + 1
+    assert found.error == 0
+    dimmed = images.clone()
+    dimmed[:, 4:6, 7:9] = 1950 / 179
+    change, _ = difference_by_definition(metric, metric, (images, dimmed))
+    assert change == pytest.approx(hard(dimmed[0]).item() - found.value)
+    bright = images.clone()
+    bright[:, 4:6, 7:9] = 9000 / 179
+    assert not states_definition(metric, bright[0])
+    assert metric.value(bright[0]) == pytest.approx(hard(bright[0]).item())
+    assert not states_definition(TargetedMetric(hard), images[0])

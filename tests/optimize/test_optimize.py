@@ -13,7 +13,7 @@ import torch
 from chance import allowed
 from seeds import seeds, shifted
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics, optimize
+from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, metrics, optimize
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.optimize import Search, SearchOptions
 from scenecaptum.optimize._adam import BoundedAdam
@@ -315,3 +315,27 @@ def test_a_rating_that_reaches_its_goal_is_to_be_confirmed_at_another_resolution
     assert reached.note.endswith("rate the design again at twice the resolution")
     assert not run(glare, -100.0).note
     assert not run(metrics.MeanLuminance(), 1e6).note  # it has no classes
+
+
+def test_a_goal_of_a_glare_rating_holds_by_its_definition():
+    """The relaxed rating is below 12 while the only lamp still counts in full by the hard threshold."""
+
+    class Lamp:
+        spp = 64
+        bounds = {"light": (0.0, math.inf)}  # noqa: RUF012
+        inputs = {"light": torch.tensor(3000.0)}  # noqa: RUF012
+
+        def __call__(self, inputs, *, seed, spp):
+            row, column = torch.meshgrid(torch.arange(16), torch.arange(16), indexing="ij")
+            lamp = ((row - 5).abs() < 2) & ((column - 8).abs() < 2)
+            return torch.where(lamp, inputs["light"], torch.tensor(90.0))[..., None].expand(-1, -1, 3) / 179
+
+    camera = Camera.perspective(16, 16, fov_x=60)
+    glare, hard = (metrics.UnifiedGlareRating(camera, relaxation=width) for width in (0.1, 0.0))
+    dim = Lamp()({"light": torch.tensor(2010.0)}, seed=0, spp=1)
+    goal = (glare(dim) + hard(dim)).item() / 2
+    found = optimize.minimize(Lamp(), glare, goal, top=1)
+    assert found.reached
+    assert found.values["light"] < 2000
+    assert found.after.value == pytest.approx(hard(Lamp()(found.values, seed=0, spp=1)).item())
+    assert found.before.value == pytest.approx(hard(Lamp()(Lamp.inputs, seed=0, spp=1)).item())

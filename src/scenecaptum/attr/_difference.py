@@ -41,7 +41,7 @@ def multiply(a: A, factor: float) -> A:
         else size * a.convergence_delta_error,
         metric_value=factor * a.metric_value,
         metric_standard_error=None if a.metric_standard_error is None else size * a.metric_standard_error,
-        info={**info, "metric": f"{factor:g} × {a.info.get('metric')}", "measure": None},
+        info={**info, "metric": f"{factor:g} × {_measured(a)}", "measure": None},
     )
 
 
@@ -95,15 +95,19 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
 def _combined(a: AttributionData, b: AttributionData, sign: str) -> dict[str, Any]:
     """Return the metric of a sum or difference, by a name that tells the sides apart, and the unit they share."""
     measures = [side.info.get("measure") or {} for side in (a, b)]
-    classes = [str(side.info.get("metric", "metric")) for side in (a, b)]
     units = [str(measure.get("unit") or "") for measure in measures]
-    info: dict[str, Any] = {"metric": _name(a, b, classes, sign), "measure": None}
+    name = _name(a, b, [_measured(side) for side in (a, b)], sign)
+    info: dict[str, Any] = {"metric": name, "measure": None}
     if any(measures):
-        names = [str(measure.get("name") or one) for measure, one in zip(measures, classes, strict=True)]
-        info["measure"] = {"name": _name(a, b, names, sign), "unit": units[0] if units[0] == units[1] else ""}
+        info["measure"] = {"name": name, "unit": units[0] if units[0] == units[1] else ""}
     if all(measures) and units[0] != units[1]:
         info["units"] = units
     return info
+
+
+def _measured(a: AttributionData) -> str:
+    """Return what is measured in words, such as ``logit of cube``, or the name of the metric's class."""
+    return str((a.info.get("measure") or {}).get("name") or a.info.get("metric", "metric"))
 
 
 def _name(a: AttributionData, b: AttributionData, metrics: Sequence[str], sign: str) -> str:

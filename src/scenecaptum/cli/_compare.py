@@ -16,8 +16,8 @@ from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradie
 from ..daylight import DaylightMetric
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Metric
-from ..explanation import definition_of, difference_by_definition, photometric_premises
+from ..estimation import DEFAULT_REPLICATES, Metric, at_values
+from ..explanation import definition_of, difference_by_definition, photometric_premises, states_definition
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
 from ..validation import Scenes, denoise_of
@@ -208,12 +208,15 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     ]
     images = scenes.render(design or {})
     change = scenes.difference(images, design or {})
-    definitions = [definition_of(metric, one) for one in (scenes.images, images)]
+    rated = scenes.metric, at_values(scenes.metric, renderer, {**scenes.values, **(design or {})})
+    both = list(zip(rated, (scenes.images, images), strict=True))
+    stated = any(states_definition(one, pictures.mean(0)) for one, pictures in both)
+    definitions = [definition_of(one, pictures) if stated else None for one, pictures in both]
     sides = [
         _side(one, definition, renderer, metric, options)
         for one, definition in zip((before, after), definitions, strict=True)
     ]
-    exact = difference_by_definition(metric, scenes.images, images)
+    exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
     measured = MEASURED if exact is None else BY_DEFINITION
     return Compared(before, after, titles, *change, sides, measured, exact)
 
@@ -275,7 +278,7 @@ def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[Scen
         scenes = Scenes(
             renderer, metric, options.target, seed=options.seed, spp=None, replicates=DEFAULT_REPLICATES
         )
-        definition = definition_of(metric, scenes.images)
+        definition = definition_of(scenes.metric, scenes.images)
     side = _side(result, definition, renderer, metric, options)
     return with_settings(result, renderer, options), side
 

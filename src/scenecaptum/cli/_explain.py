@@ -12,9 +12,9 @@ from typing import Any
 
 import torch
 
-from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
+from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..estimation import Metric, TargetedMetric
-from ..explanation import explain
+from ..explanation import explain, photometric_premises
 from ..optimize import Measured
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
@@ -100,7 +100,7 @@ def _write_report(
     explanation: Explanation, renderer: SceneRenderer, metric: Metric, options: argparse.Namespace
 ) -> None:
     """Write the page: the sentences, and if a goal was reached, the scene before and after on a slider."""
-    results: list[Explanation | SceneAttribution] = [explanation]
+    results = [explanation]
     titles = comparison = None
     if (goal := explanation.goal) is not None and goal.reached and not goal.was_below:
         progress = _arguments.shows_progress(options)
@@ -108,33 +108,45 @@ def _write_report(
         reached = method.attribute(
             goal.values, target=options.target, seed=options.seed, show_progress=progress
         )
-        results.append(_with_value(reached, goal.after, TargetedMetric(metric, options.target)))
+        stated = explanation.definition is not None
+        shown = _with_value(reached, goal.after, TargetedMetric(metric, options.target), stated=stated)
+        of_picture = photometric_premises(metric, goal.after.image, goal.after.value)
+        notes = of_picture + premises(metric, options) + grid_premises(renderer)
+        results.append(dataclasses.replace(shown, premises=notes))
         titles = ["as it is", f"below {goal.below:g}"]
         change = goal.after.value - goal.before.value
         values = [format_with_error(one.value, one.error) for one in (goal.before, goal.after)]
         error = math.hypot(goal.after.error, goal.before.error)
         comparison = Comparison(change, error, [SEPARATE.format(*values)])
-    attributions = [one.attribution if isinstance(one, Explanation) else one for one in results]
     write_report(
         results,
         options.out / REPORT,
         titles,
         title=options.title,
-        plans=[plan_of(one, renderer, metric) for one in attributions],
+        plans=[plan_of(one.attribution, renderer, metric) for one in results],
         comparison=comparison,
     )
 
 
 def _with_value(
-    attribution: SceneAttribution, measured: Measured, metric: TargetedMetric
-) -> SceneAttribution:
-    """Return the attribution of a design with the value that confirmed it, so that no second one is shown."""
-    return dataclasses.replace(
+    attribution: SceneAttribution, measured: Measured, metric: TargetedMetric, *, stated: bool
+) -> Explanation:
+    """Return a design with the value that confirmed it, so that no second one is shown.
+
+    ``stated`` says whether it is shown as that by the definition, beside the relaxed one.
+    """
+    means = metric.verdict(measured.value, measured.image)
+    value, error, definition = measured.value, measured.error, None
+    if stated and measured.relaxed is not None:
+        definition = Definition(value, means, error=error)
+        value, error = measured.relaxed, measured.relaxed_error
+    confirmed = dataclasses.replace(
         attribution,
-        metric_value=measured.value,
-        metric_standard_error=measured.error,
-        info={**attribution.info, "verdict": metric.verdict(measured.value, measured.image)},
+        metric_value=value,
+        metric_standard_error=error,
+        info={**attribution.info, "verdict": means},
     )
+    return Explanation(confirmed, count=0, definition=definition)
 
 
 def explained(

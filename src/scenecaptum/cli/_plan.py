@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..attr import SceneAttribution
 from ..daylight import DaylightMetric, PlanValues
-from ..estimation import Metric
+from ..estimation import Metric, TargetedMetric
 from ..explanation import definition_of
 from ..metrics import MeanIlluminance
 from ..protocols import Attribution
@@ -24,7 +24,11 @@ FILE_WIDTH, REPORT_WIDTH = 7.2, 4.2
 
 def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
     """Return the value of a relaxed metric by its definition, as ``"60.3 %"``; else nothing."""
-    exact = None if attribution.image is None else definition_of(metric, attribution.image[None])
+    if (
+        attribution.image is None or attribution.surfaces is not None
+    ):  # a picture has replicates and a transform
+        return ""
+    exact = definition_of(TargetedMetric(metric), attribution.image[None])
     unit = metric_unit(attribution)
     return "" if exact is None else f"{plain_number(exact.value, unit)} {unit}".rstrip()
 

@@ -152,6 +152,13 @@ class TargetedMetric:
             return None
         return [{seed: math.ceil(self.n_draws / (points * len(seeds)))} for seed in seeds]
 
+    def by_definition(self) -> TargetedMetric | None:
+        """Return a relaxed metric without its relaxation, so that it may jump; None if it has none."""
+        hard = getattr(self.metric, "hard", None)
+        if hard is None or not getattr(self.metric, "relaxation", 0.0):
+            return None
+        return dataclasses.replace(self, metric=hard)
+
     def with_transform(self, transform: ImageTransform) -> TargetedMetric:
         """Return the same metric with another transform."""
         return dataclasses.replace(self, transform=transform)

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 
 import torch
 
-from ..attr import Change, SceneAttribution
-from ..estimation import Metric, channel_totals
+from ..attr import Change, Definition, SceneAttribution
+from ..estimation import at_values, channel_totals
 from ..optimize import BOUND_MARGIN, design_bounds, first_of_each_light
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
-from ._definition import definition_of, difference_by_definition
+from ._definition import difference_by_definition
 
 STEP = 0.1  # of a bounded range
 DIMMING = 0.25  # of an unbounded value, such as a radiance
@@ -59,19 +59,19 @@ def propose(
     return first_of_each_light(sorted(changes, key=lambda change: -abs(change.predicted)))[:count]
 
 
-def rendered(scenes: Scenes, metric: Metric, change: Change) -> Change:
-    """Return the change with its effect, and its value by the definition, of rendering the changed scene."""
+def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> Change:
+    """Return the change with its effect of rendering the changed scene, also on a value by the definition."""
     changes = {change.name: change.after}
     images = scenes.render(changes)
     measured, error = scenes.difference(images, changes)
-    exact = definition_of(metric, images.mean(0, keepdim=True))
-    change_by_definition = difference_by_definition(metric, scenes.images, images)
+    change = dataclasses.replace(change, measured=measured, measured_error=error)
+    if definition is None:
+        return change
+    changed = at_values(scenes.metric, scenes.renderer, {**scenes.values, **changes})
+    by_definition = difference_by_definition(scenes.metric, changed, (scenes.images, images))
+    assert by_definition is not None, "there is one of the scene as it is"
     return dataclasses.replace(
-        change,
-        measured=measured,
-        measured_error=error,
-        exact=None if exact is None else exact.value,
-        exact_error=None if change_by_definition is None else change_by_definition[1],
+        change, exact=definition.value + by_definition[0], exact_error=by_definition[1]
     )
 
 

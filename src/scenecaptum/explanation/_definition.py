@@ -2,46 +2,59 @@
 
 from __future__ import annotations
 
-from typing import TypeGuard
+from typing import Any
 
 import torch
 
 from ..attr import Definition
 from ..daylight import DaylightMetric
-from ..estimation import Metric, half_sample_error
-from ..metrics import Uniformity
+from ..estimation import TargetedMetric, half_sample_error
+from ..metrics import GlareRating
+from ._threshold import is_near_threshold
 
 
-def definition_of(metric: Metric, images: torch.Tensor) -> Definition | None:
-    """Return the value of a relaxed metric of daylight, or of uniformity, without relaxation; None for others.
+def states_definition(metric: TargetedMetric, image: torch.Tensor) -> bool:
+    """Whether the value by the definition is stated of a picture, or of daylight coefficients.
 
-    ``images`` are independent daylight coefficients, ``(replicates, points, P, 3)``, or pictures of a grid, whose
-    mean is rated. A single one has no error.
+    It is of every relaxed metric; of a glare rating only where its main source is near the threshold, since
+    elsewhere relaxation changes nothing.
     """
-    if not _is_relaxed(metric):
+    if metric.by_definition() is None:
+        return False
+    rating = metric.metric
+    return not isinstance(rating, GlareRating) or is_near_threshold(rating, metric.transform(image))
+
+
+def definition_of(metric: TargetedMetric, images: torch.Tensor) -> Definition | None:
+    """Return the value of a relaxed metric without relaxation; None for others.
+
+    ``images`` are independent daylight coefficients, ``(replicates, points, P, 3)``, or pictures, whose mean is
+    rated. A single one has no error.
+    """
+    exact = metric.by_definition()
+    if exact is None:
         return None
-    value = metric.hard(images.mean(0)).item()
-    error = half_sample_error(lambda kept: metric.hard(images[kept].mean(0)).item(), len(images))
-    counts = isinstance(metric, DaylightMetric) and metric.counts_points
-    return Definition(value, metric.measure.verdict(value), images.shape[1] if counts else None, error)
-
-
-def _is_relaxed(metric: Metric) -> TypeGuard[DaylightMetric | Uniformity]:
-    return isinstance(metric, DaylightMetric | Uniformity) and metric.relaxation > 0
+    value = exact.value(images.mean(0))
+    error = half_sample_error(lambda kept: exact.value(images[kept].mean(0)), len(images))
+    relaxed: Any = metric.metric
+    counts = isinstance(relaxed, DaylightMetric) and relaxed.counts_points
+    return Definition(value, relaxed.measure.verdict(value), images.shape[1] if counts else None, error)
 
 
 def difference_by_definition(
-    metric: Metric, before: torch.Tensor, after: torch.Tensor
+    before: TargetedMetric, after: TargetedMetric, images: tuple[torch.Tensor, torch.Tensor]
 ) -> tuple[float, float | None] | None:
     """Return the change of the value of ``definition_of`` and its standard error; None for other metrics.
 
-    Both are those of the same random numbers, most of whose noise cancels.
+    Both are those of the same random numbers, most of whose noise cancels. The metrics differ by their image
+    transforms, which follow what has moved.
     """
-    if not _is_relaxed(metric):
+    first, second = before.by_definition(), after.by_definition()
+    if first is None or second is None:
         return None
 
     def difference(kept: torch.Tensor) -> float:
-        first, second = (metric.hard(images[kept].mean(0)).item() for images in (before, after))
-        return second - first
+        return second.value(images[1][kept].mean(0)) - first.value(images[0][kept].mean(0))
 
-    return difference(torch.arange(len(after))), half_sample_error(difference, len(after))
+    count = len(images[1])
+    return difference(torch.arange(count)), half_sample_error(difference, count)

@@ -11,8 +11,17 @@ import torch
 from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import AnnualSunlightExposure, DaylightMetric
 from ..errors import whole_number
-from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, Stream, Target, derived_seeds, input_values
-from ..metrics import DaylightGlareProbability, UnifiedGlareRating, VerticalIlluminance
+from ..estimation import (
+    DEFAULT_REPLICATES,
+    Denoise,
+    Metric,
+    Stream,
+    Target,
+    at_values,
+    derived_seeds,
+    input_values,
+)
+from ..metrics import DaylightGlareProbability, GlareRating, UnifiedGlareRating, VerticalIlluminance
 from ..optimize import Optimization, Search, SearchOptions
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
@@ -20,10 +29,10 @@ from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
 from ..visualization import rounded
 from ._changes import propose, rendered
-from ._definition import definition_of
+from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
-from ._threshold import threshold_notes
+from ._threshold import is_near_threshold, relative_rating, threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
@@ -119,19 +128,22 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
             ranked=attribution,
         )
         goal = _reach(below, search, show_progress=show_progress)
-    shown = scenes.metric.transform(scenes.images.mean(0))
-    premises = photometric_premises(metric, scenes.images.mean(0), attribution.metric_value, shown)
-    if goal is not None and not goal.was_below:  # a lamp that it dims may fall below the threshold
-        of_goal = [f"at the goal: {note}" for note in threshold_notes(metric, goal.after.image)]
-        premises += tuple(of_goal if threshold_notes(metric, shown) == [] else ())
+    picture = scenes.images.mean(0)
+    shown = scenes.metric.transform(picture)
+    premises = photometric_premises(metric, picture, attribution.metric_value, shown)
+    if goal is not None and not goal.was_below and isinstance(metric, GlareRating):
+        premises += _threshold_at(goal, scenes, metric, shown)
+    # Of the pictures from which the changes are measured: before and after are values of the same points.
+    definition = (
+        definition_of(scenes.metric, scenes.images) if states_definition(scenes.metric, picture) else None
+    )
     return Explanation(
         attribution,
         rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
-        # Of the pictures from which the changes are measured: before and after are values of the same points.
-        definition=definition_of(metric, scenes.images),
+        definition=definition,
         premises=premises,
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
-        changes=tuple(rendered(scenes, metric, change) for change in proposed),
+        changes=tuple(rendered(scenes, change, definition) for change in proposed),
         goal=goal,
     )
 
@@ -140,6 +152,18 @@ def _reach(below: float, search: Search, *, show_progress: bool) -> Optimization
     """Search with the leading parameter alone, and with more where that is not enough."""
     alone = search.to(below, SearchOptions(top=1, steps=STEPS_ALONE), show_progress=show_progress)
     return alone if alone.reached else search.to(below, SearchOptions(), show_progress=show_progress)
+
+
+def _threshold_at(
+    goal: Optimization, scenes: Scenes, metric: GlareRating, before: torch.Tensor
+) -> tuple[str, ...]:
+    """Return what the rating of a design owes to the threshold: a source that it dims may not count any more."""
+    after = at_values(scenes.metric, scenes.renderer, goal.values).transform(goal.after.image)
+    if metric.threshold_factor is not None or not any(
+        is_near_threshold(metric, one) for one in (before, after)
+    ):
+        return ()
+    return (f"at the goal: {relative_rating(metric, after)}",)
 
 
 def photometric_premises(

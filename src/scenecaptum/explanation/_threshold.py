@@ -5,10 +5,11 @@ from __future__ import annotations
 import torch
 
 from ..estimation import Metric
-from ..metrics import GlareRating, luminance
+from ..metrics import GlareRating, GlareSource, luminance
 from ..visualization import rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
+FACTOR = 5.0  # of the mean luminance: the other usual threshold
 
 
 def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
@@ -17,19 +18,38 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
         return []
     factor = metric.threshold_factor
     limit = f"{metric.threshold:g} cd/m²" if factor is None else f"{factor:g} times the mean luminance"
-    sources = metric.sources(image)
-    if not sources:
+    if _main_source(metric, image) is None:
         brightest = rounded(metric.efficacy * luminance(image).max().item())
         remedy = "check the scene's units, or use "
-        remedy += "a threshold factor of 5" if factor is None else "a smaller threshold factor"
+        remedy += f"a threshold factor of {FACTOR:g}" if factor is None else "a smaller threshold factor"
         return [
             f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
             f"source; {remedy}"
         ]
-    main = max(sources, key=lambda one: one.luminance**2 * one.solid_angle / one.position_index**2)
-    if factor is None and main.luminance < NEAR * metric.threshold:
+    if factor is None and is_near_threshold(metric, image):
         return [
-            f"only pixels brighter than {limit} count; a source that falls below stops counting at once: check "
-            "with a threshold factor of 5"
+            f"only pixels brighter than {limit} count, and a source that is dimmed below it stops counting at "
+            f"once; {relative_rating(metric, image)}"
         ]
     return []
+
+
+def is_near_threshold(metric: GlareRating, image: torch.Tensor) -> bool:
+    """Whether the main source of a picture is so close to the threshold that a change may take it below."""
+    main = _main_source(metric, image)
+    return main is not None and main.luminance < NEAR * metric.held_at(image).threshold
+
+
+def relative_rating(metric: GlareRating, image: torch.Tensor) -> str:
+    """Return ``"with a threshold of 5 times the mean luminance, UGR is 21.6"``."""
+    rating = metric.relative_to_mean(FACTOR).hard(image).item()
+    name = metric.measure.symbol or metric.measure.name
+    return f"with a threshold of {FACTOR:g} times the mean luminance, {name} is {rounded(rating)}"
+
+
+def _main_source(metric: GlareRating, image: torch.Tensor) -> GlareSource | None:
+    return max(
+        metric.sources(image),
+        key=lambda one: one.luminance**2 * one.solid_angle / one.position_index**2,
+        default=None,
+    )

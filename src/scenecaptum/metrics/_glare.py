@@ -125,6 +125,14 @@ class GlareRating(torch.nn.Module):
         values = photometric_luminance(image, self.efficacy, self.camera)
         return cast_like(self._rate(values, self._find_sources(values)), image)
 
+    def hard(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the rating by the definition: with the hard threshold of evalglare, which ``relaxation`` smooths.
+
+        Both are the same where no pixel is within the transition. Shapes and errors are those of ``forward``.
+        """
+        values = photometric_luminance(image, self.efficacy, self.camera)
+        return cast_like(self._rate(values, self._find_sources(values, relaxation=0.0)), image)
+
     def sources(self, image: torch.Tensor) -> list[GlareSource]:
         """Return the sources of an ``(H, W, 3)`` image, the brightest first; raises like ``forward``."""
         values = photometric_luminance(image.detach(), self.efficacy, self.camera)
@@ -155,16 +163,22 @@ class GlareRating(torch.nn.Module):
         fixed.threshold, fixed.threshold_factor, fixed.task = self._threshold(values).item(), None, None
         return fixed
 
+    def relative_to_mean(self, factor: float) -> GlareRating:
+        """Return a copy of the rating whose threshold is a factor times the mean luminance of the image."""
+        relative = copy.deepcopy(self)
+        relative.threshold_factor, relative.task = check_positive("factor", factor), None
+        return relative
+
     @abstractmethod
     def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
         """Return the rating for the luminance in cd/m², ``(H, W)``, and its sources."""
 
-    def _find_sources(self, luminance: torch.Tensor) -> Sources | None:
+    def _find_sources(self, luminance: torch.Tensor, relaxation: float | None = None) -> Sources | None:
         return find_sources(
             luminance,
             self.pixels,
             threshold=self._threshold(luminance),
-            relaxation=self.relaxation,
+            relaxation=self.relaxation if relaxation is None else relaxation,
             grouping=self.grouping,
             background=self._background(),
         )

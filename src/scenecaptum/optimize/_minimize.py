@@ -23,6 +23,7 @@ from ..estimation import (
     at_values,
     check_renderer_and_metric,
     derived_seeds,
+    half_sample_error,
     input_values,
     jackknife,
     render_images,
@@ -246,8 +247,18 @@ class Search:
         return self._measured(values, self._render(values))
 
     def _measured(self, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]) -> Measured:
-        estimate = jackknife(at_values(self._transformed, self._renderer, values), images)
-        return Measured(estimate.value, estimate.standard_error or 0.0, torch.stack(images).mean(0))
+        metric, pictures = at_values(self._transformed, self._renderer, values), torch.stack(images)
+        estimate, exact = jackknife(metric, images), metric.by_definition()
+        value, error = estimate.value, estimate.standard_error or 0.0
+        if exact is None:
+            return Measured(value, error, pictures.mean(0))
+
+        def by_definition(kept: torch.Tensor) -> float:
+            return exact.value(pictures[kept].mean(0))
+
+        count = len(images)
+        jumping = half_sample_error(by_definition, count) or 0.0
+        return Measured(by_definition(torch.arange(count)), jumping, pictures.mean(0), value, error)
 
 
 def _shortened(

@@ -41,18 +41,25 @@ class Measured:
     Attributes
     ----------
     value, error
-        The metric and its standard error.
+        The metric and its standard error; of a relaxed metric, such as a glare rating, by its definition.
     image
         The render, ``(H, W, 3)`` linear radiance.
+    relaxed, relaxed_error
+        The relaxed metric, which the search differentiates; None for other metrics.
     """
 
     value: float
     error: float
     image: torch.Tensor
+    relaxed: float | None = None
+    relaxed_error: float = 0.0
 
     def is_below(self, goal: float) -> bool:
-        """Whether the metric is below a goal by two standard errors."""
-        return self.value + REQUIRED_SIGMAS * self.error < goal
+        """Whether the metric is below a goal by two standard errors, relaxed and by its definition."""
+        pairs = [(self.value, self.error)]
+        if self.relaxed is not None:
+            pairs.append((self.relaxed, self.relaxed_error))
+        return all(value + REQUIRED_SIGMAS * error < goal for value, error in pairs)
 
 
 @dataclass(frozen=True)
