@@ -10,12 +10,13 @@ from typing import Any, get_args
 
 from ..attr import GROUPS, METHODS, AttributionInterrupted, Explanation, SceneAttribution
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Denoise, Metric
-from ..explanation import photometric_premises
+from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
+from ..explanation import photometric_premises, states_definition
+from ..metrics import GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
-from ..visualization import table_text
+from ..visualization import table_text, terminal_width, wrap
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import print_files, writable, write_files
@@ -27,7 +28,11 @@ from ._points import check_grid, needed_coefficients, premises, with_settings
 REPORT = "report.html"
 
 DENOISE: dict[str, Denoise] = {"auto": "auto", "on": True, "off": False}
+WIDTH = 100  # of sentences, without a terminal
 RELAXED = "the relaxed value above only serves the derivatives"
+BY_EXPLANATION = (
+    "this rating is relaxed near the threshold: explain and compare state the value by the definition"
+)
 
 
 def add(commands: Any) -> None:
@@ -221,7 +226,8 @@ def _write_result(
     lines = [f"quote {exact}, the value by the definition; {RELAXED}"] if exact else []
     if of_picture := _of_picture(attribution, metric):
         lines += Explanation(attribution, premises=of_picture).value_notes()
-    print("".join(f"\n{line}" for line in [*lines, *premises(metric, options)]))
+    width = terminal_width() or WIDTH
+    print("".join(f"\n{wrap(line, width)}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
 
 
@@ -229,7 +235,10 @@ def _of_picture(attribution: SceneAttribution, metric: Metric) -> tuple[str, ...
     """Return what a photometric metric takes for granted; nothing of other metrics, and without a picture."""
     if attribution.image is None or attribution.surfaces is None:
         return ()
-    return photometric_premises(metric, attribution.image, attribution.metric_value)
+    notes = photometric_premises(metric, attribution.image, attribution.metric_value)
+    if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), attribution.image):
+        notes += (BY_EXPLANATION,)
+    return notes
 
 
 def _write_report(
