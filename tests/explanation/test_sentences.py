@@ -83,6 +83,55 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
 
 
+def of_range(**inputs: tuple[torch.Tensor, torch.Tensor]) -> Any:
+    """Return an attribution with a gradient and a value for each input, over ranges of length 1."""
+    gradients = {name.replace("_", "."): gradient for name, (gradient, _) in inputs.items()}
+    channels = {name: 1 if one.ndim == 0 else one.shape[-1] for name, one in gradients.items()}
+    return dataclasses.replace(
+        results.make(),
+        attributions=gradients,
+        parameter_values={name.replace("_", "."): value for name, (_, value) in inputs.items()},
+        extents={name: torch.ones(count) for name, count in channels.items()},
+        covariance={name: 1e-6 * torch.eye(count) for name, count in channels.items()},
+        standard_error={name: torch.full_like(one, 1e-3) for name, one in gradients.items()},
+        labels={},
+    )
+
+
+def effects_of(explanation: Explanation) -> list[str]:
+    (effects,) = (
+        value for heading, value in lines(explanation).items() if heading.startswith("What it depends")
+    )
+    return effects
+
+
+def test_effects_over_a_range_that_are_overstated_are_marked_as_in_the_table():
+    metal = (torch.tensor(-2.0), torch.tensor(0.02))
+    found = of_range(metal_alpha=metal, floor=(torch.tensor(1.0), torch.tensor(0.5)))
+    first, second, note = effects_of(Explanation(found))
+    assert first == "metal.alpha: −2.0000 ± 0.0010 ~"
+    assert second == "floor: +1.0000 ± 0.0010"
+    assert note.startswith("~ metal.alpha: a small roughness acts most near 0")
+    assert "metal.alpha ~" in str(found)
+    rough = (torch.tensor(-2.0), torch.tensor(0.4))
+    assert "~" not in " ".join(effects_of(Explanation(of_range(metal_alpha=rough))))
+
+
+def test_a_note_is_on_effects_that_are_stated():
+    found = of_range(
+        floor=(torch.tensor(3.0), torch.tensor(0.5)), metal_alpha=(torch.tensor(-2.0), torch.tensor(0.02))
+    )
+    assert effects_of(Explanation(found, count=1)) == ["floor: +3.0000 ± 0.0010"]
+
+
+def test_a_map_of_light_has_a_note():
+    texels = torch.arange(1.0, 19.0).reshape(2, 3, 3)
+    found = of_range(sky_data=(torch.ones(2, 3, 3), texels), sky_scale=(torch.tensor(5.0), torch.tensor(1.0)))
+    data, scale, note = effects_of(Explanation(found))
+    assert (data.startswith("sky.data: "), data.endswith(" ~"), scale.endswith("~")) == (True, True, False)
+    assert note == "~ sky.data: of the same change in all texels; sky.scale is of its light"
+
+
 def test_samples_are_advised_up_to_a_hundred_times_as_many():
     def advice(error: float) -> str:
         attribution = rated(24.8, 0.05)

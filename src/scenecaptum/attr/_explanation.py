@@ -17,6 +17,7 @@ from ..visualization import (
     noise_notes,
     plain_number,
     pluralize,
+    range_notes,
     rounded,
     terminal_width,
     verdict,
@@ -195,12 +196,17 @@ class Explanation:
     def _effect_lines(self) -> list[str]:
         if not self.count:
             return []
-        return [
+        stated = [row for row in self.attribution.ranking() if is_clear(row.effect, row.effect_error)][
+            : self.count
+        ]
+        notes = range_notes(self.attribution, among=[row.name for row in stated])
+        marked = {name for names in notes.values() for name in names}
+        lines = [
             f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
-            f"{self._along(row.name)}"
-            for row in self.attribution.ranking()
-            if is_clear(row.effect, row.effect_error)
-        ][: self.count]
+            f"{self._along(row.name)}{' ~' if row.name in marked else ''}"
+            for row in stated
+        ]
+        return [*lines, *(f"~ {note}" for note in notes)]
 
     def _change_lines(self) -> list[str]:
         return [self._change_line(change) for change in self.changes if change.is_clear]

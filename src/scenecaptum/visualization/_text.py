@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
@@ -242,47 +242,54 @@ def scene_cautions(attribution: Attribution) -> list[str]:
     return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
 
 
-def range_notes(attribution: Attribution, scale: Scale | None = None) -> list[str]:
-    """Return notes on effects over a range that may be read for something else."""
+def range_notes(
+    attribution: Attribution, scale: Scale | None = None, among: Collection[str] | None = None
+) -> dict[str, list[str]]:
+    """Return notes on effects over a range that may be read for something else, and the parameters of each.
+
+    ``among`` are the parameters that are shown, by default all.
+    """
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is not ResultKind.EFFECT:
-        return []
-    return [*_sky_notes(attribution), *_roughness_notes(attribution, scale)]
+        return {}
+    shown = [name for name in attribution if among is None or name in among]
+    return {**_sky_notes(attribution, shown), **_roughness_notes(attribution, scale, shown)}
 
 
-def _sky_notes(attribution: Attribution) -> list[str]:
+def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
     """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
-    labels = attribution.labels
-    scales = {
-        name: f"{name.rpartition('.')[0]}.scale"
-        for name in attribution
-        if attribution[name].ndim == _MAP_NDIM
-    }
-    return [
-        f"{labels.get(name, name)}: of the same change in all texels; {labels.get(scale, scale)} is of its light"
-        for name, scale in scales.items()
-        if scale in attribution
-    ]
+    labels, notes = attribution.labels, {}
+    for name in shown:
+        scale = f"{name.rpartition('.')[0]}.scale"
+        if attribution[name].ndim == _MAP_NDIM and scale in attribution:
+            of_light = f"{labels.get(scale, scale)} is of its light"
+            notes[f"{labels.get(name, name)}: of the same change in all texels; {of_light}"] = [name]
+    return notes
 
 
-def _roughness_notes(attribution: Attribution, scale: Scale | None) -> list[str]:
+def _roughness_notes(
+    attribution: Attribution, scale: Scale | None, shown: Sequence[str]
+) -> dict[str, list[str]]:
     """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
     effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
     notable = _NOTABLE * max(effects.values(), default=0.0)
     small = [
-        attribution.labels.get(name, name)
+        name
         for name, value in attribution.parameter_values.items()
-        if _ROUGHNESS & set(name.split("."))
+        if name in shown
+        and _ROUGHNESS & set(name.split("."))
         and effects.get(name, 0.0) > notable
         # That over the range is the gradient times the length of the range.
         and effects[name] > _MANY_TIMES * gradients[name] * float(value.mean())
     ]
     if not small:
-        return []
+        return {}
+    labels = [attribution.labels.get(name, name) for name in small[:_NAMED]]
     more = f" and {len(small) - _NAMED} more" if len(small) > _NAMED else ""
-    return [
-        f"{', '.join(small[:_NAMED])}{more}: a small roughness acts most near 0, so its effect over the whole "
+    note = (
+        f"{', '.join(labels)}{more}: a small roughness acts most near 0, so its effect over the whole "
         "range is overstated; give it a range, or use ablation"
-    ]
+    )
+    return {note: small}
 
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
