@@ -124,12 +124,18 @@ def test_a_note_is_on_effects_that_are_stated():
     assert effects_of(Explanation(found, count=1)) == ["floor: +3.0000 ± 0.0010"]
 
 
-def test_a_map_of_light_has_a_note():
+def test_a_map_of_light_has_a_note_and_its_change_is_a_factor():
     texels = torch.arange(1.0, 19.0).reshape(2, 3, 3)
     found = of_range(sky_data=(torch.ones(2, 3, 3), texels), sky_scale=(torch.tensor(5.0), torch.tensor(1.0)))
     data, scale, note = effects_of(Explanation(found))
     assert (data.startswith("sky.data: "), data.endswith(" ~"), scale.endswith("~")) == (True, True, False)
     assert note == "~ sky.data: of the same change in all texels; sky.scale is of its light"
+    brighter = Change("sky.data", "sky: map", texels, 1.25 * texels, 76.0, 1.0, 75.7, 1.0)
+    (line,) = lines(Explanation(found, changes=(brighter,)))["What would change it"]
+    assert line.startswith("sky map × 1.25: ")
+    shifted_texels = dataclasses.replace(brighter, after=texels + 0.1)
+    (line,) = lines(Explanation(found, changes=(shifted_texels,)))["What would change it"]
+    assert " → " in line.partition(": ")[0]
 
 
 def test_samples_are_advised_up_to_a_hundred_times_as_many():
