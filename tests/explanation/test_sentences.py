@@ -235,7 +235,18 @@ def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
     clear = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=1.6))
     assert clear.rating() == "at least 55 %"
     assert any(note.startswith("quote 58.7 ± 1.6 %, the value by the definition") for note in clear.notes())
-    assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63, error=0.0)).value() == "60"
+    assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63)).value() == "60"
+
+
+def test_an_error_of_zero_is_stated_and_few_points_have_an_advice():
+    few = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 4, error=0.0))
+    assert few.headline() == "spatial daylight autonomy = 75 ± 0 %"
+    assert few.notes()[-1] == (
+        "quote 75 ± 0 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
+        "relaxed value 75 ± 0 % only serves the derivatives"
+    )
+    enough = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 20, error=0.0))
+    assert "in steps of 5 %, one point)" in enough.notes()[-1]
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
