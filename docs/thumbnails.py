@@ -32,7 +32,7 @@ class Cut(NamedTuple):
 
 CUTS = {
     "chair-logit": Cut("chair-logit.png", (0.013, 0.22, 0.892, 0.942), whole=True),
-    "classroom-daylight": Cut("classroom-daylight.png", (0.149, 0.088, 0.896, 0.909)),
+    "classroom-daylight": Cut("classroom-daylight.png", (0.068, 0.083, 0.88, 0.914)),
     "desk-lamp": Cut("desk-lamp.png", (0.01, 0.145, 0.489, 0.98)),
     "explore": Cut("explore.png", (0.0, 0.0, 1.0, 1.0)),
     "figures": Cut("guides/seeing-luminance.webp", (0.0, 0.0, 1.0, 1.0), whole=True),
@@ -50,7 +50,7 @@ CUTS = {
     "two-designs": Cut("two-designs.png", (0.503, 0.19, 0.995, 0.98)),
     "what-a-network-sees": Cut("what_a_network_sees 0", (0.016, 0.278, 0.89, 0.922), whole=True),
     "which-lamp": Cut("office.png", (0.004, 0.19, 0.495, 0.965)),
-    "work-plane": Cut("work-plane.png", (0.18, 0.075, 0.845, 0.44)),
+    "work-plane": Cut("work-plane.png", (0.11, 0.096, 0.819, 0.451)),
 }
 
 

@@ -92,6 +92,35 @@ def test_what_cannot_be_is_one_clear_line_before_the_run(
     assert not Path("out").exists()
 
 
+@pytest.mark.parametrize("command", ["explain", "attribute", "validate", "compare"])
+def test_a_grid_of_too_many_points_is_an_error_without_a_warning(
+    command: str, recwarn: pytest.WarningsRecorder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Of which some lie inside the desk.
+    text = f"{command} office --sensor grid --metric mean-illuminance --spacing 0.05"
+    text += " --set ceiling.reflectance.value=0.5" if command == "compare" else ""
+    assert cli.main(shlex.split(text)) == 2
+    assert "too many, more than 2000" in capsys.readouterr().err
+    assert not [str(one.message) for one in recwarn if "inside objects" in str(one.message)]
+
+
+def test_a_missing_sky_is_an_error_without_a_warning(
+    recwarn: pytest.WarningsRecorder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(shlex.split("daylight office --spacing 0.2")) == 2
+    assert "Daylight coefficients need a sky" in capsys.readouterr().err
+    assert not [str(one.message) for one in recwarn if "inside objects" in str(one.message)]
+
+
+def test_a_warning_on_points_is_shown_once_where_nothing_is_wrong(tmp_path: Path) -> None:
+    command = (
+        f"attribute office --sensor grid --metric mean-illuminance --spacing 0.2 --spp 1 --out {tmp_path}"
+    )
+    with pytest.warns(UserWarning, match="of the sensor grid lie inside objects") as shown:
+        assert cli.main(shlex.split(command)) == 0
+    assert sum("inside objects" in str(one.message) for one in shown) == 1
+
+
 def test_the_files_of_a_grid_are_numbers_bars_and_a_plan(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -429,6 +429,12 @@ def test_other_verdicts():
     assert [exposure.verdict(v)[:10] for v in (3, 7, 10, 10.1)] == [
         "up to 3 %,", "up to 7 %,", "above 7 %,", "above 10 %",
     ]  # fmt: skip
+    autonomy = SpatialDaylightAutonomy(sky, during="all").measure
+    assert (
+        autonomy.verdict(55)
+        == "at least 55 %, which would be 'nominally accepted' if it were sDA with blinds"
+    )
+    assert autonomy.verdict(75) == "at least 75 %, which would be 'preferred' if it were sDA with blinds"
     assert SpatialDaylightAutonomy(sky, 500, during="all").measure.verdict(80) == ""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +16,13 @@ import scenecaptum as sc
 from scenecaptum import Camera, FeatureAblationScene, VanillaSceneGradient, metrics
 from scenecaptum.denoising import denoise, straight_through
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.estimation import ImageTransform, TargetedMetric, choose_transform, student_t
+from scenecaptum.estimation import (
+    ImageTransform,
+    TargetedMetric,
+    choose_transform,
+    describe_picture,
+    student_t,
+)
 from scenecaptum.estimation._jackknife import jackknife
 from scenecaptum.estimation._linearity import is_linear
 from scenecaptum.estimation._transform_errors import denoiser_bias
@@ -163,7 +170,8 @@ def test_images_of_linear_metrics_are_not_denoised():
         assert torch.equal(plain[name], other[name])
 
 
-def test_the_caution_says_that_differences_of_values_are_biased_too():
+@pytest.mark.parametrize("view", [True, False])
+def test_the_caution_says_that_differences_of_values_are_biased_too(view):
     def noisy(inputs, *, seed, spp):
         noise = torch.randn(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(seed)) / math.sqrt(spp)
         return inputs["light"] * (0.5 + noise)
@@ -171,6 +179,7 @@ def test_the_caution_says_that_differences_of_values_are_biased_too():
     def glaring(image):
         return (image - 1).relu().mean()
 
+    noisy.shows_a_view = view
     light = {"light": torch.tensor(1.0)}
     found, gradients = (
         method(noisy, glaring).attribute(light, seed=shifted(0), spp=16, denoise=False, **options)
@@ -178,9 +187,11 @@ def test_the_caution_says_that_differences_of_values_are_biased_too():
     )
     biased = "; the effects are biased, too, and their errors do not include it"
     caution = found.info["picture"]["caution"]
-    assert caution.startswith("the picture is too noisy for this metric: ")
+    noisy_one = f"the {'picture' if view else 'result'} is too noisy for this metric: "
+    assert caution.startswith(noisy_one)
     assert caution.endswith(biased)
     assert caution in " ".join(str(found).split())
+    assert gradients.info["picture"]["caution"].startswith(noisy_one)
     assert biased not in gradients.info["picture"]["caution"]
 
 
@@ -195,6 +206,29 @@ def test_the_caution_is_printed_and_saved(tmp_path):
     bars = found.plot_bars()
     written = " ".join(text.get_text() for text in bars.findobj() if hasattr(text, "get_text"))
     assert "too noisy" in " ".join(written.split())
+
+
+@pytest.mark.parametrize(
+    ("value", "view", "said"), [(40.0, False, None), (9.5, False, "result"), (9.5, True, "picture")]
+)
+def test_the_caution_on_a_wide_interval_is_made_only_where_the_class_is_in_doubt(value, view, said):
+    rated = SimpleNamespace(
+        measure=metrics.Measure(
+            "a", bands=(metrics.Band(7.0, "good"), metrics.Band(10.0, "fair")), above="poor"
+        )
+    )
+    found = describe_picture(
+        ImageTransform(),
+        value,
+        (0.0, 1.0),
+        64,
+        interval=(value - 2, value + 2),
+        metric=TargetedMetric(rated),
+        shows_a_view=view,
+    )
+    noisy = f"the {said} is too noisy for this metric"
+    caution = f"{noisy}: its 95 % interval is ± 2, and half the width of a class is 1.5"
+    assert found["caution"] == (caution if said else None)
 
 
 def test_images_can_have_a_separate_sample_budget():

@@ -83,6 +83,61 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
 
 
+def of_range(**inputs: tuple[torch.Tensor, torch.Tensor]) -> Any:
+    """Return an attribution with a gradient and a value for each input, over ranges of length 1."""
+    gradients = {name.replace("_", "."): gradient for name, (gradient, _) in inputs.items()}
+    channels = {name: 1 if one.ndim == 0 else one.shape[-1] for name, one in gradients.items()}
+    return dataclasses.replace(
+        results.make(),
+        attributions=gradients,
+        parameter_values={name.replace("_", "."): value for name, (_, value) in inputs.items()},
+        extents={name: torch.ones(count) for name, count in channels.items()},
+        covariance={name: 1e-6 * torch.eye(count) for name, count in channels.items()},
+        standard_error={name: torch.full_like(one, 1e-3) for name, one in gradients.items()},
+        labels={},
+    )
+
+
+def effects_of(explanation: Explanation) -> list[str]:
+    (effects,) = (
+        value for heading, value in lines(explanation).items() if heading.startswith("What it depends")
+    )
+    return effects
+
+
+def test_effects_over_a_range_that_are_overstated_are_marked_as_in_the_table():
+    metal = (torch.tensor(-2.0), torch.tensor(0.02))
+    found = of_range(metal_alpha=metal, floor=(torch.tensor(1.0), torch.tensor(0.5)))
+    first, second, note = effects_of(Explanation(found))
+    assert first == "metal.alpha: −2.0000 ± 0.0010 ~"
+    assert second == "floor: +1.0000 ± 0.0010"
+    assert note.startswith("~ metal.alpha: a small roughness acts most near 0")
+    assert "metal.alpha ~" in str(found)
+    rough = (torch.tensor(-2.0), torch.tensor(0.4))
+    assert "~" not in " ".join(effects_of(Explanation(of_range(metal_alpha=rough))))
+
+
+def test_a_note_is_on_effects_that_are_stated():
+    found = of_range(
+        floor=(torch.tensor(3.0), torch.tensor(0.5)), metal_alpha=(torch.tensor(-2.0), torch.tensor(0.02))
+    )
+    assert effects_of(Explanation(found, count=1)) == ["floor: +3.0000 ± 0.0010"]
+
+
+def test_a_map_of_light_has_a_note_and_its_change_is_a_factor():
+    texels = torch.arange(1.0, 19.0).reshape(2, 3, 3)
+    found = of_range(sky_data=(torch.ones(2, 3, 3), texels), sky_scale=(torch.tensor(5.0), torch.tensor(1.0)))
+    data, scale, note = effects_of(Explanation(found))
+    assert (data.startswith("sky.data: "), data.endswith(" ~"), scale.endswith("~")) == (True, True, False)
+    assert note == "~ sky.data: of the same change in all texels; sky.scale is of its light"
+    brighter = Change("sky.data", "sky: map", texels, 1.25 * texels, 76.0, 1.0, 75.7, 1.0)
+    (line,) = lines(Explanation(found, changes=(brighter,)))["What would change it"]
+    assert line.startswith("sky map × 1.25: ")
+    shifted_texels = dataclasses.replace(brighter, after=texels + 0.1)
+    (line,) = lines(Explanation(found, changes=(shifted_texels,)))["What would change it"]
+    assert " → " in line.partition(": ")[0]
+
+
 def test_samples_are_advised_up_to_a_hundred_times_as_many():
     def advice(error: float) -> str:
         attribution = rated(24.8, 0.05)
@@ -180,7 +235,18 @@ def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
     clear = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=1.6))
     assert clear.rating() == "at least 55 %"
     assert any(note.startswith("quote 58.7 ± 1.6 %, the value by the definition") for note in clear.notes())
-    assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63, error=0.0)).value() == "60"
+    assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63)).value() == "60"
+
+
+def test_an_error_of_zero_is_stated_and_few_points_have_an_advice():
+    few = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 4, error=0.0))
+    assert few.headline() == "spatial daylight autonomy = 75 ± 0 %"
+    assert few.notes()[-1] == (
+        "quote 75 ± 0 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
+        "relaxed value 75 ± 0 % only serves the derivatives"
+    )
+    enough = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 20, error=0.0))
+    assert "in steps of 5 %, one point)" in enough.notes()[-1]
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():

@@ -16,7 +16,7 @@ def test_luminance_is_in_candelas_unless_the_efficacy_is_one():
     assert metrics.MeanLuminance(efficacy=1.0).measure.unit == "W/(sr m²)"
 
 
-OFFICE = "within 19, the limit for reading, writing and work at screens"
+OFFICE = "within 19, the limit for offices"
 
 
 @pytest.mark.parametrize(
@@ -42,6 +42,12 @@ OFFICE = "within 19, the limit for reading, writing and work at screens"
 )
 def test_values_have_a_class(measure, value, verdict):
     assert measure.verdict(value) == verdict
+
+
+def test_a_limit_has_one_name_in_all_classes():
+    measure = metrics.UnifiedGlareRating.measure
+    meanings = [measure.verdict(value) for value in (17.0, 21.0, 24.0, 27.0, 31.0)]
+    assert all("19, the limit for offices" in meaning for meaning in meanings)
 
 
 def test_half_a_class_is_that_of_the_narrowest():

@@ -74,9 +74,24 @@ def test_long_texts_are_inside_a_narrow_plan(title, shape):
     inside[2, 2] = False
     values, label = ramp(*shape), title.partition("\n")[0].lower()
     figure = plot_plan(values, plan(*shape), inside, width=4.2, title=title, label=label)
+    assert_texts_are_inside(figure)
+
+
+@pytest.mark.parametrize("sides", [(7, 5), (8, 6), (12, 3), (3, 9), (4, 4)])
+@pytest.mark.parametrize("blank", [False, True])
+@pytest.mark.parametrize("width", [4.2, 7.2])
+def test_the_texts_of_a_plan_are_inside_its_figure_whatever_the_room(sides, blank, width):
+    inside, points = torch.ones(5, 7, dtype=torch.bool), plan(5, 7)
+    inside[2, 2] = not blank
+    room = points / points.amax((0, 1)) * torch.tensor(sides)
+    title = "Occupied hours with at least 300 lx in %\nfrom 50 % on (line), a point counts for sDA300/50%"
+    assert_texts_are_inside(plot_plan(ramp(), room, inside, width=width, title=title))
+
+
+def assert_texts_are_inside(figure) -> None:
     figure.canvas.draw()
     (width, height), (ax, bar) = figure.bbox.size, figure.axes
-    for text in (ax._left_title, bar.yaxis.label):
+    for text in (ax._left_title, ax.xaxis.label, ax.yaxis.label, bar.yaxis.label):
         box = text.get_window_extent()
         assert box.x0 >= 0
         assert box.y0 >= 0

@@ -17,6 +17,7 @@ from ..visualization import (
     noise_notes,
     plain_number,
     pluralize,
+    range_notes,
     rounded,
     terminal_width,
     verdict,
@@ -28,6 +29,7 @@ from ._wording import in_words, move, percent, row_name, signed, step
 
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
+FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 DEFAULT_EFFECTS = 5
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
@@ -153,14 +155,15 @@ class Explanation:
 
     def _relaxed(self) -> str:
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
-        return self._in_unit(format_with_error(value, error))
+        return self._in_unit(self._with_error(value, error))
 
     def _which_to_quote(self) -> str:
         assert self.definition is not None
         points = self.definition.points
-        steps = (
-            "" if points is None else f" (in steps of {self._in_unit(self._plain(100 / points))}, one point)"
-        )
+        steps = ""
+        if points is not None:
+            few = ": choose a finer spacing" if points < FEW_POINTS else ""
+            steps = f" (in steps of {self._in_unit(self._plain(100 / points))}, one point{few})"
         return (
             f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
             f"{self._relaxed()} only serves the derivatives"
@@ -169,8 +172,7 @@ class Explanation:
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
         if self.definition is not None:
-            value, error = self.definition.value, self.definition.error
-            return format_with_error(value, error) if error else self._plain(value)
+            return self._with_error(self.definition.value, self.definition.error)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return format_with_error(value, error)
 
@@ -195,12 +197,17 @@ class Explanation:
     def _effect_lines(self) -> list[str]:
         if not self.count:
             return []
-        return [
+        stated = [row for row in self.attribution.ranking() if is_clear(row.effect, row.effect_error)][
+            : self.count
+        ]
+        notes = range_notes(self.attribution, among=[row.name for row in stated])
+        marked = {name for names in notes.values() for name in names}
+        lines = [
             f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
-            f"{self._along(row.name)}"
-            for row in self.attribution.ranking()
-            if is_clear(row.effect, row.effect_error)
-        ][: self.count]
+            f"{self._along(row.name)}{' ~' if row.name in marked else ''}"
+            for row in stated
+        ]
+        return [*lines, *(f"~ {note}" for note in notes)]
 
     def _change_lines(self) -> list[str]:
         return [self._change_line(change) for change in self.changes if change.is_clear]
@@ -296,6 +303,12 @@ class Explanation:
         if component is None or self.attribution.scale_or_default() != "range":
             return ""
         return f" for {move(component, self.attribution.weights()[name])}"
+
+    def _with_error(self, value: float, error: float | None) -> str:
+        """Return a number with its error, also one of 0: a share of points may be the same in all replicates."""
+        if error:
+            return format_with_error(value, error)
+        return f"{self._plain(value)}{'' if error is None else ' ± 0'}"
 
     def _plain(self, number: float) -> str:
         """Return a number without an error."""

@@ -307,6 +307,7 @@ class Run:
                     denoised=adjoints.denoised,
                     interval=interval,
                     metric=metric,
+                    shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
                 ),
                 "interrupted": interrupted,
                 **self.watch.info,

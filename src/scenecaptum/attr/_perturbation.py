@@ -197,6 +197,7 @@ class Perturbation:
                 spp_per_arm,
                 metric=measured.metrics[index],
                 compares=True,
+                shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
             ),
             "seen_through": seen_through(self.renderer, surfaces, measured.inputs, measured.inputs),
             "interrupted": measured.interrupted,

@@ -11,6 +11,7 @@ from ..scene import pose_component
 from ..visualization import format_with_error, rounded, signed_with_error
 from ._findings import Row
 
+_MAP_NDIM = 3
 _MOVES = {"translation": "towards", "rotation": "about"}
 
 
@@ -20,11 +21,26 @@ def row_name(row: Row) -> str:
 
 
 def step(change: Any) -> str:
-    """Return ``"desk base color 0.2 → 0.3"``, or ``"desk 0.05 towards (0, −1, 0)"`` for a pose."""
+    """Return ``"desk base color 0.2 → 0.3"``, or ``"desk 0.05 towards (0, −1, 0)"`` for a pose.
+
+    A map whose texels are all multiplied alike is ``"environment map × 1.25"``.
+    """
     component = pose_component(change.name)
     if component in _MOVES:
         return f"{change.label.rsplit(': ', 1)[0]} {move(component, change.after - change.before)}"
+    factor = _factor(change.before, change.after)
+    if factor is not None:
+        return f"{in_words(change.label)} × {rounded(factor)}"
     return f"{in_words(change.label)} {value_in_words(change.before)} → {value_in_words(change.after)}"
+
+
+def _factor(before: torch.Tensor, after: torch.Tensor) -> float | None:
+    """Return by what all texels of a map are multiplied; None if they are not, or it is no map."""
+    old, new = before.double(), after.double()
+    if before.ndim < _MAP_NDIM or not bool(old.any()):
+        return None
+    factor = ((old * new).sum() / old.square().sum()).item()
+    return factor if torch.allclose(new, factor * old, rtol=1e-4) else None
 
 
 def move(component: str, change: torch.Tensor) -> str:

@@ -21,6 +21,7 @@ from . import _arguments
 from ._design import add_design, designed_values
 from ._files import print_files, writable, write_files
 from ._formats import FORMATS, check_formats, default_formats, selected_formats
+from ._messages import warnings_after_checks
 from ._metrics import DEFAULT, add_metric, find_metrics
 from ._plan import by_definition, plan_format, plan_of
 from ._points import check_grid, needed_coefficients, premises, with_settings
@@ -137,12 +138,13 @@ def attribute(options: argparse.Namespace) -> int:
     metrics, coefficients = find_metrics(names, options), needed_coefficients(names, options)
     method, arguments = METHODS[options.method].create, _method_arguments(options)
     with writable(options.out):
-        renderer = _arguments.make_renderer(options, coefficients)
-        check_grid(renderer)
-        if not renderer.shows_a_view:
-            check_formats(options.formats or ())
-        # All of them before the first run, which may take long.
-        created = {name: create(renderer) for name, create in metrics.items()}
+        with warnings_after_checks():
+            renderer = _arguments.make_renderer(options, coefficients)
+            check_grid(renderer)
+            if not renderer.shows_a_view:
+                check_formats(options.formats or ())
+            # All of them before the first run, which may take long.
+            created = {name: create(renderer) for name, create in metrics.items()}
         finished: list[tuple[SceneAttribution, Metric]] = []
         for name, metric in created.items():
             folder = options.out if len(metrics) == 1 else options.out / folder_name(name)

@@ -36,6 +36,7 @@ from ..visualization import (
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import print_files, writable
+from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._plan import plan_of
 from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
@@ -286,9 +287,12 @@ def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[Scen
 def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
     (create,) = find_metrics([options.metric], options).values()
     coefficients = needed_coefficients([options.metric], options)
-    renderer = _arguments.make_renderer(argparse.Namespace(**{**vars(options), "scene": scene}), coefficients)
-    check_grid(renderer)
-    return renderer, create(renderer)
+    with warnings_after_checks():
+        renderer = _arguments.make_renderer(
+            argparse.Namespace(**{**vars(options), "scene": scene}), coefficients
+        )
+        check_grid(renderer)
+        return renderer, create(renderer)
 
 
 def _name(given: str) -> str:

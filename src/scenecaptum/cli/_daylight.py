@@ -20,6 +20,7 @@ from ._attribute import folder_name
 from ._design import add_design, designed_values
 from ._explain import REPORT, add_changes, explained, explanation_formats, explanation_numbers
 from ._files import print_files, writable, write_files
+from ._messages import warnings_after_checks
 from ._metrics import create_of_daylight
 from ._plan import plan_of
 from ._points import add_points, check_grid, check_options, coefficients_of, read_weather
@@ -69,13 +70,17 @@ def run(options: argparse.Namespace) -> int:
     weather = read_weather(options)  # a bad file is an error before the scene is loaded
     needed = {name: coefficients_of(name, options) for name in names}
     with writable(options.out):
-        renderers = {one: _arguments.make_renderer(options, one) for one in dict.fromkeys(needed.values())}
-        for renderer in renderers.values():
-            check_grid(renderer)
-        # All of them before the first run, which takes long.
-        metrics = {
-            name: create_of_daylight(name, weather, options.north, renderers[needed[name]]) for name in names
-        }
+        with warnings_after_checks():
+            renderers = {
+                one: _arguments.make_renderer(options, one) for one in dict.fromkeys(needed.values())
+            }
+            for renderer in renderers.values():
+                check_grid(renderer)
+            # All of them before the first run, which takes long.
+            metrics = {
+                name: create_of_daylight(name, weather, options.north, renderers[needed[name]])
+                for name in names
+            }
         finished = []
         for name, metric in metrics.items():
             folder = options.out if len(names) == 1 else options.out / folder_name(name)

@@ -22,6 +22,7 @@ from ..visualization import format_with_error, metric_name, metric_unit, verdict
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
+from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._optimize import DESIGN as DESIGN_FILE
 from ._optimize import optimization_numbers, with_design_option, write_design
@@ -72,9 +73,10 @@ def run(options: argparse.Namespace) -> int:
     (create,) = find_metrics([options.metric], options).values()
     coefficients = needed_coefficients([options.metric], options)
     with writable(options.out):
-        renderer = _arguments.make_renderer(options, coefficients)
-        check_grid(renderer)
-        metric = create(renderer)
+        with warnings_after_checks():
+            renderer = _arguments.make_renderer(options, coefficients)
+            check_grid(renderer)
+            metric = create(renderer)
         values = designed_values(options, renderer)
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 # Of keywords whose options have other names.
 RENAMED = {"parameters": "-D", "objects": "--object", "metrics": "--metric"}
@@ -34,3 +37,12 @@ def in_options(message: str, options: argparse.Namespace) -> str:
         return f"{option} {value}" if VALUE.match(value) else f"{option}{value}"
 
     return message if OF_COMMANDS.search(message) else KEYWORD.sub(written, message)
+
+
+@contextmanager
+def warnings_after_checks() -> Iterator[None]:
+    """Show the warnings of a block at its end, each once; an error stands alone, without what led there."""
+    with warnings.catch_warnings(record=True) as held:
+        yield
+    for one in {str(found.message): found for found in held}.values():
+        warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)

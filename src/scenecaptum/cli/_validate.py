@@ -12,6 +12,7 @@ from typing import Any
 from ..validation import Ablated, AblationTest, ablation_test
 from . import _arguments
 from ._files import OutputFormat, figure_writer, print_files, writable, write_files
+from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._points import check_grid, needed_coefficients, premises
 
@@ -44,9 +45,10 @@ def validate(options: argparse.Namespace) -> int:
     """Run the command."""
     (create,) = find_metrics([options.metric], options).values()
     with writable(options.out):
-        renderer = _arguments.make_renderer(options, needed_coefficients([options.metric], options))
-        check_grid(renderer)
-        metric = create(renderer)
+        with warnings_after_checks():
+            renderer = _arguments.make_renderer(options, needed_coefficients([options.metric], options))
+            check_grid(renderer)
+            metric = create(renderer)
         test = ablation_test(
             renderer,
             metric,

@@ -72,8 +72,8 @@ class SpatialDaylightAutonomy(PointMetric):
             unit="%",
             better="higher",
             bands=_LIMITS if standard else (),
-            above="at least 75 %, preferred with blinds" if standard else "",
-            source="limits of IES LM-83, which are for sDA with blinds" if standard else "",
+            above=f"at least 75 %, {_AS_IF.format('preferred')}" if standard else "",
+            source="IES LM-83" if standard else "",
             definition=f"share of the points with at least {self.threshold:g} lx in at least "
             f"{100 * self.fraction:g} % of the {self._period_in_full}",
         )
@@ -97,7 +97,8 @@ class SpatialDaylightAutonomy(PointMetric):
         return f"{super().extra_repr()}, threshold={self.threshold:g}, fraction={self.fraction:g}"
 
 
+_AS_IF = "which would be '{}' if it were sDA with blinds"
 _LIMITS = (
     Band(55.0, "below 55 %, the limit for nominal acceptance"),
-    Band(75.0, "at least 55 %, nominally accepted with blinds"),
+    Band(75.0, f"at least 55 %, {_AS_IF.format('nominally accepted')}"),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..protocols import Measure
 from ..visualization import rounded
 from ._jackknife import SIGNIFICANT_DRIFT
 from ._metric import TargetedMetric
@@ -22,17 +23,19 @@ def describe_picture(
     *,
     metric: TargetedMetric | None = None,
     compares: bool = False,
+    shows_a_view: bool = True,
 ) -> dict[str, Any]:
     """Return a plain description of the metric image.
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
     of the value, and ``metric`` may have classes of its values and cautions of its own. ``compares`` says that the
-    effects are differences of values, which have its bias.
+    effects are differences of values, which have its bias, and ``shows_a_view`` that the image is a picture.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
-    half_class = None if measure is None else measure.half_class
-    noisy = _caution(value, drift, spp, denoised) or _too_wide(interval, half_class)
+    noisy = _differs(value, drift, spp, denoised) or _too_wide(interval, measure)
+    if noisy:
+        noisy = f"the {'picture' if shows_a_view else 'result'} is too noisy for this metric: {noisy}"
     if noisy and compares:
         noisy += "; the effects are biased, too, and their errors do not include it"
     return {
@@ -44,28 +47,29 @@ def describe_picture(
     }
 
 
-def _caution(
+def _differs(
     value: float, drift: tuple[float, float] | None, spp: int | None, denoised: float | None
 ) -> str | None:
-    """Return a warning if the metric differs significantly at half of the samples, or after denoising."""
+    """Return the values if the metric differs significantly at half of the samples, or after denoising."""
     if drift is None:
         return None
     change, error = drift
     limit = max(SIGNIFICANT_DRIFT * error, ROUNDING * abs(value))
-    noisy = "the picture is too noisy for this metric"
     if abs(change) > limit:
         half, full = ("half of the samples", "all") if spp is None else (f"{spp / 2:g} spp", f"{spp} spp")
-        return f"{noisy}: {rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}"
+        return f"{rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}"
     if denoised is not None and abs(denoised - value) > limit:
-        return f"{noisy}: {rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised"
+        return f"{rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised"
     return None
 
 
-def _too_wide(interval: tuple[float, float] | None, half_class: float | None) -> str | None:
-    """Return a warning if the interval of the value is wider than a class of the rating."""
-    if interval is None or half_class is None or not (width := (interval[1] - interval[0]) / 2) > half_class:
+def _too_wide(interval: tuple[float, float] | None, measure: Measure | None) -> str | None:
+    """Return the interval of the value if it is wider than a class of the rating and includes a limit."""
+    if interval is None or measure is None or measure.half_class is None:
+        return None
+    low, high = interval
+    if (width := (high - low) / 2) <= measure.half_class or measure.verdict(low) == measure.verdict(high):
         return None
     return (
-        f"the picture is too noisy for this metric: its 95 % interval is ± {rounded(width, 2)}, and half the "
-        f"width of a class is {half_class:g}"
+        f"its 95 % interval is ± {rounded(width, 2)}, and half the width of a class is {measure.half_class:g}"
     )

@@ -81,7 +81,7 @@ UGR = Measure(
     bands=(
         Band(13.0, "hardly perceptible"),
         Band(16.0, "within 16, the limit for technical drawing"),
-        Band(19.0, "within 19, the limit for reading, writing and work at screens"),
+        Band(19.0, "within 19, the limit for offices"),
         Band(22.0, "above 19, the limit for offices; within 22, for crafts, industry and reception desks"),
         Band(25.0, "above 19, the limit for offices; within 25, for heavy industry"),
         Band(28.0, "above 19, the limit for offices; within 28, for corridors"),

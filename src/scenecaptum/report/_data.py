@@ -210,7 +210,7 @@ def _result(
         "sampling": sampling_notes(attribution),
         "convergence": convergence_notes(attribution),
         "cautions": list(cautions),
-        "rangeNotes": range_notes(attribution),
+        "rangeNotes": list(range_notes(attribution)),
         "sceneCautions": scene_cautions(attribution),
         "doubts": list(untrusted),
         "rows": [

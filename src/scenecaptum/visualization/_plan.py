@@ -11,7 +11,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..grid import FROM_BELOW
-from ._figures import SMALL, TEXT, TITLE, WIDTH, axes_or_new, characters_per_line, figure_of, style_axes
+from ._figures import SMALL, TEXT, TITLE, WIDTH, characters_per_line, figure_of, new_figure, style_axes
 from ._layout import wrapped_lines
 from ._numbers import rounded
 
@@ -88,7 +88,9 @@ def plot_plan(
         title = "\n".join(filter(None, [title, BLANK if shown.mask.any() else ""]))
         title = _wrap(title, across - _BESIDE_TITLE, TITLE)
         label = _wrap(label, up - _MARGIN, TEXT)
-        ax = axes_or_new(None, across, up + _TITLE_LINE * len(title.splitlines()))
+        # With a fixed aspect, "constrained" reserves too little for the title, by what the aspect leaves unused.
+        up += _TITLE_LINE * len(title.splitlines())
+        ax = new_figure(across, up, layout="compressed").add_subplot()
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
     _draw_contours(ax, x, y, shown, levels, _APART * WIDTH / width)
     ax.set_aspect("equal")

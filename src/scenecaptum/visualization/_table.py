@@ -132,6 +132,8 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
     for names in untrusted.values():
         if len(names) < len(attribution):  # no marks if all rows would have one
             marks |= {name: f"{marks.get(name, '')}?" for name in names}
+    of_range = range_notes(attribution, scale)
+    marks |= {name: f"{marks.get(name, '')}~" for name in set().union(*of_range.values())}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
     columns = (
         [str(row.rank) for row in shown],
@@ -171,7 +173,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
             f"?  {reason} ({'all parameters' if all_of_them else pluralize(len(names), 'parameter')})"
         )
     notes += jump_notes(attribution)
-    notes += [f"~  {text}" for text in range_notes(attribution, scale)]
+    notes += [f"~  {text}" for text in of_range]
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
         heading=[*filter(None, heading), *sampling_notes(attribution), *convergence_notes(attribution)],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
@@ -253,69 +253,78 @@ def scene_cautions(attribution: Attribution) -> list[str]:
     return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
 
 
-def range_notes(attribution: Attribution, scale: Scale | None = None) -> list[str]:
-    """Return notes on effects that may be read for something else, or that would have smaller errors alone."""
-    notes = _alone_notes(attribution)
+def range_notes(
+    attribution: Attribution, scale: Scale | None = None, among: Collection[str] | None = None
+) -> dict[str, list[str]]:
+    """Return notes on effects that may be read for something else, or that would have smaller errors alone.
+
+    Each has the parameters that it is about. ``among`` are the parameters that are shown, by default all.
+    """
+    shown = [name for name in attribution if among is None or name in among]
+    notes = _alone_notes(attribution, shown)
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
-        notes += [*_sky_notes(attribution), *_roughness_notes(attribution, scale)]
+        notes |= {**_sky_notes(attribution, shown), **_roughness_notes(attribution, scale, shown)}
     return notes
 
 
-def _alone_notes(attribution: Attribution) -> list[str]:
+def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
     """Return a note on the low roughnesses that are lost in the noise of a gradient of many inputs."""
     effects, errors = attribution.saliency(), attribution.saliency_error()
     if not errors or attribution.kind in _OF_DIFFERENCES:
-        return []
+        return {}
     noisy = [
-        attribution.labels.get(name, name)
+        name
         for name in attribution.info.get("noisy_roughness", ())
-        if name in attribution and errors[name] > _LARGE_ERROR * effects[name]
+        if name in shown and errors[name] > _LARGE_ERROR * effects[name]
     ]
     if not noisy:
-        return []
+        return {}
     which = "this roughness" if len(noisy) == 1 else "each of these roughnesses"
-    return [f"{_named(noisy)}: attribute {which} alone: lit by lamps, its error will be smaller"]
-
-
-def _named(labels: Sequence[str]) -> str:
-    """Return the first few labels, and how many more there are."""
-    more = f" and {len(labels) - _NAMED} more" if len(labels) > _NAMED else ""
-    return f"{', '.join(labels[:_NAMED])}{more}"
-
-
-def _sky_notes(attribution: Attribution) -> list[str]:
-    """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
-    labels = attribution.labels
-    scales = {
-        name: f"{name.rpartition('.')[0]}.scale"
-        for name in attribution
-        if attribution[name].ndim == _MAP_NDIM
+    return {
+        f"{_named(attribution, noisy)}: attribute {which} alone: lit by lamps, its error will be smaller": noisy
     }
-    return [
-        f"{labels.get(name, name)}: of the same change in all texels; {labels.get(scale, scale)} is of its light"
-        for name, scale in scales.items()
-        if scale in attribution
-    ]
 
 
-def _roughness_notes(attribution: Attribution, scale: Scale | None) -> list[str]:
+def _named(attribution: Attribution, names: Sequence[str]) -> str:
+    """Return the labels of the first few parameters, and how many more there are."""
+    labels = [attribution.labels.get(name, name) for name in names[:_NAMED]]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(labels)}{more}"
+
+
+def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
+    labels, notes = attribution.labels, {}
+    for name in shown:
+        scale = f"{name.rpartition('.')[0]}.scale"
+        if attribution[name].ndim == _MAP_NDIM and scale in attribution:
+            of_light = f"{labels.get(scale, scale)} is of its light"
+            notes[f"{labels.get(name, name)}: of the same change in all texels; {of_light}"] = [name]
+    return notes
+
+
+def _roughness_notes(
+    attribution: Attribution, scale: Scale | None, shown: Sequence[str]
+) -> dict[str, list[str]]:
     """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
     effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
     notable = _NOTABLE * max(effects.values(), default=0.0)
     small = [
-        attribution.labels.get(name, name)
+        name
         for name, value in attribution.parameter_values.items()
-        if _ROUGHNESS & set(name.split("."))
+        if name in shown
+        and _ROUGHNESS & set(name.split("."))
         and effects.get(name, 0.0) > notable
         # That over the range is the gradient times the length of the range.
         and effects[name] > _MANY_TIMES * gradients[name] * float(value.mean())
     ]
     if not small:
-        return []
-    return [
-        f"{_named(small)}: a small roughness acts most near 0, so its effect over the whole "
+        return {}
+    note = (
+        f"{_named(attribution, small)}: a small roughness acts most near 0, so its effect over the whole "
         "range is overstated; give it a range, or use ablation"
-    ]
+    )
+    return {note: small}
 
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
