@@ -260,11 +260,13 @@ class Explanation:
             return f"{what} {self._in_unit(predicted)}, predicted"
         value = self.attribution.metric_value
         if self.definition is not None and change.exact is not None:
-            before, after, relaxed = (
-                self._plain(self.definition.value),
-                self._plain(change.exact),
-                "relaxed: ",
+            before, after = (
+                with_error(number, change.exact_error, digits=2)[0]
+                if change.exact_error and self.definition.points is None
+                else self._plain(number)
+                for number in (self.definition.value, change.exact)
             )
+            relaxed = "relaxed: "
         else:
             # No rating of a scene is negative, but its value and the measured change are of other renders.
             rated = bool((self.attribution.info.get("measure") or {}).get("limits"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -188,13 +189,13 @@ def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None
 
 
 def _say_depth(renderer: SceneRenderer) -> None:
-    """Print that the scene asks for another depth than that of the command, if it does."""
+    """Warn that the scene asks for another depth than that of the command, if it does."""
     own, used = renderer.plan.scene_depth, renderer.plan.max_depth
     if own not in (None, used):
         wanted = "paths of any length" if own == -1 else str(own)
-        print(
-            f"paths have at most {used} segments; {Path(renderer.name).name} asks for {wanted}: --max-depth {own}",
-            file=sys.stderr,
+        warnings.warn(
+            f"Paths have at most {used} segments; {Path(renderer.name).name} asks for {wanted}: --max-depth {own}",
+            stacklevel=3,
         )
 
 
