@@ -32,6 +32,7 @@ SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 DEFAULT_EFFECTS = 5
+FOUR_DIGITS = 5e-4  # of a value
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
 
 
@@ -260,12 +261,13 @@ class Explanation:
             return f"{what} {self._in_unit(predicted)}, predicted"
         value = self.attribution.metric_value
         if self.definition is not None and change.exact is not None:
-            before, after = (
-                with_error(number, change.exact_error, digits=2)[0]
-                if change.exact_error and self.definition.points is None
-                else self._plain(number)
-                for number in (self.definition.value, change.exact)
-            )
+            numbers = (self.definition.value, change.exact)
+            if change.exact_error and self.definition.points is None:
+                # The change is known more precisely than the value, but more than four digits say nothing.
+                precision = max(change.exact_error, FOUR_DIGITS * abs(self.definition.value))
+                before, after = (with_error(number, precision, digits=1)[0] for number in numbers)
+            else:
+                before, after = (self._plain(number) for number in numbers)
             relaxed = "relaxed: "
         else:
             # No rating of a scene is negative, but its value and the measured change are of other renders.

@@ -115,8 +115,8 @@ class Compared:
         """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
         if self.by_definition is None:
             return ""
-        unit = metric_unit(self.before)
-        return f"{RELAXED}: it changes by {signed_with_error(self.change, self.error)} {unit}."
+        change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
+        return f"{RELAXED}: it changes by {change}."
 
     def shown(self) -> list[Explanation]:
         """Return both results for the page, with what belongs to their values."""
@@ -312,7 +312,7 @@ def _lines(found: Compared) -> list[str]:
         f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
         *_note(found.measured),
         *_note(found.relaxed()),
-        *found.premises(),
+        *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
     ]
     moved = [
         (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
@@ -342,14 +342,18 @@ def _value_line(attribution: SceneAttribution, side: Side) -> str:
     if side.definition is None:
         return metric_line(attribution)
     relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
-    relaxed = f"{relaxed} {metric_unit(attribution)}"
+    relaxed = f"{relaxed} {metric_unit(attribution)}".rstrip()
     headline = Explanation(attribution, definition=side.definition).headline()
     return f"{headline} by the definition; relaxed {relaxed}"
 
 
 def _note(text: str) -> list[str]:
     """Return a sentence as indented lines."""
-    return wrapped_lines(f"  {text}", max(terminal_width() or WIDTH, 40), indent=2) if text else []
+    return wrapped_lines(f"  {text}", _width(), indent=2) if text else []
+
+
+def _width() -> int:
+    return max(terminal_width() or WIDTH, 40)
 
 
 def _numbers(found: Compared) -> dict[str, Any]:
