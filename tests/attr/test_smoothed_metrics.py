@@ -152,3 +152,15 @@ def test_large_errors_of_a_metric_of_the_user_advise_to_smooth_it() -> None:
     jumping = VanillaSceneGradient(renderer, lambda image: torch.sin(1000 * image).mean()).attribute(seed=0)
     assert "metrics.Smoothed(" in str(jumping)
     assert "Smoothed" not in str(VanillaSceneGradient(renderer, lambda image: image.mean()).attribute(seed=0))
+
+
+def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None:
+    """Noise of a third of that of the smoothing hardly biases the logit; at a few samples the class is another."""
+    renderer = SceneRenderer("cornell-box", inputs="short_box*", resolution=(16, 16), spp=16, max_depth=3)
+    logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube", smoothing=0.3)
+    method = FeatureAblationScene(renderer, logit)
+    few, many = (method.attribute(groups="object", spp=spp, seed=shifted()) for spp in (16, 4096))
+    assert "and more than 10 % biases it: use " in few.info["picture"]["caution"]
+    assert many.info["picture"]["caution"] is None
+    assert "each alone" not in str(few)
+    assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted()))

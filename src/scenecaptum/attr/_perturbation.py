@@ -22,6 +22,7 @@ from ..estimation import (
     covariance_of_mean,
     describe_picture,
     pseudo_values,
+    relative_noise,
     render_images,
     require_memory,
     with_image_transform,
@@ -55,6 +56,7 @@ class ArmMeasurements:
     pseudo_values: torch.Tensor  # (arms, replicates, targets)
     values: torch.Tensor  # (targets,): the metric at the mean image of the first arm, the unchanged scene
     image: torch.Tensor  # the mean image of the unchanged scene
+    noise: float | None  # of its pixels, relative; None for a single replicate
     inputs: Mapping[str, torch.Tensor]  # a summary of its values
     metrics: tuple[TargetedMetric, ...]
     budget: Budget
@@ -123,7 +125,7 @@ class Perturbation:
             )
             metrics = tuple(with_image_transform(metrics, images, selector))
             values, first = _pseudo_values(metrics, images, arms[0].description)
-            image = torch.stack(images).mean(0)
+            image, noise = torch.stack(images).mean(0), relative_noise(images)
             rows.append(first)
             bar.update()
             try:
@@ -136,7 +138,9 @@ class Perturbation:
                 interrupted = True
         info = {"method": type(self).__name__, "seed": settings.seed, **watch.info}
         inputs = summarize(arms[0].values())
-        return ArmMeasurements(torch.stack(rows), values, image, inputs, metrics, budget, interrupted, info)
+        return ArmMeasurements(
+            torch.stack(rows), values, image, noise, inputs, metrics, budget, interrupted, info
+        )
 
     def _results(
         self,
@@ -196,6 +200,7 @@ class Perturbation:
                 drift,
                 spp_per_arm,
                 metric=measured.metrics[index],
+                noise=measured.noise,
                 compares=True,
                 shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
             ),

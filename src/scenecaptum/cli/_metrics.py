@@ -73,9 +73,14 @@ def find_metrics(
     found = {name: _creator(name, given, options, weather) for name in names}
     for option in given:
         if not any(name in BY_NAME and option in BY_NAME[name].parameters for name in names):
+            own = (
+                f", write ClassLogit(…, {option}=…) in the file of your metric"
+                if option == "smoothing" and any(":" in name for name in names)
+                else ""
+            )
             raise SceneCaptumError(
                 f"--{option.replace('_', '-')} has no effect on {', '.join(names)}: add "
-                f"--metric {_list_taking(option, ' or ')}, or remove it."
+                f"--metric {_list_taking(option, ' or ')}{own}, or remove it."
             )
     return found
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
+
+import torch
 
 from ..protocols import Measure
 from ..visualization import rounded
@@ -11,9 +15,19 @@ from ._metric import TargetedMetric
 from ._metric_image import ImageTransform
 
 ROUNDING = 1e-6
+_FLOOR = 0.01  # of the mean brightness: the relative noise of darker pixels does not count
 
 
-def describe_picture(
+def relative_noise(images: Sequence[torch.Tensor]) -> float | None:
+    """Return the root mean square of the relative noise of the pixels of a mean image; None for a single image."""
+    if len(images) < 2:
+        return None
+    pixels = torch.stack([image.mean(-1) for image in images]).double()
+    mean, error = pixels.mean(0), pixels.std(0) / math.sqrt(len(images))
+    return (error / mean.clamp_min(_FLOOR * mean.mean())).square().mean().sqrt().item()
+
+
+def describe_picture(  # noqa: PLR0913 -- everything that is known of the picture
     transform: ImageTransform,
     value: float,
     drift: tuple[float, float] | None,
@@ -21,6 +35,7 @@ def describe_picture(
     denoised: float | None = None,
     interval: tuple[float, float] | None = None,
     *,
+    noise: float | None = None,
     metric: TargetedMetric | None = None,
     compares: bool = False,
     shows_a_view: bool = True,
@@ -28,12 +43,15 @@ def describe_picture(
     """Return a plain description of the metric image.
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
-    of the value, and ``metric`` may have classes of its values and cautions of its own. ``compares`` says that the
-    effects are differences of values, which have its bias, and ``shows_a_view`` that the image is a picture.
+    of the value, ``noise`` the relative noise of the pixels, and ``metric`` may have classes of its values and
+    cautions of its own. ``compares`` says that the effects are differences of values, which have its bias, and
+    ``shows_a_view`` that the image is a picture.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
     noisy = _differs(value, drift, spp, denoised) or _too_wide(interval, measure)
+    if not noisy and metric is not None and not transform.denoises:
+        noisy = _above_tolerance(noise, metric.tolerated_noise)
     if noisy:
         noisy = f"the {'picture' if shows_a_view else 'result'} is too noisy for this metric: {noisy}"
     if noisy and compares:
@@ -61,6 +79,17 @@ def _differs(
     if denoised is not None and abs(denoised - value) > limit:
         return f"{rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised"
     return None
+
+
+def _above_tolerance(noise: float | None, tolerated: float | None) -> str | None:
+    """Return the relative noise of the pixels if it is larger than a metric tolerates, and the samples to use."""
+    if noise is None or tolerated is None or noise <= tolerated:
+        return None
+    factor = math.ceil((noise / tolerated) ** 2)
+    return (
+        f"the noise of a pixel is {100 * noise:.0f} %, and more than {100 * tolerated:.0f} % biases it: use "
+        f"{factor} times the samples"
+    )
 
 
 def _too_wide(interval: tuple[float, float] | None, measure: Measure | None) -> str | None:

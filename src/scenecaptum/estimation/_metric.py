@@ -110,6 +110,11 @@ class TargetedMetric:
         """Why the metric is not valid for these images, if it says so."""
         return getattr(self.metric, "caution", None)
 
+    @property
+    def tolerated_noise(self) -> float | None:
+        """Relative noise of the pixels above which it biases the value, if the metric says so."""
+        return getattr(self.metric, "tolerated_noise", None)
+
     def verdict(self, value: float, image: torch.Tensor) -> str:
         """Return what the value means, for a metric of these images that has classes or says it itself."""
         own = getattr(self.metric, "verdict", None)

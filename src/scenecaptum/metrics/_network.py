@@ -12,7 +12,7 @@ import torch
 
 from ._frozen import run_frozen
 from ._measure import Measure
-from ._noise import ROUGH, PictureNoise, smoothed_measure
+from ._noise import PLAIN_TOLERANCE, ROUGH, PictureNoise, smoothed_measure
 from ._picture import check_exposure, srgb_picture
 from ._preprocessing import ResizeCropNormalize, own_preprocessing
 
@@ -70,13 +70,18 @@ class NetworkMetric(torch.nn.Module, ABC):
         return ROUGH if self.noise is None else None
 
     @property
+    def tolerated_noise(self) -> float | None:
+        """Relative noise of the pixels above which it biases the value; None if it is not known."""
+        return PLAIN_TOLERANCE if self.noise is None else self.noise.tolerated
+
+    @property
     def advice(self) -> str | None:
         """What helps if the errors of an attribution are large."""
         if self.noise is not None:
             return None
         return (
-            "the gradient of a network at a noisy image is rough; smoothing=0.3 (--smoothing 0.3) gives one with "
-            "smaller errors"
+            "the gradient of a network at a noisy image is rough; smoothing=0.3 (of shape-logit: --smoothing 0.3) "
+            "gives one with smaller errors"
         )
 
     def pictures(self, images: torch.Tensor) -> torch.Tensor:

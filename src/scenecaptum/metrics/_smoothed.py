@@ -82,6 +82,11 @@ class Smoothed(torch.nn.Module):
         self.noise = PictureNoise.create(sigma, n, noise, seed)
 
     @property
+    def tolerated_noise(self) -> float | None:
+        """Relative noise of the pixels above which it biases the value; None if it is not known."""
+        return self.noise.tolerated
+
+    @property
     def n_draws(self) -> int:
         """Number of draws of noise."""
         return self.noise.n

@@ -165,6 +165,10 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
             if is_occlusion
             else "Σ totals over the texels, vertices or faces"
         )
+    if attribution.kind is ResultKind.ABLATION and any(len(row.total) > 1 for row in shown):
+        notes.append(
+            'of a colour, the sum of the losses of its channels, each alone: groups="object" ablates together'
+        )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})")
     for reason, names in untrusted.items():
