@@ -7,15 +7,18 @@ import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 import results
+import torch
 
 from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
 from scenecaptum.attr import Definition, Explanation
-from scenecaptum.cli import _compare, _daylight
+from scenecaptum.cli import _compare, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
 from scenecaptum.cli._points import grid_premises
+from scenecaptum.visualization import plot_plan
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -210,6 +213,35 @@ def test_what_one_result_alone_was_computed_for_begins_with_its_title() -> None:
     found = _compare.Compared(one, one, ["A", "B"], 0.0, None, sides)
     assert found.premises() == [both, "A: grid: 9 points", "B: caution: dark"]
     assert [shown.notes()[-2:] for shown in found.shown()] == [list(side.premises) for side in sides]
+
+
+@pytest.mark.parametrize("command", ["daylight", "compare"])
+def test_the_points_that_pass_on_a_plan_are_the_quoted_value(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With few samples, two estimates for the same room differ by whole points."""
+    counted = []
+
+    def count(values: torch.Tensor, plan: Any, inside: torch.Tensor, **options: Any) -> Any:
+        (limit,) = options["levels"]
+        counted.append((values[inside] >= limit).double().mean().item())
+        return plot_plan(values, plan, inside, **options)
+
+    monkeypatch.setattr(_plan, "plot_plan", count)
+    text = f"{command} classroom --spp 4 --spacing 1 --metric sda --json --out {tmp_path}"
+    of_command = {"daylight": "--changes 0 --report", "compare": "--set ceiling.reflectance.value=0.3"}
+    assert cli.main(shlex.split(f"{text} {of_command[command]}")) == 0
+    printed = json.loads(capsys.readouterr().out)
+    if command == "compare":
+        quoted = [one["definition"]["value"] for one in printed["results"]]
+        assert [100 * share for share in counted] == pytest.approx(quoted)
+        return
+    (said,) = printed
+    in_report_and_file = [100 * share for share in counted]
+    assert in_report_and_file == pytest.approx([said["metric"]["definition"]["value"]] * 2)
+    points = sum(row["count"] for row in said["rows"])
+    share = sum(row["value"] * row["count"] for row in said["rows"]) / points
+    assert share == pytest.approx(said["metric"]["definition"]["value"])
 
 
 def page(folder: Path) -> str:

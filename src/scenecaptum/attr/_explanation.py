@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
 from ..protocols import Attribution
 from ..scene import pose_component
 from ..visualization import (
@@ -58,6 +60,9 @@ class Explanation:
         The value by the published definition, if the attribution is that of a relaxed one.
     premises
         What it was computed for, such as the weather.
+    picture
+        The picture, or what a sensor grid measures, of which ``value`` and the values of ``rows`` are; None if it
+        is ``attribution.image``.
     """
 
     attribution: Attribution
@@ -68,6 +73,7 @@ class Explanation:
     rows: tuple[Row, ...] = ()
     definition: Definition | None = None
     premises: tuple[str, ...] = ()
+    picture: torch.Tensor | None = None
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
