@@ -117,6 +117,19 @@ def test_effects_over_a_range_that_are_overstated_are_marked_as_in_the_table():
     assert "~" not in " ".join(effects_of(Explanation(of_range(metal_alpha=rough))))
 
 
+def test_a_move_that_is_mostly_vertical_says_so():
+    def said(up: int | None, *direction: float) -> str:
+        found = of_range(desk_pose_translation=(torch.tensor(direction), torch.zeros(3)))
+        info = {**found.info, "vectors": ["desk.pose.translation"], "up": up}
+        (line,) = effects_of(Explanation(dataclasses.replace(found, info=info)))
+        return line
+
+    assert said(2, 0.0, -0.1, -1.0).endswith(" towards (0.0, −0.1, −1.0), down")
+    assert said(1, 0.0, 1.0, 0.2).endswith(" towards (0.0, 1.0, 0.2), up")
+    assert said(2, 0.9, 0.0, -0.4).endswith(" towards (0.9, 0.0, −0.4)")
+    assert said(None, 0.0, 0.0, -1.0).endswith(" towards (0.0, 0.0, −1.0)")
+
+
 def test_a_note_is_on_effects_that_are_stated():
     found = of_range(
         floor=(torch.tensor(3.0), torch.tensor(0.5)), metal_alpha=(torch.tensor(-2.0), torch.tensor(0.02))

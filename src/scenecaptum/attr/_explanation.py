@@ -327,7 +327,7 @@ class Explanation:
         component = pose_component(name)
         if component is None or self.attribution.scale_or_default() != "range":
             return ""
-        return f" for {move(component, self.attribution.weights()[name])}"
+        return f" for {move(component, self.attribution.weights()[name], self.attribution.info.get('up'))}"
 
     def _with_error(self, value: float, error: float | None) -> str:
         """Return a number with its error, also one of 0: a share of hours may be the same in all replicates."""
