@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import re
 import shlex
@@ -242,6 +243,20 @@ def test_the_points_that_pass_on_a_plan_are_the_quoted_value(
     points = sum(row["count"] for row in said["rows"])
     share = sum(row["value"] * row["count"] for row in said["rows"]) / points
     assert share == pytest.approx(said["metric"]["definition"]["value"])
+
+
+def test_the_table_of_a_comparison_leaves_out_what_is_far_below_the_largest_change() -> None:
+    before = results.make()
+    factors = {"lamp": 2.0, "rough": 1.5, "tiny": 3.0}  # the effect of tiny is a millionth of the lamp's
+    after = dataclasses.replace(
+        before, attributions={name: factors.get(name, 1.0) * value for name, value in before.items()}
+    )
+    changes = _compare._changed_effects(before, after)
+    assert [one.name for one in changes] == ["lamp", "rough", "tiny"]
+    sides = [_compare.Side(), _compare.Side()]
+    text = _compare._lines(_compare.Compared(before, after, ["A", "B"], 0.0, None, sides))
+    assert [line.split()[0] for line in text[-3:]] == ["lamp", "desk:", "left"]
+    assert text[-1] == "  left out: 1 effect that changed by less than 1 % of the largest change"
 
 
 def page(folder: Path) -> str:

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 REPORT = "comparison.html"
 ROWS = 10
+SMALL = 0.01  # of the largest change of an effect: smaller ones are left out of the table
 WIDTH = 100  # of sentences, without a terminal
 SIGNIFICANT = 2.0  # standard errors
 MEASURED = (
@@ -327,6 +328,8 @@ def _lines(found: Compared) -> list[str]:
     if set(before) != set(after):
         only = pluralize(len(set(before) ^ set(after)), "parameter")
         return [*text, "", f"{only} of one of the two only; effects are not compared."]
+    changed = _changed_effects(before, after)
+    shown = [one for one in changed if abs(one.change) >= SMALL * abs(changed[0].change)]
     table = [
         (
             one.label,
@@ -334,10 +337,15 @@ def _lines(found: Compared) -> list[str]:
             format_with_error(one.after, None),
             signed_with_error(one.change, one.error),
         )
-        for one in _changed_effects(before, after)[:ROWS]
+        for one in shown[:ROWS]
     ]
     if table:
         text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
+    if small := len(changed) - len(shown):
+        effects = (
+            f"{pluralize(small, 'effect')} that changed by less than {100 * SMALL:g} % of the largest change"
+        )
+        text += _note(f"left out: {effects}")
     return text
 
 
