@@ -108,6 +108,18 @@ def test_a_grid_of_too_many_points_is_an_error_without_a_warning(
     assert not [str(one.message) for one in recwarn if "inside objects" in str(one.message)]
 
 
+def test_a_grid_is_not_rendered_to_a_picture_without_a_scale(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"render office --sensor grid --spp 1 --to {tmp_path}/points"
+    assert cli.main(shlex.split(f"{text}.png")) == 2
+    error = capsys.readouterr().err
+    assert "explain --sensor grid --metric mean-illuminance writes plan.png" in error
+    assert error.count("\n") == 1
+    assert cli.main(shlex.split(f"{text}.exr")) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["points.exr"]
+
+
 def test_a_missing_sky_is_an_error_without_a_warning(
     recwarn: pytest.WarningsRecorder, capsys: pytest.CaptureFixture[str]
 ) -> None:
