@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 import results
+import torch
 
 from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
 from scenecaptum.attr import Definition, Explanation
-from scenecaptum.cli import _compare, _daylight
+from scenecaptum.cli import _compare, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
 from scenecaptum.cli._points import grid_premises
+from scenecaptum.visualization import plot_plan
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -102,6 +106,18 @@ def test_a_grid_of_too_many_points_is_an_error_without_a_warning(
     assert cli.main(shlex.split(text)) == 2
     assert "too many, more than 2000" in capsys.readouterr().err
     assert not [str(one.message) for one in recwarn if "inside objects" in str(one.message)]
+
+
+def test_a_grid_is_not_rendered_to_a_picture_without_a_scale(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"render office --sensor grid --spp 1 --to {tmp_path}/points"
+    assert cli.main(shlex.split(f"{text}.png")) == 2
+    error = capsys.readouterr().err
+    assert "explain --sensor grid --metric mean-illuminance writes plan.png" in error
+    assert error.count("\n") == 1
+    assert cli.main(shlex.split(f"{text}.exr")) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["points.exr"]
 
 
 def test_a_missing_sky_is_an_error_without_a_warning(
@@ -210,6 +226,49 @@ def test_what_one_result_alone_was_computed_for_begins_with_its_title() -> None:
     found = _compare.Compared(one, one, ["A", "B"], 0.0, None, sides)
     assert found.premises() == [both, "A: grid: 9 points", "B: caution: dark"]
     assert [shown.notes()[-2:] for shown in found.shown()] == [list(side.premises) for side in sides]
+
+
+@pytest.mark.parametrize("command", ["daylight", "compare"])
+def test_the_points_that_pass_on_a_plan_are_the_quoted_value(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With few samples, two estimates for the same room differ by whole points."""
+    counted = []
+
+    def count(values: torch.Tensor, plan: Any, inside: torch.Tensor, **options: Any) -> Any:
+        (limit,) = options["levels"]
+        counted.append((values[inside] >= limit).double().mean().item())
+        return plot_plan(values, plan, inside, **options)
+
+    monkeypatch.setattr(_plan, "plot_plan", count)
+    text = f"{command} classroom --spp 4 --spacing 1 --metric sda --json --out {tmp_path}"
+    of_command = {"daylight": "--changes 0 --report", "compare": "--set ceiling.reflectance.value=0.3"}
+    assert cli.main(shlex.split(f"{text} {of_command[command]}")) == 0
+    printed = json.loads(capsys.readouterr().out)
+    if command == "compare":
+        quoted = [one["definition"]["value"] for one in printed["results"]]
+        assert [100 * share for share in counted] == pytest.approx(quoted)
+        return
+    (said,) = printed
+    in_report_and_file = [100 * share for share in counted]
+    assert in_report_and_file == pytest.approx([said["metric"]["definition"]["value"]] * 2)
+    points = sum(row["count"] for row in said["rows"])
+    share = sum(row["value"] * row["count"] for row in said["rows"]) / points
+    assert share == pytest.approx(said["metric"]["definition"]["value"])
+
+
+def test_the_table_of_a_comparison_leaves_out_what_is_far_below_the_largest_change() -> None:
+    before = results.make()
+    factors = {"lamp": 2.0, "rough": 1.5, "tiny": 3.0}  # the effect of tiny is a millionth of the lamp's
+    after = dataclasses.replace(
+        before, attributions={name: factors.get(name, 1.0) * value for name, value in before.items()}
+    )
+    changes = _compare._changed_effects(before, after)
+    assert [one.name for one in changes] == ["lamp", "rough", "tiny"]
+    sides = [_compare.Side(), _compare.Side()]
+    text = _compare._lines(_compare.Compared(before, after, ["A", "B"], 0.0, None, sides))
+    assert [line.split()[0] for line in text[-3:]] == ["lamp", "desk:", "left"]
+    assert text[-1] == "  left out: 1 effect that changed by less than 1 % of the largest change"
 
 
 def page(folder: Path) -> str:

@@ -117,6 +117,19 @@ def test_effects_over_a_range_that_are_overstated_are_marked_as_in_the_table():
     assert "~" not in " ".join(effects_of(Explanation(of_range(metal_alpha=rough))))
 
 
+def test_a_move_that_is_mostly_vertical_says_so():
+    def said(up: int | None, *direction: float) -> str:
+        found = of_range(desk_pose_translation=(torch.tensor(direction), torch.zeros(3)))
+        info = {**found.info, "vectors": ["desk.pose.translation"], "up": up}
+        (line,) = effects_of(Explanation(dataclasses.replace(found, info=info)))
+        return line
+
+    assert said(2, 0.0, -0.1, -1.0).endswith(" towards (0.0, −0.1, −1.0), down")
+    assert said(1, 0.0, 1.0, 0.2).endswith(" towards (0.0, 1.0, 0.2), up")
+    assert said(2, 0.9, 0.0, -0.4).endswith(" towards (0.9, 0.0, −0.4)")
+    assert said(None, 0.0, 0.0, -1.0).endswith(" towards (0.0, 0.0, −1.0)")
+
+
 def test_a_note_is_on_effects_that_are_stated():
     found = of_range(
         floor=(torch.tensor(3.0), torch.tensor(0.5)), metal_alpha=(torch.tensor(-2.0), torch.tensor(0.02))
@@ -147,9 +160,35 @@ def test_samples_are_advised_up_to_a_hundred_times_as_many():
         (line,) = lines(Explanation(noisy))["Too noisy to say"]
         return line
 
-    assert "times the samples would tell" in advice(0.2)
-    assert advice(20.0).endswith(" times or more)")
-    assert "within the error; use more samples (" in advice(20.0)
+    assert "times the samples would tell" in advice(0.1)
+    assert advice(20.0).endswith(
+        "within the error; this cannot be resolved with a reasonable number of samples"
+    )
+
+
+def test_of_many_effects_none_is_stated_because_one_is_beyond_two_errors_by_chance():
+    def stated(z: float, count: int) -> bool:
+        inputs = {f"a_{index}": (torch.tensor(1e-3 * z), torch.tensor(0.5)) for index in range(count)}
+        said = lines(Explanation(of_range(**inputs)))
+        assert any(heading.startswith("What it depends") for heading in said) != ("Too noisy to say" in said)
+        return "Too noisy to say" not in said
+
+    # Student's t of 7 degrees of freedom: 2.36 at 5 %, and 4.59 at 5 % / 20.
+    assert stated(2.4, 1)
+    assert not stated(2.3, 1)
+    assert stated(4.6, 20)
+    assert not stated(4.4, 20)
+
+
+def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_stated():
+    inputs = {f"a_{index}": (torch.tensor(0.01), torch.tensor(0.5)) for index in range(20)}
+    found = of_range(**inputs, other=(torch.tensor(0.04), torch.tensor(0.5)))
+    errors = {"other": torch.full((1, 1), 0.01**2)}
+    found = dataclasses.replace(found, covariance={**found.covariance, **errors})
+    (line,) = lines(Explanation(found))["Too noisy to say"]
+    assert line == "other (+0.040 ± 0.010) may have an effect of 0.01 or more within the error; " + (
+        "22 times the samples would tell"  # the square of Student's t at 5 % / 21, 4.64
+    )
 
 
 def test_markdown_has_the_same_sentences():
@@ -238,15 +277,33 @@ def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
     assert of_daylight(59.6, 0.6, definition=Definition(60.0, "", 63)).value() == "60"
 
 
-def test_an_error_of_zero_is_stated_and_few_points_have_an_advice():
-    few = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 4, error=0.0))
-    assert few.headline() == "spatial daylight autonomy = 75 ± 0 %"
+def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_have_an_advice():
+    few = of_daylight(75.0, 0.1, definition=Definition(75.0, "preferred", 4, error=0.0))
+    assert few.headline() == "spatial daylight autonomy = 75 % (error below one point, 25 %)"
+    assert few.value() == "75"
     assert few.notes()[-1] == (
-        "quote 75 ± 0 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
-        "relaxed value 75 ± 0 % only serves the derivatives"
+        "quote 75 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
+        "relaxed value 75.00 ± 0.10 % only serves the derivatives"
     )
+    hours = of_daylight(75.0, 0.1, definition=Definition(75.0, "", error=0.0))
+    assert hours.headline() == "spatial daylight autonomy = 75 ± 0 %"
     enough = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 20, error=0.0))
     assert "in steps of 5 %, one point)" in enough.notes()[-1]
+
+
+def test_a_saturated_share_with_no_clear_effect_says_so():
+    def said(value: float, z: float, better: str = "higher") -> dict[str, list[str]]:
+        noisy = of_range(lamp=(torch.tensor(1e-3 * z), torch.tensor(0.5)))
+        noisy = dataclasses.replace(noisy, info={**noisy.info, "measure": {**SDA, "better": better}})
+        return lines(Explanation(noisy, definition=Definition(value, "", points=20, error=0.0)))
+
+    (found,) = said(100.0, 2.0).values()
+    assert found == ["every point passes: nothing limits it"]
+    assert list(said(0.0, 2.0).values()) == [["no point passes"]]
+    assert list(said(0.0, 2.0, "lower").values()) == [["no point counts"]]
+    assert list(said(95.0, 2.0)) == ["Too noisy to say"]
+    (clear,) = said(100.0, 9.0).values()
+    assert clear == ["lamp: +0.0090 ± 0.0010 %"]
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():

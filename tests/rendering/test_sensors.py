@@ -148,3 +148,11 @@ def test_an_invalid_list_of_sensors_is_refused(mi: Any, sensor: list[Any], messa
 def test_a_list_of_sensors_has_cameras(mi: Any) -> None:
     with pytest.raises(SceneCaptumError, match=r"renderer\.cameras"):
         _ = SceneRenderer("cornell-box", sensor=[0]).camera
+
+
+def test_a_fisheye_cannot_be_moved_and_the_error_says_what_to_do(mi: Any) -> None:
+    with pytest.raises(
+        SceneCaptumError,
+        match=r"'camera.pose.translation' cannot be moved: a sensor of type fisheye .*place the camera in",
+    ):
+        SceneRenderer(room(mi, {"type": "diffuse"}), "camera.pose.translation", sensor="fisheye", spp=4)

@@ -289,7 +289,7 @@ def test_what_coefficients_need_is_one_clear_line(mi: Any) -> None:
     sun = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0, 0, 1]}
     with pytest.raises(
         SceneCaptumError,
-        match=r'need a sky of the same radiance everywhere.*replace it by <emitter type="constant"/>; the weather',
+        match=r"need a sky .*, which is not what `sky` \(sunsky\) is: replace it by <emitter .*; the weather",
     ):
         SceneRenderer({**without, "sky": sun}, "reflectance", sensor=GRID, sky_patches=PATCHES)
     renderer = SceneRenderer(scene, "reflectance", sensor=GRID, sky_patches=PATCHES, spp=1)

@@ -323,6 +323,7 @@ def make_attribution(
             "left_out": steps.left_out,
             "left_out_notes": steps.notes,
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},
+            "up": Capabilities(renderer).up,
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **(Capabilities(renderer).info or {}),

@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from ..protocols import Attribution
+import torch
+
+from ..estimation import student_t
+from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
@@ -30,6 +33,7 @@ from ._wording import in_words, move, percent, row_name, signed, step
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
+FALSE_ALARMS = 0.05  # allowed for all effects together
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 DEFAULT_EFFECTS = 5
 FOUR_DIGITS = 5e-4  # of a value
@@ -58,6 +62,9 @@ class Explanation:
         The value by the published definition, if the attribution is that of a relaxed one.
     premises
         What it was computed for, such as the weather.
+    picture
+        The picture, or what a sensor grid measures, of which ``value`` and the values of ``rows`` are; None if it
+        is ``attribution.image``.
     """
 
     attribution: Attribution
@@ -68,6 +75,7 @@ class Explanation:
     rows: tuple[Row, ...] = ()
     definition: Definition | None = None
     premises: tuple[str, ...] = ()
+    picture: torch.Tensor | None = None
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
@@ -124,7 +132,12 @@ class Explanation:
 
         With the rating of a picture stands the resolution, on which it depends.
         """
-        return f"{metric_name(self.attribution)} = {self._in_unit(self.value())}{self._pixels()}"
+        value = f"{self._in_unit(self.value())}{self._pixels()}"
+        if self._is_of_equal_counts():
+            assert self.definition is not None
+            assert self.definition.points is not None
+            value += f" (error below one point, {self._in_unit(self._plain(100 / self.definition.points))})"
+        return f"{metric_name(self.attribution)} = {value}"
 
     def notes(self) -> list[str]:
         """Return what belongs to the value: cautions, its definition, which value to quote, and the premises."""
@@ -172,10 +185,17 @@ class Explanation:
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
+        if self._is_of_equal_counts():
+            assert self.definition is not None
+            return self._plain(self.definition.value)
         if self.definition is not None:
             return self._with_error(self.definition.value, self.definition.error)
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error
         return format_with_error(value, error)
+
+    def _is_of_equal_counts(self) -> bool:
+        """Whether all replicates count the same points: the share has an error, but one below a point."""
+        return self.definition is not None and bool(self.definition.points) and self.definition.error == 0
 
     def _pixels(self) -> str:
         """Return ``" at 160×90 pixels"`` for a rating of a picture; empty for other metrics, and of a grid."""
@@ -198,9 +218,10 @@ class Explanation:
     def _effect_lines(self) -> list[str]:
         if not self.count:
             return []
-        stated = [row for row in self.attribution.ranking() if is_clear(row.effect, row.effect_error)][
-            : self.count
-        ]
+        clear, _ = self._clear_and_unclear()
+        if not clear and (saturated := self._saturated()):
+            return [saturated]
+        stated = clear[: self.count]
         notes = range_notes(self.attribution, among=[row.name for row in stated])
         marked = {name for names in notes.values() for name in names}
         lines = [
@@ -306,10 +327,10 @@ class Explanation:
         component = pose_component(name)
         if component is None or self.attribution.scale_or_default() != "range":
             return ""
-        return f" for {move(component, self.attribution.weights()[name])}"
+        return f" for {move(component, self.attribution.weights()[name], self.attribution.info.get('up'))}"
 
     def _with_error(self, value: float, error: float | None) -> str:
-        """Return a number with its error, also one of 0: a share of points may be the same in all replicates."""
+        """Return a number with its error, also one of 0: a share of hours may be the same in all replicates."""
         if error:
             return format_with_error(value, error)
         return f"{self._plain(value)}{'' if error is None else ' ± 0'}"
@@ -325,9 +346,8 @@ class Explanation:
         """Return how many effects are in the noise, and the samples that would resolve them."""
         if not self.count:
             return []
-        rows = self.attribution.ranking()
         if self.attribution.covariance is None:
-            if all(row.effect == 0 for row in rows):
+            if all(row.effect == 0 for row in self.attribution.ranking()):
                 return []
             return ["which effects are due to noise: there are no error bars"]
         lines = [
@@ -336,8 +356,9 @@ class Explanation:
             for change in self.changes
             if not change.is_clear
         ]
-        clear = [row for row in rows if is_clear(row.effect, row.effect_error)]
-        unclear = [row for row in rows if row.effect != 0 and not is_clear(row.effect, row.effect_error)]
+        clear, unclear = self._clear_and_unclear()
+        if not clear and self._saturated():
+            return lines
         if not clear:
             return [
                 *lines,
@@ -352,15 +373,17 @@ class Explanation:
             ]
         smallest = min(abs(row.effect) for row in clear[: self.count])
         # An effect as large as the smallest that is stated may hide in the error of another.
-        hiding = [row for row in unclear if SIGNIFICANT * (row.effect_error or 0.0) > smallest]
+        hiding = [
+            row for row in unclear if max(abs(row.effect), SIGNIFICANT * (row.effect_error or 0.0)) > smallest
+        ]
         if not hiding:
             return lines
         largest = max(row.effect_error or 0.0 for row in hiding)
-        factor = math.ceil((SIGNIFICANT * largest / smallest) ** 2)
+        factor = math.ceil((self._allowed_errors() * largest / smallest) ** 2)
         remedy = (
             f"{factor} times the samples would tell"
             if factor <= MOST_SAMPLES
-            else f"use more samples ({factor} times or more)"
+            else "this cannot be resolved with a reasonable number of samples"
         )
         which = (
             f"{in_words(hiding[0].label)} ({signed(hiding[0].effect, hiding[0].effect_error)})"
@@ -372,3 +395,32 @@ class Explanation:
             f"{which} may have an effect of "
             f"{self._in_unit(rounded(smallest, 2))} or more within the error; {remedy}",
         ]
+
+    def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
+        """Return the effects that are clear of the noise, and the others that are not 0.
+
+        The noise of many parameters takes one of them beyond two standard errors, so the limit is that of all.
+        """
+        allowed, rows = self._allowed_errors(), [row for row in self.attribution.ranking() if row.effect]
+        clear = [row for row in rows if abs(row.effect) > allowed * (row.effect_error or 0.0)]
+        return clear, [row for row in rows if row not in clear]
+
+    def _allowed_errors(self) -> float:
+        """Return how many standard errors noise alone may reach at some effect, at 5 % for all together."""
+        noisy = sum(bool(row.effect_error) for row in self.attribution.ranking())
+        if not noisy:
+            return 0.0
+        info = self.attribution.info
+        freedom = info.get("degrees_of_freedom", info["replicates"] - 1)
+        return student_t(1 - FALSE_ALARMS / noisy, freedom)
+
+    def _saturated(self) -> str:
+        """Say that a share of points cannot rise or fall, if it is all or none of them; else nothing."""
+        if self.definition is None or not self.definition.points:
+            return ""
+        lower = (self.attribution.info.get("measure") or {}).get("better") == "lower"
+        if self.definition.value == 0:
+            return "no point counts" if lower else "no point passes"
+        if self.definition.value == 100:
+            return "every point counts" if lower else "every point passes: nothing limits it"
+        return ""

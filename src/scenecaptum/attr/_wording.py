@@ -43,8 +43,12 @@ def _factor(before: torch.Tensor, after: torch.Tensor) -> float | None:
     return factor if torch.allclose(new, factor * old, rtol=1e-4) else None
 
 
-def move(component: str, change: torch.Tensor) -> str:
-    """Return a change of a pose in words: scene units and degrees."""
+def move(component: str, change: torch.Tensor, up: int | None = None) -> str:
+    """Return a change of a pose in words: scene units and degrees.
+
+    With the axis that points up it says of a translation that is nearer to the vertical than to the floor that it
+    is one up or down: an object that stands on the floor cannot make it.
+    """
     if component not in _MOVES:
         return f"{rounded(change.sum().item())}{'°' if component == 'fov' else ' of its size'}"
     length = change.norm().item()
@@ -53,7 +57,10 @@ def move(component: str, change: torch.Tensor) -> str:
         f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−")
         for number in (change / (length or 1.0)).tolist()
     )
-    return f"{size} {_MOVES[component]} ({direction})"
+    vertical = ""
+    if component == "translation" and up is not None and abs(change[up].item()) > math.sqrt(0.5) * length:
+        vertical = ", up" if change[up] > 0 else ", down"
+    return f"{size} {_MOVES[component]} ({direction}){vertical}"
 
 
 def in_words(label: str) -> str:

@@ -218,7 +218,7 @@ def _write_result(
         denoised=options.denoise != "off",
     )
     if not (view or options.formats):
-        formats.append(plan_format(renderer, metric, lambda one: one))
+        formats.append(plan_format(renderer, metric, lambda one: one.image))
     write_files(attribution, folder, formats)
     if options.json:
         print(json_text(attribution))
@@ -250,7 +250,7 @@ def _write_report(
     if not options.report:
         return
     path = options.out / REPORT
-    plans = [plan_of(one, renderer, metric) for one, metric in finished]
+    plans = [plan_of(one.image, renderer, metric) for one, metric in finished]
     shown: list[SceneAttribution | Explanation] = []
     for one, metric in finished:
         of_picture = _of_picture(one, metric)

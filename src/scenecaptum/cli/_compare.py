@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 REPORT = "comparison.html"
 ROWS = 10
+SMALL = 0.01  # of the largest change of an effect: smaller ones are left out of the table
 WIDTH = 100  # of sentences, without a terminal
 SIGNIFICANT = 2.0  # standard errors
 MEASURED = (
@@ -214,8 +215,8 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     stated = any(states_definition(one, pictures.mean(0)) for one, pictures in both)
     definitions = [definition_of(one, pictures) if stated else None for one, pictures in both]
     sides = [
-        _side(one, definition, renderer, metric, options)
-        for one, definition in zip((before, after), definitions, strict=True)
+        _side(one, definition, pictures, renderer, metric, options)
+        for one, definition, (_, pictures) in zip((before, after), definitions, both, strict=True)
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
     measured = MEASURED if exact is None else BY_DEFINITION
@@ -225,14 +226,17 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
 def _side(
     attribution: SceneAttribution,
     definition: Definition | None,
+    images: torch.Tensor | None,
     renderer: SceneRenderer,
     metric: Metric,
     options: argparse.Namespace,
 ) -> Side:
+    """Return what belongs to a result; ``images`` are those of the value by the definition, if it has one."""
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
     of_picture = photometric_premises(metric, attribution.image, attribution.metric_value)
+    of_value = attribution.image if definition is None or images is None else images.mean(0)
     return Side(
-        plan_of(attribution, renderer, metric),
+        plan_of(of_value, renderer, metric),
         definition,
         of_picture + premises(metric, options) + grid_premises(renderer),
     )
@@ -274,13 +278,14 @@ def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[Scen
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
-    definition = None
+    definition = images = None
     if isinstance(metric, DaylightMetric):
         scenes = Scenes(
             renderer, metric, options.target, seed=options.seed, spp=None, replicates=DEFAULT_REPLICATES
         )
-        definition = definition_of(scenes.metric, scenes.images)
-    side = _side(result, definition, renderer, metric, options)
+        images = scenes.images
+        definition = definition_of(scenes.metric, images)
+    side = _side(result, definition, images, renderer, metric, options)
     return with_settings(result, renderer, options), side
 
 
@@ -323,6 +328,8 @@ def _lines(found: Compared) -> list[str]:
     if set(before) != set(after):
         only = pluralize(len(set(before) ^ set(after)), "parameter")
         return [*text, "", f"{only} of one of the two only; effects are not compared."]
+    changed = _changed_effects(before, after)
+    shown = [one for one in changed if abs(one.change) >= SMALL * abs(changed[0].change)]
     table = [
         (
             one.label,
@@ -330,10 +337,15 @@ def _lines(found: Compared) -> list[str]:
             format_with_error(one.after, None),
             signed_with_error(one.change, one.error),
         )
-        for one in _changed_effects(before, after)[:ROWS]
+        for one in shown[:ROWS]
     ]
     if table:
         text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
+    if small := len(changed) - len(shown):
+        effects = (
+            f"{pluralize(small, 'effect')} that changed by less than {100 * SMALL:g} % of the largest change"
+        )
+        text += _note(f"left out: {effects}")
     return text
 
 

@@ -110,7 +110,7 @@ def _explain(
         print(said)
         print_files(folder, formats)
         print()
-    return said, plan_of(said.attribution, renderer, metric)
+    return said, plan_of(said.picture, renderer, metric)
 
 
 def _values(renderer: SceneRenderer, options: argparse.Namespace) -> Mapping[str, torch.Tensor]:

@@ -125,7 +125,7 @@ def _write_report(
         options.out / REPORT,
         titles,
         title=options.title,
-        plans=[plan_of(one.attribution, renderer, metric) for one in results],
+        plans=[plan_of(one.picture, renderer, metric) for one in results],
         comparison=comparison,
     )
 
@@ -148,7 +148,7 @@ def _with_value(
         metric_standard_error=error,
         info={**attribution.info, "verdict": means},
     )
-    return Explanation(confirmed, count=0, definition=definition)
+    return Explanation(confirmed, count=0, definition=definition, picture=measured.image)
 
 
 def explained(
@@ -184,7 +184,7 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
     """Return the files of an explanation, with a plan if it is one of a sensor grid."""
     if renderer.shows_a_view:
         return FORMATS
-    return [*FORMATS, plan_format(renderer, metric, lambda explanation: explanation.attribution)]
+    return [*FORMATS, plan_format(renderer, metric, lambda explanation: explanation.picture)]
 
 
 def explanation_numbers(explanation: Explanation) -> dict[str, Any]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import torch
+
 from ..attr import SceneAttribution
 from ..daylight import DaylightMetric, PlanValues
 from ..estimation import Metric, TargetedMetric
 from ..explanation import definition_of
 from ..metrics import MeanIlluminance
-from ..protocols import Attribution
 from ..rendering import SceneRenderer
 from ..visualization import LEVELS, metric_unit, plain_number, plot_plan
 from ._files import OutputFormat, Result, figure_writer
@@ -34,10 +35,13 @@ def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
 
 
 def draw_plan(
-    attribution: Attribution, renderer: SceneRenderer, metric: Metric, width: float = FILE_WIDTH
+    image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric, width: float = FILE_WIDTH
 ) -> Figure:
-    """Draw what a metric is about at each point of a sensor grid on the plan of the room."""
-    image, grid = attribution.image, renderer.grid
+    """Draw what a metric is about at each point of a sensor grid on the plan of the room.
+
+    ``image`` is what the stated value is of, so that who counts the points on the plan finds that value.
+    """
+    grid = renderer.grid
     assert image is not None, "every attribution of a SceneRenderer has its image"
     shown = (
         metric.on_plan(image)
@@ -56,17 +60,17 @@ def draw_plan(
     )
 
 
-def plan_of(attribution: Attribution, renderer: SceneRenderer, metric: Metric) -> Figure | None:
+def plan_of(image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric) -> Figure | None:
     """Return the map for a report; None if the renderer shows a view, and so has a picture."""
-    return None if renderer.shows_a_view else draw_plan(attribution, renderer, metric, REPORT_WIDTH)
+    return None if renderer.shows_a_view else draw_plan(image, renderer, metric, REPORT_WIDTH)
 
 
 def plan_format(
-    renderer: SceneRenderer, metric: Metric, attribution_of: Callable[[Result], Attribution]
+    renderer: SceneRenderer, metric: Metric, image_of: Callable[[Result], torch.Tensor | None]
 ) -> OutputFormat[Result]:
-    """Return the map as a file that a command writes of a result, from which a function takes the attribution."""
+    """Return the map as a file that a command writes of a result, from which a function takes the image."""
     return OutputFormat(
         "plan.png",
         "map on the plan of the room",
-        figure_writer(lambda result: draw_plan(attribution_of(result), renderer, metric)),
+        figure_writer(lambda result: draw_plan(image_of(result), renderer, metric)),
     )

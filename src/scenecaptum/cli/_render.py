@@ -43,6 +43,11 @@ def run(options: argparse.Namespace) -> int:
     if options.to.suffix not in (".png", ".exr"):
         raise SceneCaptumError(f"{options.to} must end in .png or .exr.")
     renderer = _arguments.make_renderer(options)
+    if options.to.suffix == ".png" and not renderer.shows_a_view:
+        raise SceneCaptumError(
+            "A sensor grid measures light at points and has no picture: scenecaptum explain --sensor grid "
+            "--metric mean-illuminance writes plan.png, a map with a scale; an .exr file has the irradiances."
+        )
     with torch.no_grad():
         image = renderer(designed_values(options, renderer) or {}, seed=options.seed)
     if options.denoise:

@@ -137,14 +137,17 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     definition = (
         definition_of(scenes.metric, scenes.images) if states_definition(scenes.metric, picture) else None
     )
+    # What a plan draws and the rows count is what the quoted value is of.
+    of_value = attribution.image if definition is None else picture
     return Explanation(
         attribution,
-        rows=find_rows(scenes.metric, scenes.images, grid) if grid is not None else (),
+        rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
         definition=definition,
         premises=premises,
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, change, definition) for change in proposed),
         goal=goal,
+        picture=of_value,
     )
 
 

@@ -14,11 +14,14 @@ MORE_LIGHT = 0.1  # the change of the illuminance at a row
 MAX_ROWS = 12
 
 
-def find_rows(metric: TargetedMetric, images: torch.Tensor, grid: GridPoints) -> tuple[Row, ...]:
+def find_rows(
+    metric: TargetedMetric, images: torch.Tensor, grid: GridPoints, of_value: torch.Tensor | None = None
+) -> tuple[Row, ...]:
     """Return the rows of a grid and the effect of more light at each; none if the points are not in rows.
 
-    ``images`` are independent daylight coefficients, ``(replicates, points, P, 3)``. The effect on the metric is
-    ``0.1 Σ ∂M/∂C · C`` over the points of a row, to first order. Rows are those along which light changes less.
+    ``images`` are independent daylight coefficients, ``(replicates, points, P, 3)``, and ``of_value`` those that
+    the rows' values are of, by default their mean. The effect on the metric is ``0.1 Σ ∂M/∂C · C`` over the points
+    of a row, to first order. Rows are those along which light changes less.
     """
     axis, rows = _rows(grid, images.mean((0, 2, 3)))
     upward = axis == grid.axes[1]
@@ -33,7 +36,8 @@ def find_rows(metric: TargetedMetric, images: torch.Tensor, grid: GridPoints) ->
         return MORE_LIGHT * torch.stack([of_points[row].sum() for row in rows.values()])
 
     means, errors = delete_one_jackknife(effects, len(images))
-    values = metric.metric.hard_of_points(images.mean(0)) if isinstance(metric.metric, PointMetric) else None
+    of_value = images.mean(0) if of_value is None else of_value
+    values = metric.metric.hard_of_points(of_value) if isinstance(metric.metric, PointMetric) else None
     return tuple(
         Row(
             index + 1,

@@ -11,7 +11,7 @@ import torch
 
 from ..daylight import SkyPatches
 from ..errors import SceneCaptumError
-from ..scene import SceneParameters
+from ..scene import SceneParameters, plugin_name
 from ._bridge import evaluate
 from ._chunks import Chunk
 from ._derivative_routes import Routes, replayed_names
@@ -123,8 +123,9 @@ def sky_of(scene: Any, parameters: SceneParameters) -> str:
         )
     if sky.class_name() != "ConstantBackgroundEmitter":
         raise SceneCaptumError(
-            f"Daylight coefficients need a sky of the same radiance everywhere, not a {sky.class_name()}: replace "
-            'it by <emitter type="constant"/>; the weather file supplies the sky and the sun.'
+            "Daylight coefficients need a sky of the same radiance everywhere, which is not what "
+            f'`{sky.id()}` ({plugin_name(sky)}) is: replace it by <emitter type="constant"/>; the weather file '
+            "supplies the sky and the sun."
         )
     return next(
         name for name, one in parameters.items() if one.plugin == sky.class_name() and one.role == "radiance"

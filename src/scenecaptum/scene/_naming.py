@@ -66,7 +66,7 @@ def name_objects(scene: Any) -> None:
     unique = _unique_names(child.id() for child in objects)
     for unnamed in sorted((child for child in objects if is_unnamed(child.id())), key=_mesh_bounds):
         is_shape = isinstance(unnamed, mi.Shape)
-        unnamed.set_id(unique(_loaded_shape_name(unnamed) if is_shape else _plugin_name(unnamed)))
+        unnamed.set_id(unique(_loaded_shape_name(unnamed) if is_shape else plugin_name(unnamed)))
         emitter = unnamed.emitter() if is_shape else None
         if emitter is not None and is_unnamed(emitter.id()):
             emitter.set_id(area_emitter_id(unnamed.id()))
@@ -113,11 +113,11 @@ def _loaded_shape_name(shape: Any) -> str:
     found = re.search(r'name = "([^"]*)"', str(shape)) if shape.is_mesh() else None
     files = [part for part in (found[1].split(" + ") if found else ()) if PurePath(part).suffix]
     material = shape.bsdf().id() if shape.bsdf() is not None else ""
-    name = _shape_name(files[0] if files else "", "" if material == "bsdf" else material, _plugin_name(shape))
+    name = _shape_name(files[0] if files else "", "" if material == "bsdf" else material, plugin_name(shape))
     return name if len(files) < 2 else f"{name}_and_{len(files) - 1}_more"
 
 
-def _plugin_name(scene_object: Any) -> str:
+def plugin_name(scene_object: Any) -> str:
     """Guess the plugin name of an object from its class name: ``constant``, ``rectangle``."""
     name = str(scene_object.class_name()).replace("EnvironmentMap", "Envmap")
     return re.sub(_CLASS_AFFIXES, "", name).lower() or "mesh"

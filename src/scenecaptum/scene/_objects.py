@@ -15,6 +15,7 @@ import numpy.typing as npt
 from ..backend import activate
 from ..errors import SceneCaptumError, near_misses
 from ._graph import SceneGraph
+from ._naming import plugin_name
 
 Objects: TypeAlias = "Mapping[str, str | Sequence[str]]"
 
@@ -106,7 +107,7 @@ def camera_object(sensor: Any) -> SceneObject:
         pivot=(float(place[0]), float(place[1]), float(place[2])),
         problem=None
         if "to_world" in keys
-        else f"a {sensor.class_name()} has no pose; place the camera in the scene file",
+        else f"a sensor of type {plugin_name(sensor)} has no pose of its own; place the camera in the scene file",
     )
 
 

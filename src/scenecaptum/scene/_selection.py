@@ -58,7 +58,8 @@ def _matches(parameters: SceneParameters, item: str) -> list[str]:
     if item in parameters:
         if parameters[item].problem:
             fix = ". Correct it in the scene, or in its file" if parameters[item].fault else ""
-            raise SceneCaptumError(f"{item!r} cannot be differentiated: {parameters[item].problem}{fix}.")
+            verb = "moved" if parameters[item].moves else "differentiated"
+            raise SceneCaptumError(f"{item!r} cannot be {verb}: {parameters[item].problem}{fix}.")
         return [item]
     if item in KINDS:
         matched = [p for p in parameters.values() if is_of_kind(p, item)]
