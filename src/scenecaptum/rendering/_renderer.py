@@ -779,7 +779,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         seed_grad
             Seed of the backward pass. By default the same samples are replayed, so that the gradient is that of
             the very image that was rendered. With a ``seed_grad`` other than ``seed``, the backward pass has
-            independent samples, and importance-samples pixels by the adjoint.
+            independent samples, and importance-samples pixels by the adjoint. Pass one to fit a target: with the
+            same samples, the gradient of a loss that is not linear in each pixel, such as
+            ``((image - target) ** 2).mean()``, is biased by the noise, and the fit converges to wrong values.
         spp_grad
             Samples per pixel of the backward pass; ``spp`` by default.
 
