@@ -334,7 +334,8 @@ def _judged(known: Outcome, ours: Derivatives | None, note: str) -> Outcome:
         distances = [f"{z_score(*pair):+.1f}" for pair in pairs[1:]]
         replay = f"replay {ours.replayed}, z {distances[0]}, ours from it {distances[1]}"
         note = f"{replay}; {note}" if note else replay
-    z = z_score(ours.attributed, theirs)
+    # Two values of 0 are right whatever the standard errors of their rounding.
+    z = None if ours.attributed.is_zero and theirs.is_zero else z_score(ours.attributed, theirs)
     return replace(known, verdict=found, z=z, ours=ours.attributed, replay=ours.replayed, note=note)
 
 
@@ -527,7 +528,8 @@ reflects a lamp into the camera. Measured by `python benchmarks/derivatives.py -
   from Mitsuba's own `path` or `volpath` (same depth, no Russian roulette) on a scene loaded without this package:
   of second order, with common random numbers, central or from above (↑) or below (↓), with the given step. Each is
   a mean over at least {seeds} seeds ± its standard error.
-- *z* is their distance in standard errors; {bias:.1%} of the difference is added to the error for its step.
+- *z* is their distance in standard errors, left out where both are 0 up to rounding; {bias:.1%} of the difference
+  is added to the error for its step.
 - *Replay*, which is shown in wrong rows only, is our derivative without `seed_grad`, as in plain `backward()`: it
   replays the samples of the image, with all parameters of a scene as inputs.
 - *prb* is Mitsuba's own `prb` or `prbvolpath` on the same scene; *raises*: it refuses the scene; *not tracked*:

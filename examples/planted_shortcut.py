@@ -407,7 +407,9 @@ def plot_trainings(trainings: Sequence[Training]) -> Figure:
             label=f"largest other, {'with' if group is planted else 'without'}",
         )
     ax.axhline(0, color="0.5", linewidth=0.8)
-    ax.set(xlabel="training", ylabel="contribution to sphere − cube", xticks=[t.seed for t in planted])
+    seeds = [training.seed for training in planted]
+    ax.set(xlabel="training", ylabel="contribution to sphere − cube", xticks=seeds)
+    ax.set_xlim(min(seeds) - 0.5, max(seeds) + 0.5)  # a single training is not drawn at both edges
     ax.legend(fontsize=8, ncols=2, frameon=False)
     ax.set_title(
         f"The lamp is first in {count_found(planted)} of {len(planted)} networks trained with the shortcut, "

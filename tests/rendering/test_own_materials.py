@@ -70,7 +70,9 @@ def test_a_specular_material_of_a_user_is_differentiated_by_differences(tinted: 
         },
     }
     renderer = SceneRenderer(scene, inputs="ball.*", resolution=(16, 16), spp=256, max_depth=5)
-    assert set(dict(renderer.plan.differences)) == set(renderer.inputs)
+    reasons = dict(renderer.plan.differences)
+    assert set(reasons) == set(renderer.inputs)
+    assert all("the choice of a lobe of your specular plugin" in reason for reason in reasons.values())
     leaves, step = renderer.leaves(), 0.02
     renderer(leaves, seed=shifted(1)).mean().backward()
     for name, leaf in leaves.items():

@@ -154,6 +154,22 @@ def test_false_alarms_are_rare_under_any_noise():
         assert alarms <= 4  # of 400, where 0.5 are expected; 5 or more have a chance of 2 in 10 000
 
 
+def test_few_runs_suffice_where_the_noise_is_that_of_the_reference():
+    """Two runs tell little of their spread, but 16 replicates tell that of the reference."""
+    generator = torch.Generator().manual_seed(shifted())
+    shape = torch.zeros(12)
+    shape[0] = 1.0  # a single noisy parameter
+    alarms, found = 0, 0
+    for _ in range(400):
+        runs, replicates = (torch.randn(n, 12, generator=generator) * shape for n in (2, 16))
+        spread = (replicates - replicates.mean(0)) / math.sqrt(16 * 15)
+        deviations = 0.05 * runs - replicates.mean(0)
+        alarms += statistics.relative_bias(deviations, spread, 1.0).significant
+        found += statistics.relative_bias(deviations + 3 * shape, spread, 1.0).significant
+    assert alarms <= 4
+    assert found > 380  # the bias is 12 times the noise
+
+
 def test_a_known_bias_is_measured():
     generator = torch.Generator().manual_seed(shifted())
     nothing = torch.zeros(1, 8, dtype=torch.float64)
@@ -319,6 +335,22 @@ def test_the_cheapest_setting_within_a_tolerance_is_recommended(trade):
     assert float(bias) == pytest.approx(100 / 17, abs=0.5)  # a sixteenth of sixteen parts and one
     few = dataclasses.replace(trade, rows=tuple(row for row in trade.rows if row.setting.max_depth == 8))
     assert "spp should suffice" in few.recommendation(0.01)
+
+
+def test_an_error_far_above_its_noise_that_is_no_significant_bias_has_a_note(trade):
+    assert "measure more" not in str(trade)
+    deviations = torch.tensor([[0.075], [0.076]])
+    bias = statistics.relative_bias(deviations, torch.zeros(1, 1), 1.0)
+    assert not bias.significant  # with two runs, whose spread is hardly known
+    row = dataclasses.replace(
+        trade.rows[0],
+        relative_error=statistics.relative_error(deviations, 1.0),
+        spread=statistics.relative_spread(deviations, 1.0),
+        bias=bias,
+    )
+    reference = dataclasses.replace(trade.reference, relative_error=0.001)
+    few = dataclasses.replace(trade, rows=(row,), reference=reference, runs=2)
+    assert "not significant with 2 runs" in str(few)
 
 
 def test_table_and_figure_show_every_setting(trade):

@@ -98,5 +98,6 @@ def _reason(renderer: Renderer, name: str, is_far: torch.Tensor) -> str:
         else " along " + ", ".join(a for a, far in zip("xyz", is_far.tolist(), strict=True) if far)
     )
     near = (Capabilities(renderer).touching or (lambda _: []))(name)
-    cause = f": it touches {', '.join(near[:3])}" if near else ""
-    return f"the effect jumps or bends{axes} within the range{cause}"
+    cause = f": {', '.join(near[:3])} {'is' if len(near) == 1 else 'are'} near" if near else ""
+    # The gradient is compared with a difference over twice the range, where the contact may be.
+    return f"the effect jumps or bends{axes} within twice the range{cause}"

@@ -225,6 +225,8 @@ def _reason_against_replay(parameter: Parameter, values: Values) -> str | None:
         return None
     if parameter.plugin == "SmoothDielectric" and parameter.role == "eta":
         return "it turns refracted light, and with it all later directions of a path"
+    if not parameter.tracked and parameter.unknown_sampling:
+        return "how the directions and the choice of a lobe of your specular plugin depend on it is not known"
     if not parameter.tracked:
         return (
             f"Mitsuba's {parameter.plugin} keeps it, or values derived from it, outside the derivative graph"

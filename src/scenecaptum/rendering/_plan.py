@@ -219,7 +219,7 @@ def _noisy_roughness(graph: SceneGraph, routes: Routes, sensors: Sequence[Any]) 
 
 
 STOCK_DERIVATIVES = (
-    "derivatives of Mitsuba's own integrator: 0 or wrong for mirrors, glass, plastics and masks"
+    "derivatives of Mitsuba's own integrator: 0 or wrong where they are of mirrors, glass, plastics or masks"
 )
 
 # Integrators of scenes that estimate something other than path replay does, or in another way, by class name.

@@ -779,7 +779,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         seed_grad
             Seed of the backward pass. By default the same samples are replayed, so that the gradient is that of
             the very image that was rendered. With a ``seed_grad`` other than ``seed``, the backward pass has
-            independent samples, and importance-samples pixels by the adjoint.
+            independent samples, and importance-samples pixels by the adjoint. Pass one to fit a target: with the
+            same samples, the gradient of a loss that is not linear in each pixel, such as
+            ``((image - target) ** 2).mean()``, is biased by the noise, and the fit converges to wrong values.
         spp_grad
             Samples per pixel of the backward pass; ``spp`` by default.
 
@@ -981,10 +983,11 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         return [(name, other) for name, owner in owners.items() for mover, other in pairs if mover == owner]
 
     def touching(self, name: str) -> list[str]:
-        """Return the objects whose bounds touch those of the object that a pose moves, as far as it moves."""
+        """Return the objects whose bounds touch those of the object that a pose moves, within twice its range."""
         parameter = self._table[name]
         mover = self._objects[parameter.owners[0]]
-        reach = parameter.range.high - parameter.range.low
+        # From the middle of the range; also an object at exactly this distance, in spite of rounding.
+        reach = 1.001 * (parameter.range.high - parameter.range.low)
         if parameter.role != "translation" and mover.box is not None:
             # Radians, or parts of the size: at the far end of the object.
             reach *= float(np.linalg.norm(mover.box[1] - mover.box[0])) / 2

@@ -74,6 +74,8 @@ class Parameter:
         Whether Dr.Jit can track its derivative; otherwise finite differences are used.
     specular_inside
         Whether it belongs to a material with a perfectly specular lobe.
+    unknown_sampling
+        Whether it belongs to such a plugin of the user, whose sampling may depend on it in unknown ways.
     is_used
         Whether any shape uses its material; True for what is not part of a material.
     lobe_weight
@@ -99,6 +101,7 @@ class Parameter:
     owners: tuple[str, ...]
     tracked: bool = True
     specular_inside: bool = False
+    unknown_sampling: bool = False
     is_used: bool = True
     lobe_weight: bool = False
     shapes: tuple[str, ...] = ()

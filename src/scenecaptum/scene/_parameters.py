@@ -112,6 +112,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         owners=graph.owners(node),
         tracked=tracked,
         specular_inside=_is_specular(user),
+        unknown_sampling=_is_foreign_and_specular(user),
         is_used=not isinstance(user, mi.BSDF) or bool(graph.shapes_using(node)),
         lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
         fault=fault,

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 TOP = 5
 TOLERANCE = 0.05
 _NOTE_WIDTH = 96
+_FAR = 3  # from this many times the noise, an error looks like a bias
 
 # Label, marker and colour (Okabe and Ito's) of each varied option in the figure, and the offset of its annotations
 # in points, chosen so that those of neighbouring settings do not overlap.
@@ -271,11 +272,26 @@ class Tradeoff:
                 *map(str.__add__, lines, marks),
                 "",
                 "* on the Pareto front of time and error;  bias: ≤ upper limit where not significant",
+                *self._doubts(),
                 f"reference: {reference.setting}, relative error {_percent_of(reference.relative_error)}; "
                 f"rankings of its halves have Kendall's τ {_correlation(reference.kendall_of_halves)}",
                 self.recommendation(tolerance),
             ]
         )
+
+    def _doubts(self) -> Iterator[str]:
+        """Say why an error far above its noise is not called a bias."""
+        unclear = [
+            row
+            for row in self.rows
+            if not row.bias.significant
+            and row.relative_error.value > _FAR * math.hypot(row.spread, self.reference.relative_error)
+        ]
+        if unclear:
+            yield (
+                f"an error of more than {_FAR} times the noise is not significant with {self.runs} runs, "
+                "which hardly tell the spread: measure more"
+            )
 
     def __str__(self) -> str:
         return self.text()

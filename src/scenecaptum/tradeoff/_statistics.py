@@ -64,11 +64,14 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
     Noise of covariance ``S`` adds ``tr S`` to the expected squared norm of a mean, with a variance of ``2 tr S²``,
     and more in the presence of a bias. The ratio of the squared norm to ``tr S`` approximately follows Fisher's F
     distribution with ``ν = (tr S)² / tr S²`` degrees of freedom (Box), which Paulson's formula maps to a normal
-    one. The covariance of the reference is ``reference_noise.T @ reference_noise``, with ``(rows, P)`` factors.
+    one. ``S`` is estimated from the few runs and the replicates of the reference, each with degrees of freedom of
+    its own (Welch and Satterthwaite): where the reference is noisier, few runs suffice. The covariance of the
+    reference is ``reference_noise.T @ reference_noise``, with ``(rows, P)`` factors.
 
     References
     ----------
     Box, "Some theorems on quadratic forms", Annals of Mathematical Statistics 25, 1954.
+    Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics Bulletin 2, 1946.
     Paulson, "An approximate normalization of the analysis of variance distribution", ibid. 13, 1942.
     Kelley, "Fundamentals of Statistics", 1947.
     """
@@ -84,7 +87,11 @@ def relative_bias(deviations: torch.Tensor, reference_noise: torch.Tensor, size:
     freedom = trace**2 / square if square else 1.0
     z = math.inf if observed else 0.0
     if trace:
-        z = _normal_deviate(observed / trace, freedom, freedom * (runs - 1))
+        # tr S² of each part over the number of its independent rows; a row of 0 adds no information.
+        replicates = max(int(reference_noise.any(1).sum()) - 1, 1)
+        parts = products[:runs, :runs].square().sum() / (runs - 1)
+        parts += products[runs:, runs:].square().sum() / replicates
+        z = _normal_deviate(observed / trace, freedom, trace**2 / parts.item())
     return Bias(value / size, (math.sqrt(unbiased + spread) - value) / size, z)
 
 
