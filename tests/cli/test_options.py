@@ -564,6 +564,24 @@ def test_a_design_changes_values_within_their_bounds(folder: Path) -> None:
         torch.testing.assert_close(found, value)
 
 
+def test_a_design_sets_what_is_not_among_the_inputs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lamp = "light.emitter.radiance.value"
+    view = f"cornell-box {VIEW} --inputs emitters"
+    assert cli.main(shlex.split(f"attribute {view} --design design.json --format npz --out designed")) == 0
+    values = SceneAttribution.load(folder / "designed" / "attribution.npz").parameter_values
+    torch.testing.assert_close(values[WALL], torch.tensor([0.3, 0.2, 0.1]))
+    assert lamp in values
+    capsys.readouterr()
+    changes = f"--from design.json --set {WALL}*=0.5 --set *.radiance.value*=0.5"
+    assert cli.main(shlex.split(f"compare {view} --metric luminance {changes} --json --out out")) == 0
+    before, after = json.loads(capsys.readouterr().out)["values"][WALL]
+    own = SceneRenderer("cornell-box", WALL).inputs[WALL]
+    np.testing.assert_allclose(before, [0.3, 0.2, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(after, 0.5 * own, rtol=1e-6)
+    assert cli.main(shlex.split(f"attribute {view} --set left_wal.reflectance.value=0.5 --out out")) == 2
+    assert "left_wall.reflectance.value" in capsys.readouterr().err
+
+
 def test_set_takes_precedence_over_the_design(folder: Path) -> None:
     for name, more in (("design", ""), ("set", f"--set {WALL}=0.9"), ("alone", "")):
         design = "" if name == "alone" else "--design design.json"
