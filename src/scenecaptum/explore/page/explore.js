@@ -413,13 +413,15 @@ class Page {
     if (!this.base) return;
     const isStart = same(this.design, this.base.design);
     this.scene.metrics.forEach((metric, index) => {
-      const [value, verdict, change, note] = this.parts.cards.children[index].querySelectorAll("[data-part]");
+      const [value, verdict, premises, change, note] = this.parts.cards.children[index].querySelectorAll("[data-part]");
       const now = this.measured(index);
       const unit = metric.unit ? ` ${metric.unit}` : "";
       value.textContent = now ? withError(now.value, now.error) + unit : "…";
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
       const isOpen = this.isRecorded && !isStart && metric.bands.length > 0; // a render may be in another class
       verdict.textContent = !now ? "" : isOpen ? "class unknown: not rendered" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
+      const ofStart = this.base.metrics[index].premises.map((one) => `at the start: ${one}`); // not of a prediction
+      premises.textContent = (now?.premises ?? ofStart).join("\n");
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
@@ -643,6 +645,7 @@ class Page {
         make("span", { class: "title" }, metric.title),
         part("span", "value"),
         part("span", "verdict"),
+        part("span", "premises"),
         part("span", "change"),
         part("span", "warning"),
       ),
