@@ -84,7 +84,7 @@ CASES: dict[str, Case] = {
     "explore": (
         f"explore cornell-box {VIEW} {BOXES} --inputs reflectance --sensor 0 --metric luminance --metric ugr "
         f"--threshold-factor 2 --set {WALL}=0.5 --set {WALL}*=0.5 --design design.json --top 2 --port 0 "
-        "--no-browser --checkpoint kept --to explore.html",
+        "--no-browser --no-progress --checkpoint kept --to explore.html",
         0,
         ["explore.html"],
         [],

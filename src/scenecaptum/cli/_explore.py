@@ -52,6 +52,11 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="write the predictions to an HTML file, which needs no server, instead of opening a page",
     )
+    parser.add_argument(
+        "--no-progress",
+        action="store_true",
+        help="accepted as by the other commands; there is no progress bar",
+    )
     parser.set_defaults(run=run)
 
 
