@@ -218,7 +218,7 @@ def test_several_metrics_are_shown_and_one_ranks(window):
     wait_for(lambda: window.slider(LAMP).locator(".explore-effect").inner_text() == first)
 
 
-def test_what_a_value_takes_for_granted_stands_below_its_class(window):
+def test_what_the_chosen_metric_takes_for_granted_stands_below_it(window):
     said = "valid if the scene's lights are in W/(m² sr)"
     assert window.text("premises").startswith(said)
     window.predicted(LAMP, 0.7)

@@ -413,15 +413,13 @@ class Page {
     if (!this.base) return;
     const isStart = same(this.design, this.base.design);
     this.scene.metrics.forEach((metric, index) => {
-      const [value, verdict, premises, change, note] = this.parts.cards.children[index].querySelectorAll("[data-part]");
+      const [value, verdict, change, note] = this.parts.cards.children[index].querySelectorAll("[data-part]");
       const now = this.measured(index);
       const unit = metric.unit ? ` ${metric.unit}` : "";
       value.textContent = now ? withError(now.value, now.error) + unit : "…";
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
       const isOpen = this.isRecorded && !isStart && metric.bands.length > 0; // a render may be in another class
       verdict.textContent = !now ? "" : isOpen ? "class unknown: not rendered" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
-      const ofStart = this.base.metrics[index].premises.map((one) => `at the start: ${one}`); // not of a prediction
-      premises.textContent = (now?.premises ?? ofStart).join("\n");
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
@@ -431,6 +429,8 @@ class Page {
         ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} standard errors.`
         : "";
     });
+    const ofStart = this.base.metrics[this.metric].premises.map((one) => `at the start: ${one}`); // not of a prediction
+    this.parts.premises.textContent = (this.measured(this.metric)?.premises ?? ofStart).join("\n");
     this.parts.undo.disabled = !this.past.length;
     this.parts.redo.disabled = !this.future.length;
     this.parts.reset.disabled = !Object.keys(this.design).length;
@@ -500,6 +500,7 @@ class Page {
     };
     this.parts = p;
     p.cards = make("div", { class: "cards", role: "radiogroup", "aria-label": "Metric" });
+    p.premises = make("p", { class: "premises" });
     p.render = make("canvas", { class: "render" });
     p.overlay = make("canvas", { class: "overlay", hidden: true, "aria-hidden": "true" });
     p.badge = make("span", { class: "badge", role: "status" });
@@ -617,6 +618,7 @@ class Page {
       ),
       p.problem,
       p.cards,
+      p.premises,
       this.isRecorded ? make("p", { class: "unrendered" }, UNRENDERED) : "",
       make("div", { class: "work" }, left, controls),
       p.announcement,
@@ -645,7 +647,6 @@ class Page {
         make("span", { class: "title" }, metric.title),
         part("span", "value"),
         part("span", "verdict"),
-        part("span", "premises"),
         part("span", "change"),
         part("span", "warning"),
       ),
