@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -35,8 +36,9 @@ def design_of(renderer: Adjustable, settings: Mapping[str, Any]) -> dict[str, to
     renderer
         Has the inputs, and their bounds.
     settings
-        A number, or one for each channel, by the name of an input or by a glob that several of them match. A last
-        ``+`` or ``*`` adds to the value or multiplies it, within the physical bounds.
+        A number, one for each channel, or one for each texel and channel, by the name of an input or by a glob
+        that several of them match. A last ``+`` or ``*`` adds to the value or multiplies it, within the physical
+        bounds.
 
     Returns
     -------
@@ -72,6 +74,41 @@ def _matching(pattern: str, key: str, values: Mapping[str, Any]) -> list[str]:
             "`scenecaptum parameters SCENE` lists them."
         )
     return found
+
+
+def settings_of(renderer: Adjustable, values: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    """Return what ``design_of`` turns into these values: those that are not the scene's own, as plain numbers.
+
+    A texture that has moved as a whole is written as the change of each channel (``NAME+``), and any other with
+    all its texels.
+
+    Example
+    -------
+    >>> from scenecaptum import SceneRenderer
+    >>> renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(8, 8))
+    >>> settings_of(renderer, {"floor.reflectance.value": torch.tensor([0.5, 0.25, 0.25])})
+    {'floor.reflectance.value': [0.5, 0.25, 0.25]}
+    """
+    own = renderer.inputs
+    moved = {name: value.detach() for name, value in values.items() if not torch.equal(value, own[name])}
+    return dict(_setting(renderer, name, own[name], value) for name, value in moved.items())
+
+
+def _setting(renderer: Adjustable, name: str, own: torch.Tensor, value: torch.Tensor) -> tuple[str, Any]:
+    if value.ndim <= 1:
+        return name, _plain(value)
+    offset = {f"{name}+": _plain((value.double() - own.double()).mean(tuple(range(value.ndim - 1))))}
+    # Bounds of a search are narrower than the physical ones, so what it has clamped is no offset.
+    if torch.allclose(design_of(renderer, offset)[name], value, rtol=1e-6, atol=1e-6):
+        return next(iter(offset.items()))
+    return name, _plain(value)
+
+
+def _plain(value: torch.Tensor) -> Any:
+    """Return numbers with the digits that single precision needs: a texture has many."""
+    if value.ndim:
+        return [_plain(entry) for entry in value]
+    return float(f"{value.item():.9g}")
 
 
 def read_design(path: Path) -> Mapping[str, Any]:
@@ -119,12 +156,14 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _like(name: str, value: Any, current: torch.Tensor) -> torch.Tensor:
-    """Return a value with the shape of the current one: a number, or one for each channel."""
+    """Return a value with the shape of the current one: a number, one for each channel, or a whole texture."""
     try:
-        given = torch.tensor(value, dtype=current.dtype).squeeze()
-        return given.expand(current.shape).clone()
+        given = torch.tensor(value, dtype=current.dtype)
+        return given if given.shape == current.shape else given.squeeze().expand(current.shape).clone()
     except (TypeError, ValueError, RuntimeError):
         channels = current.shape[-1] if current.ndim else 1
+        texels = f", or {' x '.join(map(str, current.shape))} in nested lists" if current.ndim > 1 else ""
         raise SceneCaptumError(
-            f"{name!r} needs one number{f' or {channels}' if channels > 1 else ''}, not {value!r}."
+            f"{name!r} needs one number{f' or {channels}' if channels > 1 else ''}{texels}, not "
+            f"{reprlib.repr(value)}."
         ) from None

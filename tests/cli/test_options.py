@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import shlex
@@ -13,14 +14,17 @@ import time
 from collections.abc import Iterator
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from scenecaptum import SceneAttribution, SceneRenderer, cli
-from scenecaptum.cli import _demo, _main
+from scenecaptum import SceneAttribution, SceneRenderer, cli, metrics
+from scenecaptum.cli import _demo, _explore, _main, _optimize
+from scenecaptum.designs import design_of, read_design
+from scenecaptum.optimize import Optimization
 
 VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
 FILE_WALL = "wall_shape.bsdf.reflectance.value"
@@ -80,7 +84,7 @@ CASES: dict[str, Case] = {
     "explore": (
         f"explore cornell-box {VIEW} {BOXES} --inputs reflectance --sensor 0 --metric luminance --metric ugr "
         f"--threshold-factor 2 --set {WALL}=0.5 --set {WALL}*=0.5 --design design.json --top 2 --port 0 "
-        "--no-browser --checkpoint kept --to explore.html",
+        "--no-browser --no-progress --checkpoint kept --to explore.html",
         0,
         ["explore.html"],
         [],
@@ -466,6 +470,64 @@ def test_a_design_that_was_found_is_rendered_and_compared(
     assert Image.open(folder / "found.png").size == (16, 16)
 
 
+@pytest.mark.parametrize(("change", "form"), [(0.05, "+"), (0.9, "")])
+def test_the_design_of_a_search_has_the_values_that_were_measured(
+    change: float,
+    form: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Also of a texture: as an offset, or with all its texels where some have been clamped."""
+    results = []
+
+    @functools.wraps(_optimize.minimize)
+    def minimize(*given: Any, **more: Any) -> Optimization:
+        results.append(_optimize.minimize.__wrapped__(*given, **more))
+        return results[-1]
+
+    monkeypatch.setattr(_optimize, "minimize", minimize)
+    floor, view = "floor.reflectance.data", "office --resolution 16x9 --spp 16 --max-depth 3"
+    goal = f"--inputs {floor} --metric luminance --below 0 --change {change} --steps 20 --json"
+    assert cli.main(shlex.split(f"optimize {view} {goal} --out found")) == 1
+    file = folder / "found" / "design.json"
+    assert [*read_design(file)] == [f"{floor}{form}"]
+    assert json.loads(capsys.readouterr().out)["design"] == json.loads(file.read_text())
+    renderer = SceneRenderer("office", floor, resolution=(16, 9), spp=16)
+    (found,) = results
+    own, wanted = renderer.inputs[floor], found.values[floor]
+    read = design_of(renderer, read_design(file))[floor]
+    torch.testing.assert_close(read, wanted, rtol=1e-6, atol=2e-6)
+    assert (wanted - own).mean() < -0.04
+    assert ((wanted - own).std() > 1e-3) == (not form), "some texels are clamped"
+
+
+def test_the_design_of_a_goal_has_the_values_that_the_search_began_with(folder: Path) -> None:
+    light = "--inputs light.emitter.radiance.value --set light.emitter.radiance.value*=0.9"
+    text = (
+        f"explain cornell-box {VIEW} {light} --set {WALL}=0.5 --inputs {WALL} --metric luminance --below 20"
+    )
+    assert cli.main(shlex.split(f"{text} --changes 0 --out out")) == 0
+    design = json.loads((folder / "out" / "design.json").read_text())
+    assert design[WALL] == [0.5, 0.5, 0.5]
+    assert set(design) == {WALL, "light.emitter.radiance.value"}
+
+
+def test_the_code_of_an_exploration_reads_a_texture_from_its_file(folder: Path) -> None:
+    floor = "floor.reflectance.data"
+    renderer = SceneRenderer("office", floor, resolution=(16, 9), spp=1)
+    texels = 0.5 * renderer.inputs[floor]
+    (folder / "texels.json").write_text(json.dumps({floor: texels.tolist()}))
+    text = f"explore office --inputs {floor} --resolution 16x9 --design texels.json"
+    parsed = cli.parser().parse_args(shlex.split(text))
+    metric = metrics.MeanLuminance()
+    python = _explore._recipe(parsed, renderer, {"luminance": metric})["python"]
+    assert len(python) < 1000
+    names: dict[str, Any] = {}
+    exec(python.replace("{inputs}", repr(floor)), names)
+    torch.testing.assert_close(names["values"][floor], texels)
+
+
 def test_the_demo_ends_with_a_next_step(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -500,6 +562,24 @@ def test_a_design_changes_values_within_their_bounds(folder: Path) -> None:
     for name, value in expected.items():
         found = SceneAttribution.load(folder / name / "attribution.npz").parameter_values[WALL]
         torch.testing.assert_close(found, value)
+
+
+def test_a_design_sets_what_is_not_among_the_inputs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lamp = "light.emitter.radiance.value"
+    view = f"cornell-box {VIEW} --inputs emitters"
+    assert cli.main(shlex.split(f"attribute {view} --design design.json --format npz --out designed")) == 0
+    values = SceneAttribution.load(folder / "designed" / "attribution.npz").parameter_values
+    torch.testing.assert_close(values[WALL], torch.tensor([0.3, 0.2, 0.1]))
+    assert lamp in values
+    capsys.readouterr()
+    changes = f"--from design.json --set {WALL}*=0.5 --set *.radiance.value*=0.5"
+    assert cli.main(shlex.split(f"compare {view} --metric luminance {changes} --json --out out")) == 0
+    before, after = json.loads(capsys.readouterr().out)["values"][WALL]
+    own = SceneRenderer("cornell-box", WALL).inputs[WALL]
+    np.testing.assert_allclose(before, [0.3, 0.2, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(after, 0.5 * own, rtol=1e-6)
+    assert cli.main(shlex.split(f"attribute {view} --set left_wal.reflectance.value=0.5 --out out")) == 2
+    assert "left_wall.reflectance.value" in capsys.readouterr().err
 
 
 def test_set_takes_precedence_over_the_design(folder: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from chance import allowed, together
 from seeds import shifted
 
-from scenecaptum import cli, metrics
+from scenecaptum import SceneRenderer, cli, metrics
 from scenecaptum.explore import Exploration, Server
 from scenecaptum.visualization import automatic_exposure, display_image
 
@@ -216,6 +216,33 @@ def test_several_metrics_are_shown_and_one_ranks(window):
     wait_for(lambda: window.slider(LAMP).locator(".explore-effect").inner_text() != first)
     window.page.get_by_label("mean luminance").check(force=True)
     wait_for(lambda: window.slider(LAMP).locator(".explore-effect").inner_text() == first)
+
+
+def test_what_the_chosen_metric_takes_for_granted_stands_below_it(window):
+    said = "valid if the scene's lights are in W/(m² sr)"
+    assert window.text("premises").startswith(said)
+    window.predicted(LAMP, 0.7)
+    confirmed(window)
+    wait_for(lambda: window.text("premises").startswith(said))
+    shown = window.all("premises").first.evaluate(
+        """async (premises) => {
+            const slider = document.querySelector(`[data-name="light.emitter.radiance.value"] input[type=range]`);
+            slider.value = 0.4;
+            slider.dispatchEvent(new Event("input", { bubbles: true }));
+            await new Promise(requestAnimationFrame);
+            return premises.innerText;
+        }"""
+    )
+    assert shown.startswith(f"at the start: {said}"), "a prediction has no picture to say it of"
+
+
+def test_a_glare_rating_has_the_cautions_of_an_explanation() -> None:
+    renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
+    exploration = Exploration(renderer, metrics.UnifiedGlareRating(renderer.camera), top=1, spp=16)
+    exploration.linearize()
+    [rated] = exploration.channel.message("base")["metrics"]
+    assert any("UGR and its limits are for luminaires" in one for one in rated["premises"])
+    assert any("with a threshold of 5 times the mean luminance, UGR is" in one for one in rated["premises"])
 
 
 def test_the_design_as_python_gives_the_same_metric(window):

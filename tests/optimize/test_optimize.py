@@ -339,3 +339,25 @@ def test_a_goal_of_a_glare_rating_holds_by_its_definition():
     assert found.values["light"] < 2000
     assert found.after.value == pytest.approx(hard(Lamp()(found.values, seed=0, spp=1)).item())
     assert found.before.value == pytest.approx(hard(Lamp()(Lamp.inputs, seed=0, spp=1)).item())
+
+
+def test_the_curve_ends_with_the_confirmed_value():
+    found = optimize.minimize(Lamps(noise=0.0), torch.mean, 0.6, top=1)
+    assert found.after.value != pytest.approx(found.history[-1])  # the last step was shortened
+    history = found.plot().axes[-1]
+    assert history.lines[-1].get_xydata().tolist() == [[len(found.history), pytest.approx(found.after.value)]]
+    assert "confirmed" in [text.get_text() for text in history.texts]
+    missed = dataclasses.replace(found, below=0.0).plot().axes[-1]
+    assert "measured again" in [text.get_text() for text in missed.texts]
+
+
+def test_a_clamped_texture_is_said_to_change_as_much_as_its_mean(mi: Any) -> None:
+    floor = "floor.reflectance.data"
+    renderer = SceneRenderer("office", floor, resolution=(16, 9), spp=16, max_depth=3)
+    found = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, change=0.4, steps=10, seed=shifted())
+    (moved,) = found.moved
+    change = (found.values[floor] - renderer.inputs[floor]).double()
+    spread = renderer.parameters[floor].range
+    means = change.reshape(-1, 3).mean(0).abs()
+    assert change.abs().max() > 1.05 * means.max(), "some texels are clamped"
+    assert moved.fraction == pytest.approx(means.max().item() / (spread.high - spread.low), rel=1e-4)

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..rendering import SceneRenderer, named_sensors
 from ..scene import BUNDLED
-from ._design import designed_poses
+from ._design import designed_names
 from ._points import Coefficients, chosen_sensor
 
 MAX_DEPTH = 6
@@ -164,8 +164,8 @@ def shows_progress(options: argparse.Namespace) -> bool:
 
 
 def selection(options: argparse.Namespace) -> list[str]:
-    """Return the parameters to differentiate, with the poses that the design sets."""
-    return [*(getattr(options, "inputs", None) or ["all"]), *designed_poses(options)]
+    """Return the parameters to differentiate, with those that only the design names."""
+    return [*(getattr(options, "inputs", None) or ["all"]), *designed_names(options)]
 
 
 def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None = None) -> SceneRenderer:

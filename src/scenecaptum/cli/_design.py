@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from ..designs import design_of, read_design
+from ..designs import CHANGES, design_of, read_design
 from ..rendering import SceneRenderer
 from ..scene import pose_component
 
@@ -54,10 +54,19 @@ def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dic
     return design_of(renderer, settings) if settings else None
 
 
-def designed_poses(options: argparse.Namespace) -> list[str]:
-    """Return the poses that a design sets, which are inputs only if they are named."""
-    names = [name.rstrip("+*") for name in design_settings(options)]
-    return [name for name in names if pose_component(name)]
+def designed_names(options: argparse.Namespace) -> list[str]:
+    """Return the parameters that a design sets and that are inputs only if they are named.
+
+    These are the poses, and beside other ``--inputs`` all of them. Globs match what is selected.
+    """
+    origin, inputs = (getattr(options, name, None) for name in ("origin", "inputs"))
+    settings = {**design_settings(options), **(read_design(origin) if origin else {})}
+    names = [name.rstrip("".join(CHANGES)) for name in settings]
+    return [
+        name
+        for name in dict.fromkeys(names)
+        if pose_component(name) or (inputs and not set("*?[") & set(name))
+    ]
 
 
 def design_settings(options: argparse.Namespace) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import torch
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..estimation import Metric, TargetedMetric
 from ..explanation import explain, photometric_premises
-from ..optimize import Measured
+from ..optimize import Measured, Optimization
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
 from ..visualization import format_with_error, metric_name, metric_unit, verdict
@@ -24,8 +24,7 @@ from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
-from ._optimize import DESIGN as DESIGN_FILE
-from ._optimize import optimization_numbers, with_design_option, write_design
+from ._optimize import design_format, optimization_numbers, with_design_option
 from ._plan import plan_format, plan_of
 from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
@@ -81,12 +80,13 @@ def run(options: argparse.Namespace) -> int:
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
         formats = explanation_formats(renderer, metric)
         if explanation.goal is not None and not explanation.goal.was_below:
-            formats = [*formats, DESIGN if explanation.goal.reached else TRIED]
+            tried = "the values of the goal" if explanation.goal.reached else "the values that were tried"
+            formats = [*formats, design_format(renderer, _goal, tried)]
         write_files(explanation, options.out, formats)
         if options.report:
             _write_report(explanation, renderer, metric, options)
     if options.json:
-        print(_json(explanation))
+        print(_json(explanation, renderer))
         return 0
     if explanation.goal is not None:
         explanation = dataclasses.replace(explanation, goal=with_design_option(explanation.goal, options.out))
@@ -182,14 +182,22 @@ def explained(
 
 def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputFormat[Explanation]]:
     """Return the files of an explanation, with a plan if it is one of a sensor grid."""
+
+    def write_json(explanation: Explanation, path: Path) -> None:
+        path.write_text(_json(explanation, renderer) + "\n", encoding="utf-8")
+
+    formats = [
+        OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
+        OutputFormat("explanation.json", "the numbers", write_json),
+    ]
     if renderer.shows_a_view:
-        return FORMATS
-    return [*FORMATS, plan_format(renderer, metric, lambda explanation: explanation.picture)]
+        return formats
+    return [*formats, plan_format(renderer, metric, lambda explanation: explanation.picture)]
 
 
 def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
-    """Return an explanation as plain values."""
-    attribution, goal, definition = explanation.attribution, explanation.goal, explanation.definition
+    """Return an explanation as plain values, without its goal."""
+    attribution, definition = explanation.attribution, explanation.definition
     changes = [
         {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
         for change in explanation.changes
@@ -211,30 +219,20 @@ def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
         ],
         "changes": changes,
         "rows": [vars(row) for row in explanation.rows],
-        "goal": None if goal is None else optimization_numbers(goal),
+        "goal": None,
         "sentences": dict(explanation.sections()),
     }
 
 
-def _json(explanation: Explanation) -> str:
-    return json.dumps(explanation_numbers(explanation), indent=1, ensure_ascii=False)
-
-
-def _write_json(explanation: Explanation, path: Path) -> None:
-    path.write_text(_json(explanation) + "\n", encoding="utf-8")
+def _json(explanation: Explanation, renderer: SceneRenderer) -> str:
+    goal = None if explanation.goal is None else optimization_numbers(explanation.goal, renderer)
+    return json.dumps({**explanation_numbers(explanation), "goal": goal}, indent=1, ensure_ascii=False)
 
 
 def _write_markdown(explanation: Explanation, path: Path) -> None:
     path.write_text(explanation.markdown(), encoding="utf-8")
 
 
-def _write_design(explanation: Explanation, path: Path) -> None:
-    write_design(explanation.goal, path)
-
-
-DESIGN = OutputFormat(DESIGN_FILE, "the values of the goal, for --design", _write_design)
-TRIED = dataclasses.replace(DESIGN, description="the values that were tried, for --design")
-FORMATS = [
-    OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
-    OutputFormat("explanation.json", "the numbers", _write_json),
-]
+def _goal(explanation: Explanation) -> Optimization:
+    goal: Optimization = explanation.goal
+    return goal

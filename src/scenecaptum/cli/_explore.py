@@ -52,6 +52,11 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="write the predictions to an HTML file, which needs no server, instead of opening a page",
     )
+    parser.add_argument(
+        "--no-progress",
+        action="store_true",
+        help="accepted as by the other commands; there is no progress bar",
+    )
     parser.set_defaults(run=run)
 
 
@@ -113,15 +118,18 @@ def _recipe(
     arguments = "".join(f", {name}={value!r}" for name, value in renderer_options.items() if value)
     own = [name.rpartition(":")[0] for name in metrics if name not in BY_NAME]
     needed = sorted({"runpy" if module.endswith(".py") else "importlib" for module in own})
+    setting = [_setting_code(key, value, options.design) for key, value in settings.items()]
+    reads = any("read_design" in line for line in setting)
     python = [
         *(f"import {module}\n" for module in needed),
+        *(["from pathlib import Path\n"] if reads else []),
         "import torch",
         "",
-        "from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics",
+        f"from scenecaptum import SceneRenderer, VanillaSceneGradient, {'designs, ' if reads else ''}metrics",
         "",
         f"renderer = SceneRenderer({options.scene!r}, {{inputs}}{arguments})",
         "values = renderer.inputs",
-        *(_setting_code(key, value) for key, value in settings.items()),
+        *setting,
     ]
     flags = {
         "--resolution": f"{width}x{height}",
@@ -166,9 +174,11 @@ def _metric_code(name: str, created: Metric, options: argparse.Namespace) -> str
     return f"metrics.{create}({', '.join(arguments)})"
 
 
-def _setting_code(key: str, value: Any) -> str:
-    """Return code for a value of a design."""
-    name, given = f"values[{key.rstrip(''.join(CHANGES))!r}]", f"torch.tensor({value!r})"
+def _setting_code(key: str, value: Any, design: Path | None) -> str:
+    """Return code for a value of a design; a texture is read from the file."""
+    is_texture = isinstance(value, list) and any(isinstance(one, list) for one in value)
+    written = f"designs.read_design(Path({str(design)!r}))[{key!r}]" if is_texture else repr(value)
+    name, given = f"values[{key.rstrip(''.join(CHANGES))!r}]", f"torch.tensor({written})"
     operator = key[-1] if key[-1:] in CHANGES else ""
     return (
         f"{name} = {name} {operator} {given}" if operator else f"{name} = torch.zeros_like({name}) + {given}"

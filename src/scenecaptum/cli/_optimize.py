@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ..designs import settings_of
 from ..optimize import Optimization, minimize
+from ..rendering import SceneRenderer
 from . import _arguments
-from ._files import OutputFormat, figure_writer, print_files, writable, write_files
+from ._files import OutputFormat, Result, figure_writer, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
 
 NOT_REACHED = 1
@@ -64,22 +67,22 @@ def run(options: argparse.Namespace) -> int:
             show_progress=_arguments.shows_progress(options),
         )
         found = with_design_option(found, options.out)
-        formats = [] if found.was_below else FORMATS
+        formats = [] if found.was_below else _formats(renderer)
         write_files(found, options.out, formats)
-    print(json.dumps(optimization_numbers(found), indent=1) if options.json else found)
+    print(json.dumps(optimization_numbers(found, renderer), indent=1) if options.json else found)
     if formats and not options.json:
         print_files(options.out, formats)
     return 0 if found.reached else NOT_REACHED
 
 
-def optimization_numbers(found: Optimization) -> dict[str, Any]:
+def optimization_numbers(found: Optimization, renderer: SceneRenderer) -> dict[str, Any]:
     """Return what was reached, and the design, as plain values."""
     measured = {
         name: {"value": side.value, "standard_error": side.error}
         for name, side in (("before", found.before), ("after", found.after))
     }
     numbers = {"metric": found.metric, "below": found.below, "reached": found.reached, **measured}
-    return {**numbers, "design": _design(found)}
+    return {**numbers, "design": settings_of(renderer, found.values)}
 
 
 def with_design_option(found: Optimization, folder: Path) -> Optimization:
@@ -88,17 +91,21 @@ def with_design_option(found: Optimization, folder: Path) -> Optimization:
     return dataclasses.replace(found, note=f"{found.note}{option}")
 
 
-def _design(found: Optimization) -> dict[str, Any]:
-    """Return the changed values, of textures their means, as ``--design`` reads them."""
-    return {moved.name: moved.after.tolist() for moved in found.moved}
+def design_format(
+    renderer: SceneRenderer, find: Callable[[Result], Optimization], description: str
+) -> OutputFormat[Result]:
+    """Return the file of the values that a search has found, as ``--design`` reads them."""
+
+    def write(result: Result, path: Path) -> None:
+        settings = settings_of(renderer, find(result).values)
+        lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in settings.items()]
+        path.write_text("{\n " + ",\n ".join(lines) + "\n}\n", encoding="utf-8")
+
+    return OutputFormat(DESIGN, f"{description}, for --design", write)
 
 
-def write_design(found: Optimization, path: Path) -> None:
-    """Write the changed values as ``--design`` reads them."""
-    path.write_text(json.dumps(_design(found), indent=1) + "\n", encoding="utf-8")
-
-
-FORMATS: list[OutputFormat[Optimization]] = [
-    OutputFormat(DESIGN, "the changed values, for --design", write_design),
-    OutputFormat("optimization.png", "both pictures and every step", figure_writer(Optimization.plot)),
-]
+def _formats(renderer: SceneRenderer) -> list[OutputFormat[Optimization]]:
+    return [
+        design_format(renderer, lambda found: found, "the changed values"),
+        OutputFormat("optimization.png", "both pictures and every step", figure_writer(Optimization.plot)),
+    ]

@@ -13,6 +13,7 @@ import torch
 
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import Metric, TargetedMetric
+from ..explanation import photometric_premises
 from ..linearization import Derivative, Design, Designs, Linearization, Measured, Slider
 from ..metrics import Measure
 from ..rendering import SceneRenderer
@@ -286,10 +287,19 @@ class Exploration:
         self.channel.publish("status", text=text)
 
     def _numbers(self, measured: Measured) -> list[dict[str, Any]]:
-        """Return value, error and meaning of each metric."""
+        """Return value, error and meaning of each metric, and what that takes for granted of the picture."""
         values = map(measured.value, range(len(self.designs.metrics)))
         return [
-            {"value": value, "error": error, "verdict": metric.verdict(value, measured.image)}
+            {
+                "value": value,
+                "error": error,
+                "verdict": metric.verdict(value, measured.image),
+                "premises": list(
+                    photometric_premises(
+                        metric.metric, measured.image, value, metric.transform(measured.image)
+                    )
+                ),
+            }
             for metric, (value, error) in zip(self.designs.metrics_of(measured.design), values, strict=True)
         ]
 

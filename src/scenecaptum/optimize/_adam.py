@@ -114,8 +114,8 @@ class BoundedAdam:
         """Return the initial and current value of every parameter."""
         values = {name: value.detach() for name, value in self.values().items()}
         before, after = summarize(self.start), summarize(values)
-        # Not of the offsets, which go on where a value has reached its bound.
-        changes = {name: (values[name] - start).abs().max().item() for name, start in self.start.items()}
+        # Not of the offsets, which go on where a value or a texel has reached its bound.
+        changes = {name: (after[name] - before[name]).abs().max().item() for name in self.start}
         return tuple(
             Moved(
                 name,
@@ -129,5 +129,6 @@ class BoundedAdam:
         )
 
     def _longest(self, name: str) -> float:
-        """Return the change of a value by an offset of 1."""
-        return self._ranges[name] * (self._directions[name].abs().max().item() or 1.0)
+        """Return the change of a value, of a texture that of its mean, by an offset of 1."""
+        directions = summarize({name: self._directions[name]})[name]
+        return self._ranges[name] * (directions.abs().max().item() or 1.0)

@@ -73,7 +73,8 @@ class Moved:
     before, after
         Its values; for a texture, the mean over the texels.
     fraction
-        The change as a fraction of its range or limits; for a colour, that of the channel that changed most.
+        The change as a fraction of its range or limits, of a texture that of its mean; for a colour, that of the
+        channel that changed most.
     is_dimmed
         Whether it is the light of a lamp or sky, and the fraction one of its own value.
     """
@@ -137,7 +138,10 @@ class Optimization:
         return self.after.is_below(self.below)
 
     def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
-        """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given."""
+        """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given.
+
+        The last point is the value that was measured apart from the steps.
+        """
         height, width, _ = self.before.image.shape
         renders, curve = WIDTH / 2 * height / width, 1.6
         part: Any = figure or new_figure(WIDTH, renders + curve + 1)
@@ -149,10 +153,20 @@ class Optimization:
             title = f"{name}: {self._format(measured)}"
             ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
             ax.set_axis_off()
+        steps = max(1, len(self.history))
         history.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
         history.axhline(self.below, color="0.4", linestyle="--", linewidth=1)
+        # With samples of its own, and where the goal is reached after a last step that is shortened.
+        end = (steps, self.after.value)
+        history.plot(*end, "o", color=RAISES, markersize=5, clip_on=False)
+        confirmed = "confirmed" if self.reached else "measured again"
+        write_at(history, confirmed, end, (8, 0), va="center", fontsize=SMALL)
+        history.set_xlim(left=-0.02 * steps, right=1.17 * steps)
+        side = (
+            -9 if self.reached else 3
+        )  # away from the curve's end, and from the axis below a goal that is missed
         write_at(
-            history, "goal", (0, self.below), (3, -9), xycoords=("axes fraction", "data"), fontsize=SMALL
+            history, "goal", (0, self.below), (3, side), xycoords=("axes fraction", "data"), fontsize=SMALL
         )
         style_axes(history, self.metric, x="step", size=TEXT)
         history.locator_params(axis="x", integer=True)

@@ -429,6 +429,8 @@ class Page {
         ? `The prediction was ${withError(now.predicted.change, now.predicted.error, true)}: the render is off by ${written(now.off, Math.abs(now.off) / now.errors, true)[0]}, ${Number(now.errors.toPrecision(2))} standard errors.`
         : "";
     });
+    const ofStart = this.base.metrics[this.metric].premises.map((one) => `at the start: ${one}`); // not of a prediction
+    this.parts.premises.textContent = (this.measured(this.metric)?.premises ?? ofStart).join("\n");
     this.parts.undo.disabled = !this.past.length;
     this.parts.redo.disabled = !this.future.length;
     this.parts.reset.disabled = !Object.keys(this.design).length;
@@ -498,6 +500,7 @@ class Page {
     };
     this.parts = p;
     p.cards = make("div", { class: "cards", role: "radiogroup", "aria-label": "Metric" });
+    p.premises = make("p", { class: "premises" });
     p.render = make("canvas", { class: "render" });
     p.overlay = make("canvas", { class: "overlay", hidden: true, "aria-hidden": "true" });
     p.badge = make("span", { class: "badge", role: "status" });
@@ -615,6 +618,7 @@ class Page {
       ),
       p.problem,
       p.cards,
+      p.premises,
       this.isRecorded ? make("p", { class: "unrendered" }, UNRENDERED) : "",
       make("div", { class: "work" }, left, controls),
       p.announcement,
