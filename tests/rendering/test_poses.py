@@ -471,6 +471,20 @@ def test_a_lamp_in_the_ceiling_is_marked(mi: Any) -> None:
     assert "is not ranked" in str(found)
 
 
+def test_what_is_at_the_end_of_twice_the_range_is_near(mi: Any) -> None:
+    for gap, near in ((0.1, ["floor"]), (0.11, [])):
+        ball = {"type": "sphere", "radius": 0.2, "center": [0, 0, gap + 0.2]}
+        scene = {
+            "type": "scene",
+            "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4)},
+            "ball": ball,
+            "sky": {"type": "constant"},
+            "sensor": {"type": "perspective"},
+        }
+        renderer = SceneRenderer(scene, "ball.pose.translation", resolution=(4, 4), spp=1)
+        assert renderer.touching("ball.pose.translation") == near, gap
+
+
 def test_the_length_of_a_vector_is_that_of_its_effect(mi: Any) -> None:
     renderer = SceneRenderer("cornell-box", "short_box_shape.pose.translation", resolution=(24, 24), spp=64)
     found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())

@@ -336,6 +336,18 @@ def test_a_metric_names_its_element_by_class_by_index_or_by_indices(run: Run, tm
     assert all("Select an element with target=" in error for error in result.failures.values())
 
 
+def test_names_are_as_written_and_numbers_say_what_they_are_of(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def channels(image):\n    return image.mean((0, 1))\n")
+    (tmp_path / "place.epw").write_text("")
+    (tmp_path / "rooms.toml").write_text(
+        'scenes = ["office"]\nmetrics = [{ metric = "mine.py:channels", target = 2 }, '
+        '{ metric = "da", weather = "place.epw" }]\n'
+    )
+    cells = Study.from_file(tmp_path / "rooms.toml").cells
+    assert [cell.metric for cell in cells] == ["mine.py:channels target=2", "da weather=place.epw"]
+    assert str(cells[0]) == "office · camera 0 · mine.py:channels target=2 · as it is · gradient · seed 0"
+
+
 def test_metrics_of_daylight_have_their_coefficients(run: Run, tmp_path: Path) -> None:
     study = Study(
         ["classroom"],

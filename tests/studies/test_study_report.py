@@ -144,7 +144,7 @@ def test_numbers_are_sorted_as_numbers_with_unknown_ones_last(page: Any) -> None
 def test_links_lead_to_pages_that_draw(page: Any) -> None:
     page.locator("#cells tbody a").first.click()
     page.wait_for_selector("#rows tr")
-    assert "office · front · luminance · as it is · gradient · 0" in page.locator("body").inner_text()
+    assert "office · front · luminance · as it is · gradient · seed 0" in page.locator("body").inner_text()
 
 
 def test_figures_have_alternative_texts(page: Any) -> None:

@@ -36,7 +36,9 @@ class Cell(NamedTuple):
     seed: int
 
     def __str__(self) -> str:
-        return " · ".join(map(str, self))
+        """Return the names; a number says what it is of."""
+        camera = f"camera {self.camera}" if self.camera.isdecimal() else self.camera
+        return " · ".join([*self._replace(camera=camera)[:-1], f"seed {self.seed}"])
 
 
 AXES = Cell._fields[:-1]

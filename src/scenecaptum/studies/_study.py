@@ -325,8 +325,11 @@ def _name(entry: Any) -> str:
             _name({name: value for name, value in changed.items() if value != getattr(View(), name)}) or AS_IS
         )
     if isinstance(entry, Mapping):
-        named = [str(entry[kind]) for kind in ("metric", "method") if kind in entry]
-        return " ".join([*named, *(f"{k}={v}" for k, v in entry.items() if k not in ("metric", "method"))])
+        named = [_name(entry[kind]) for kind in ("metric", "method") if kind in entry]
+        options = {k: v for k, v in entry.items() if k not in ("metric", "method")}
+        # A study in a file has absolute paths here, such as that of a weather file.
+        files = {k: Path(v).name for k, v in options.items() if isinstance(v, str) and Path(v).is_absolute()}
+        return " ".join([*named, *(f"{k}={v}" for k, v in {**options, **files}.items())])
     return str(getattr(entry, "__name__", entry))
 
 
