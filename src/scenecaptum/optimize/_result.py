@@ -140,7 +140,7 @@ class Optimization:
     def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
         """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given.
 
-        The last point is the value that was measured apart from the steps.
+        The last point is the value that was measured apart from the steps, of a relaxed metric by its definition.
         """
         height, width, _ = self.before.image.shape
         renders, curve = WIDTH / 2 * height / width, 1.6
@@ -162,13 +162,13 @@ class Optimization:
         confirmed = "confirmed" if self.reached else "measured again"
         write_at(history, confirmed, end, (8, 0), va="center", fontsize=SMALL)
         history.set_xlim(left=-0.02 * steps, right=1.17 * steps)
-        side = (
-            -9 if self.reached else 3
-        )  # away from the curve's end, and from the axis below a goal that is missed
+        # Away from the curve's end, and from the axis below a goal that is missed.
+        side = -9 if self.reached else 3
         write_at(
             history, "goal", (0, self.below), (3, side), xycoords=("axes fraction", "data"), fontsize=SMALL
         )
-        style_axes(history, self.metric, x="step", size=TEXT)
+        of_steps = self.metric if self.after.relaxed is None else f"{self.metric}, relaxed at the steps"
+        style_axes(history, of_steps, x="step", size=TEXT)
         history.locator_params(axis="x", integer=True)
         part.suptitle(self.outcome, fontsize=TITLE, x=0.01, ha="left", parse_math=False)
         return figure_of(part)
