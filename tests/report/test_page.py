@@ -137,7 +137,7 @@ def test_the_headline_is_the_value_by_the_definition_with_the_weather(browser, t
     assert value == "2"
     assert meaning == "low"
     assert quoted.startswith("quote 2, the value by")
-    assert "the relaxed value 2.337 ± 0.001 only serves the derivatives" in quoted
+    assert "the relaxed value 2.3369 ± 0.0005 only serves the derivatives" in quoted
     assert weather == "weather: Oslo"
     page.check(path)
     page.context.close()
