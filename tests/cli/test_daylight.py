@@ -278,9 +278,10 @@ def page(folder: Path) -> str:
 def test_the_verdict_of_the_numbers_is_that_of_the_definition() -> None:
     attribution = results.make(measure={"name": "sDA", "unit": "%", "limits": [55.0]}, verdict="below 55 %")
     definition = Definition(57.1, "at least 55 %", 63, error=0.5)
-    numbers = explanation_numbers(Explanation(attribution, definition=definition))["metric"]
+    renderer = SceneRenderer("cornell-box", resolution=(4, 4))
+    numbers = explanation_numbers(Explanation(attribution, definition=definition), renderer)["metric"]
     assert numbers["verdict"] == numbers["definition"]["verdict"] == "at least 55 %"
-    assert explanation_numbers(Explanation(attribution))["metric"]["verdict"] == "below 55 %"
+    assert explanation_numbers(Explanation(attribution), renderer)["metric"]["verdict"] == "below 55 %"
 
 
 def test_the_grid_is_a_premise_and_a_setting_with_those_that_were_given(

@@ -89,7 +89,10 @@ def run(options: argparse.Namespace) -> int:
             said, plans = zip(*finished, strict=True)
             write_report(said, options.out / REPORT, title=options.title, plans=plans)
     if options.json:
-        numbers = [explanation_numbers(one) for one, _ in finished]
+        numbers = [
+            explanation_numbers(explanation, renderers[needed[name]])
+            for name, (explanation, _) in zip(metrics, finished, strict=True)
+        ]
         print(json.dumps(numbers, indent=1, ensure_ascii=False))
         return 0
     if options.report:

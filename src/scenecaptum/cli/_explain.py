@@ -195,9 +195,9 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
     return [*formats, plan_format(renderer, metric, lambda explanation: explanation.picture)]
 
 
-def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
-    """Return an explanation as plain values, without its goal."""
-    attribution, definition = explanation.attribution, explanation.definition
+def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> dict[str, Any]:
+    """Return an explanation as plain values."""
+    attribution, goal, definition = explanation.attribution, explanation.goal, explanation.definition
     changes = [
         {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
         for change in explanation.changes
@@ -219,14 +219,13 @@ def explanation_numbers(explanation: Explanation) -> dict[str, Any]:
         ],
         "changes": changes,
         "rows": [vars(row) for row in explanation.rows],
-        "goal": None,
+        "goal": None if goal is None else optimization_numbers(goal, renderer),
         "sentences": dict(explanation.sections()),
     }
 
 
 def _json(explanation: Explanation, renderer: SceneRenderer) -> str:
-    goal = None if explanation.goal is None else optimization_numbers(explanation.goal, renderer)
-    return json.dumps({**explanation_numbers(explanation), "goal": goal}, indent=1, ensure_ascii=False)
+    return json.dumps(explanation_numbers(explanation, renderer), indent=1, ensure_ascii=False)
 
 
 def _write_markdown(explanation: Explanation, path: Path) -> None:
