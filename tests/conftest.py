@@ -20,6 +20,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 # Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's only wait for each other.
 # Two of OpenMP on two busy cores took up to 30 times as long as one. Commands and notebooks inherit the variable.
 os.environ["OMP_NUM_THREADS"] = "1"
+# Tests render on the CPU, on every machine: a GPU has tests of its own, in backend/test_cuda.py.
+os.environ.setdefault("CUDA_VISIBLE_DEVICES", "")
 torch.set_num_threads(1)
 
 # The package is imported inside the fixtures, so that an error in one subpackage fails only the tests of that one.

@@ -243,4 +243,7 @@ def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = Non
     deviations = deviations - deviations.mean(0)
     count = len(replicates)
     covariance = deviations.T @ deviations / (count * (count - 1))
-    return covariance if bias is None else covariance + bias[:, None] * bias
+    if bias is None:
+        return covariance
+    bias = bias.to(covariance)
+    return covariance + bias[:, None] * bias

@@ -215,7 +215,7 @@ class _FirstOrder:
     ) -> None:
         self._metrics, self._adjoints = metrics, torch.stack(list(adjoints))
         products = torch.einsum("mhwc,hwc->m", self._adjoints.double(), start.image.double())
-        self._constants = start.values.mean(0) - products
+        self._constants = start.values.mean(0).to(products) - products
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         return torch.einsum("mhwc,hwc->m", self._adjoints, image) + self._constants.to(image)

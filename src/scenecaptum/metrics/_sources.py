@@ -100,7 +100,7 @@ def find_sources(
     pixels = ((weight > 0) & (values > 0)).nonzero().squeeze(-1)
     if len(pixels) == 0:
         return None
-    labels = _labels(values.detach()[pixels], geometry.directions[pixels], grouping)
+    labels = _labels(values.detach()[pixels], geometry.directions.to(values.device)[pixels], grouping)
     weighted_angle = (weight * solid_angle)[pixels]
     weighted_luminance = weighted_angle * values[pixels]
     zeros = torch.zeros(int(labels.max()) + 1, dtype=values.dtype, device=values.device)

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import torch
 
+from ..backend import device
 from ..errors import SceneCaptumError
 
 NO_DERIVATIVE = (
@@ -23,7 +24,7 @@ def call_with_torch(function: Callable[..., Any], *tensors: torch.Tensor) -> Any
     """
     try:
         result = dr.wrap(source="torch", target="drjit")(function)(
-            *(tensor.detach().to(torch.float32).contiguous() for tensor in tensors)
+            *(tensor.detach().to(device(), torch.float32).contiguous() for tensor in tensors)
         )
         return _clone(result)
     except RuntimeError as error:

@@ -112,7 +112,7 @@ class ImportanceMaps:
         Otherwise small objects would get few samples beside the walls.
         """
         surfaces = [n for n in names if self.parameters[n].kind not in ("emitters", "media")]
-        masks = (torch.from_numpy(self.surface_map().shown([name])) for name in surfaces)
+        masks = (torch.from_numpy(self.surface_map().shown([name])).to(noise.device) for name in surfaces)
         masked = [noise * mask for mask in masks]
         return sum((part / part.sum() for part in masked if part.any()), torch.zeros_like(noise))
 

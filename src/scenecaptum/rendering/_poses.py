@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
+from ..backend import device
 from ..scene import SceneObject, camera_object, placement, pose_name
 from ._dr_arrays import owned
 
@@ -54,7 +55,7 @@ class Poses:
         """The poses of the scene as it was loaded: 0, and the field of view of its camera."""
         fields_of_view = {place.fov_name: place.field_of_view for place in self._places if place.is_fov}
         return {
-            name: fields_of_view.get(name, torch.zeros(() if name.endswith("scale") else 3))
+            name: fields_of_view.get(name, torch.zeros(() if name.endswith("scale") else 3)).to(device())
             for name in self._owners
         }
 

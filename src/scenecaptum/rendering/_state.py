@@ -94,6 +94,7 @@ class SceneState:
 
     def _owned(self, name: str, value: torch.Tensor) -> torch.Tensor:
         """Return a tensor with this value that nobody changes: one that there is already, or a copy."""
+        value = value.to(self.original[name].device)
         for own in (self._latest[name], self._current.get(name), self.original[name]):
             if own is not None and _equal(own, value):
                 return own
