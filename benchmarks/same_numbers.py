@@ -2,10 +2,13 @@
 
 ``record`` writes the attributions of each method in the Cornell box, the office and the living room with fixed
 seeds; ``compare`` computes them again and prints the largest difference of each run, relative to the largest value
-of that input. Gradients repeat to about 1e-6, because sums on the device have no fixed order.
+of that input. Gradients repeat to about 1e-6, because sums on the device have no fixed order. ``repeat`` shows how
+far: a deep network with kinks has another gradient at a picture that differs in its last bits, and pixels are
+sampled by that gradient.
 
     python benchmarks/same_numbers.py record FILE
     python benchmarks/same_numbers.py compare FILE
+    python benchmarks/same_numbers.py repeat
 """
 
 from __future__ import annotations
@@ -119,12 +122,45 @@ def compare(file: Path) -> int:
     return int(exceeded > 0)
 
 
+def deep_network() -> torch.nn.Module:
+    """Return a random network of 16 convolutions with ReLUs."""
+    torch.manual_seed(0)
+    layers: list[torch.nn.Module] = []
+    for before, after, stride in ((3, 32, 2), *((32, 32, 1),) * 7, (32, 64, 2), *((64, 64, 1),) * 7):
+        convolution = torch.nn.Conv2d(before, after, 3, stride=stride, padding=1, bias=False)
+        layers += [convolution, torch.nn.BatchNorm2d(after), torch.nn.ReLU()]
+    return torch.nn.Sequential(
+        *layers, torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(64, 3)
+    )
+
+
+def repeat(runs: int = 5) -> int:
+    """Print how far the effects of runs with the same seed differ, relative to the largest, and in errors."""
+    renderer = SceneRenderer(BUNDLED["cornell-box"](), inputs="all", resolution=(48, 48), spp=32, max_depth=3)
+    picture = metrics.ResizeCropNormalize(48, 48)
+    logit = metrics.ClassLogit(deep_network(), 0, transform=picture, smoothing=0.3)
+    for name, metric in (("mean luminance", metrics.MeanLuminance()), ("logit of a deep network", logit)):
+        found = [VanillaSceneGradient(renderer, metric).attribute(seed=3) for _ in range(runs)]
+        effects = torch.tensor([list(one.effects().values()) for one in found])
+        errors = torch.tensor(list((found[0].effects_error() or {}).values()))
+        spread = effects.amax(0) - effects.amin(0)
+        print(
+            f"{name}: effects differ by at most {spread.max() / effects.abs().max():.1e} of the largest, and "
+            f"{(spread / errors).max():.2g} of their standard errors"
+        )
+    return 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("action", choices=("record", "compare"))
-    parser.add_argument("file", type=Path)
+    parser.add_argument("action", choices=("record", "compare", "repeat"))
+    parser.add_argument("file", type=Path, nargs="?", help="of record and compare")
     args = parser.parse_args()
     activate()
+    if args.action == "repeat":
+        return repeat()
+    if args.file is None:
+        parser.error(f"{args.action} needs a FILE")
     if args.action == "compare":
         return compare(args.file)
     torch.save(dict(attributions()), args.file)

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 class SceneAttribution(AttributionData):
     """Signed attributions by parameter name, each with the shape of its parameter; prints as a ranked table.
 
+    All tensors are on the CPU, whichever device has rendered.
+
     Attributes
     ----------
     attributions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_args
@@ -69,6 +70,10 @@ class AttributionData(Mapping[str, torch.Tensor]):
     image: torch.Tensor | None = None
     surfaces: SurfaceMap | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for one in dataclasses.fields(self):
+            object.__setattr__(self, one.name, _on_cpu(getattr(self, one.name)))
 
     def __getitem__(self, name: str) -> torch.Tensor:
         try:
@@ -301,6 +306,17 @@ def summarize(values: Tensors) -> dict[str, torch.Tensor]:
     """Return small values as they are, means over the texels of textures, and nothing for long vectors."""
     means = {n: v.reshape(-1, v.shape[-1]).mean(0) if v.ndim > 1 else v for n, v in values.items()}
     return {n: value.detach().clone() for n, value in means.items() if 0 < value.numel() <= _MAX_NUMBERS}
+
+
+def _on_cpu(value: Any) -> Any:
+    """Return a tensor, or a mapping with some, on the CPU; anything else as it is."""
+    if isinstance(value, torch.Tensor):
+        return value.cpu()
+    if isinstance(value, Mapping) and any(
+        isinstance(one, torch.Tensor) and not one.is_cpu for one in value.values()
+    ):
+        return {name: _on_cpu(one) for name, one in value.items()}
+    return value
 
 
 def _direction(vector: torch.Tensor) -> torch.Tensor:

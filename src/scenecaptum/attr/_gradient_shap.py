@@ -104,7 +104,7 @@ class GradientShapScene(GradientMethod):
         noise = Noise(self.renderer, run.values, stdevs)
         points = _points(noise, starts, count, seed)
         sums, gradients, interrupted = run.sums(points, count, pairs=1, random_points=True)
-        images, *references = run.render_scenes([run.values, *starts], sums)
+        images, *references = run.render_scenes([run.values, *starts], gradients)
         results = [
             with_convergence(
                 run.result(

@@ -82,10 +82,12 @@ class IntegratedGradientsScene(GradientMethod):
         return_convergence_delta
             Return ``(attribution, delta)``.
         spp
-            Total samples per pixel, split over the steps. Non-linear metrics use at least 16 at each step. Another
-            eighth is used for each end of the path (``info["budget"]``).
+            Total samples per pixel, split over the steps. Non-linear metrics use at least 16 at each step
+            (``info["budget"]``). Each end of the path takes another eighth, for a non-linear metric as many as the
+            pictures of all steps together.
         picture_spp
-            Samples per pixel of the metric images over all steps, for non-linear metrics; by default the minimum.
+            Samples per pixel of the metric images over all steps, and of that of each end, for non-linear
+            metrics; by default the minimum.
         replicates
             Number of steps, spread over the path, that have two replicates to estimate the noise; 1 for no error
             bars.
@@ -114,7 +116,7 @@ class IntegratedGradientsScene(GradientMethod):
         )
         # The first nodes of a rule are spread over the whole path.
         sums, gradients, interrupted = run.sums(points, len(rule.nodes), pairs=replicates)
-        images, reference = run.render_scenes([run.values, start], sums)
+        images, reference = run.render_scenes([run.values, start], gradients)
         results = []
         for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True):
             info = {"quadrature": method, "quantity": ResultKind.CONTRIBUTION.value}

@@ -36,6 +36,7 @@ from ..estimation import (
     describe_picture,
     input_values,
     jackknife,
+    relative_noise,
     render_images,
     require_memory,
     scaled,
@@ -100,6 +101,7 @@ class InputEvaluation:
     image: torch.Tensor
     spp: int | None  # of the image, if known
     metric: TargetedMetric  # with the image transform that was used
+    noise: float | None = None  # relative noise of the image's pixels, if known
 
 
 @dataclass
@@ -142,7 +144,7 @@ class Run:
         if count == 1:
             evaluations = self._evaluations(sums, gradients)
         else:
-            evaluations = self.evaluate_inputs(self.render_scenes([self.values], sums)[0])
+            evaluations = self.evaluate_inputs(self.render_scenes([self.values], gradients)[0])
         results = [
             self.result(
                 metric, moment(total) if moment else total, evaluation, gradients, interrupted, **info
@@ -255,24 +257,27 @@ class Run:
         image = torch.stack(tuple(images)).mean(0)
         metrics = with_image_transform(self.metrics, images, self.transform_selector)
         seeds = derived_seeds(self.settings.seed, Stream.INPUT_METRIC, len(images))
+        noise = relative_noise(images)
+        adjoints = [jackknife(metric, images, draws=metric.split_draws(seeds)) for metric in metrics]
         return [
-            InputEvaluation(jackknife(metric, images, draws=metric.split_draws(seeds)), image, None, metric)
-            for metric in metrics
+            InputEvaluation(each, image, None, metric, noise)
+            for each, metric in zip(adjoints, metrics, strict=True)
         ]
 
     def render_scenes(
-        self, scenes: Sequence[Mapping[str, torch.Tensor]], sums: Sequence[GradientSum]
+        self, scenes: Sequence[Mapping[str, torch.Tensor]], gradients: GradientEstimator
     ) -> list[list[torch.Tensor]]:
         """Render independent replicates of each scene, with common random numbers for all scenes.
 
-        ``sums`` show whether the metrics are linear.
+        A non-linear metric gets as many samples as in the pictures of all points together: its value, and the
+        difference that the effects explain, would be biased by a noisier picture.
         """
-        settings, spp = self.settings, self.settings.spp
+        spp = self.settings.spp
         if spp is not None:
-            linear = all(total.adjoints is not None and total.adjoints.is_linear for total in sums)
-            spp = max(math.ceil(spp * INPUT_SAMPLE_FRACTION), 1 if linear else MIN_METRIC_SPP)
-        (seed,) = derived_seeds(settings.seed, Stream.INPUT_METRIC, 1)
-        budget = Budget.split(spp, settings.replicates, seed)
+            few = math.ceil(spp * INPUT_SAMPLE_FRACTION)
+            spp = few if gradients.is_linear else max(few, MIN_METRIC_SPP, gradients.total_image_spp or 0)
+        (seed,) = derived_seeds(self.settings.seed, Stream.INPUT_METRIC, 1)
+        budget = Budget.split(spp, self.settings.replicates, seed)
         return [render_images(self.renderer, values, budget.seeds[0], budget.spp[0]) for values in scenes]
 
     def result(
@@ -306,6 +311,7 @@ class Run:
                     evaluation.spp,
                     denoised=adjoints.denoised,
                     interval=interval,
+                    noise=evaluation.noise,
                     metric=metric,
                     shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
                 ),

@@ -98,9 +98,11 @@ class SmoothGradScene(GradientMethod):
             Random seed, for the noise and all replicates.
         spp
             Total samples per pixel, split over the scenes. Non-linear metrics use at least 16 for each scene.
-            Another eighth is used to evaluate the metric at the inputs (``info["budget"]``).
+            Another eighth is used to evaluate the metric at the inputs, for a non-linear metric as many as for the
+            pictures of all scenes together (``info["budget"]``).
         picture_spp
-            Samples per pixel of the metric images over all scenes, for non-linear metrics; by default the minimum.
+            Samples per pixel of the metric images over all scenes, and of that of the inputs, for non-linear
+            metrics; by default the minimum.
         replicates
             Minimum number of independent replicates in total.
 

@@ -260,6 +260,11 @@ class GradientEstimator:
         return None if total is None else total + self.extra_spp
 
     @property
+    def is_linear(self) -> bool:
+        """Whether all metrics are linear, as far as they were evaluated."""
+        return all(adjoints.is_linear for adjoints in self._first_adjoints)
+
+    @property
     def n_points(self) -> int:
         """Number of points."""
         return len(self.budget.spp)

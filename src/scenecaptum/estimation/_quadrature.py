@@ -43,15 +43,16 @@ class Quadrature:
         than nodes after an interruption, the error is the difference between all points and the first half of
         them.
         """
+        integrand = [values.double().cpu() for values in integrand]
         nulls, structure = torch.from_numpy(self.nulls), torch.from_numpy(self.structure)
         if len(integrand) < len(self.nodes):
             nulls = structure = self._half_rule_difference(len(integrand))
-        means = torch.stack([values.double().mean(0) for values in integrand])
+        means = torch.stack([values.mean(0) for values in integrand])
         squares = (nulls @ means).square()
         replicated = [number for number, values in enumerate(integrand) if len(values) > 1]
         if not replicated:
             return squares.sum(0).sqrt()
-        variances = torch.stack([integrand[n].double().var(0) / len(integrand[n]) for n in replicated])
+        variances = torch.stack([integrand[n].var(0) / len(integrand[n]) for n in replicated])
         degrees = torch.tensor([len(integrand[n]) - 1.0 for n in replicated])[:, None]
         nearest = self._nearest(replicated, len(integrand))
         null_variances = nulls.square() @ nearest @ variances
