@@ -14,6 +14,7 @@ import torch
 from ..errors import SceneCaptumError, listed
 from ..finite import NotFiniteError, describe_location
 from ..protocols import Capabilities, Measure, Renderer, takes_keyword
+from ..training_mode import warn_of_training_mode
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -27,7 +28,10 @@ OWN_ADVICE = (
 
 
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
-    """Raise if either is not callable, or if they were passed in the wrong order."""
+    """Raise if either is not callable, or if they were passed in the wrong order.
+
+    Warn if the metric calls a network in training mode.
+    """
     for name, value in (("renderer", renderer), ("metric", metric)):
         if not callable(value):
             raise SceneCaptumError(
@@ -37,6 +41,7 @@ def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
         raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
     if takes_keyword(metric, "seed") and not takes_keyword(renderer, "seed"):
         raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
+    warn_of_training_mode(metric)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import torch
 from ..errors import SceneCaptumError
 from ._checks import cast_like
 from ._measure import Measure
-from ._network import Model, NetworkMetric, Transform
+from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._picture import check_reference
 from ._preprocessing import ResizeCropNormalize
 
@@ -131,15 +131,14 @@ def _check_reference(reference: torch.Tensor) -> torch.Tensor:
 
 
 def _not_embeddings(encoder: object, output: object) -> str:
-    shape = tuple(output.shape) if isinstance(output, torch.Tensor) else None
-    got = f"a {type(output).__name__}" if shape is None else f"shape {shape}"
     fix = (
-        "Pass a function that returns the tensor, for example lambda x: encoder(x).pooler_output."
-        if shape is None
+        wrap_it(output, 2, "the tensor", "pooler_output")
+        if not isinstance(output, torch.Tensor)
         else "Keep the batch dimension: use flatten(1) instead of flatten(), and no squeeze()."
-        if len(shape) < 2
-        else "Reduce it to one vector for each picture, for example with lambda x: encoder(x).flatten(1)."
+        if output.ndim < 2
+        else "Reduce it to one vector for each picture: torch.nn.Sequential(encoder, torch.nn.Flatten())."
     )
     return (
-        f"An encoder must return embeddings of shape (N, D); {type(encoder).__name__} returned {got}. {fix}"
+        f"An encoder must return embeddings of shape (N, D); {type(encoder).__name__} returned "
+        f"{describe_output(output)}. {fix}"
     )

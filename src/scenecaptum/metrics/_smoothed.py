@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import torch
 
 from ..errors import SceneCaptumError
+from ..training_mode import warn_of_training_mode
 from ._measure import Measure
 from ._noise import DEFAULT_DRAWS, NoiseKind, PictureNoise, smoothed_measure, without_smoothing
 
@@ -78,6 +79,7 @@ class Smoothed(torch.nn.Module):
             raise SceneCaptumError(
                 f"{type(metric).__name__} is smoothed already: give the metric without smoothing."
             )
+        warn_of_training_mode(metric)
         self.metric = metric
         self.noise = PictureNoise.create(sigma, n, noise, seed)
 
