@@ -15,6 +15,7 @@ from ..errors import SceneCaptumError, listed
 from ..finite import NotFiniteError, describe_location
 from ..protocols import Capabilities, Measure, Renderer, takes_keyword
 from ..training_mode import warn_of_training_mode
+from ._autograd import gradients_enabled
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -185,7 +186,7 @@ class TargetedMetric:
     def value_and_adjoint_at(self, metric_image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return value and adjoint at this image, without the transform."""
         leaf = metric_image.detach().requires_grad_()
-        with torch.enable_grad():
+        with gradients_enabled():
             value = self._scalar(self.output(leaf))
         adjoint = torch.autograd.grad(value, leaf, allow_unused=True)[0] if value.requires_grad else None
         if adjoint is None:
@@ -242,7 +243,7 @@ class TargetedMetric:
     ) -> tuple[float, torch.Tensor | None]:
         """Return the value at this image, without the transform, and its derivative or None if there is none."""
         leaf = metric_image.detach().requires_grad_(differentiate)
-        with torch.set_grad_enabled(differentiate):
+        with gradients_enabled() if differentiate else torch.no_grad():
             value = self._scalar(self.output(leaf))
         if not (value.requires_grad and torch.isfinite(value)):
             return value.item(), None
