@@ -10,6 +10,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import torch
 
+from ..images import check_image_shape
 from ..training_mode import warn_of_training_mode
 from ._frozen import run_frozen
 from ._measure import Measure
@@ -50,6 +51,7 @@ class NetworkMetric(torch.nn.Module, ABC):
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the value of an ``(H, W, 3)`` image, a 0-d tensor, or its vector of values."""
+        check_image_shape(image)
         return self.of_batch(image[None])[0] if self.noise is None else self.noise.mean(self.of_batch, image)
 
     @abstractmethod
