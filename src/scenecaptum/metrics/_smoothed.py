@@ -84,6 +84,11 @@ class Smoothed(torch.nn.Module):
         self.noise = PictureNoise.create(sigma, n, noise, seed)
 
     @property
+    def __name__(self) -> str:
+        """Name for results, where the metric has no measure: that of the function, or of the metric's class."""
+        return f"smoothed {getattr(self.metric, '__name__', type(self.metric).__name__)}"
+
+    @property
     def tolerated_noise(self) -> float | None:
         """Relative noise of the pixels above which it biases the value; None if it is not known."""
         return self.noise.tolerated
