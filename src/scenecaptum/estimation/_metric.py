@@ -62,6 +62,8 @@ class TargetedMetric:
         if isinstance(self.target, str):
             # Frozen, and everything else knows elements by their index.
             object.__setattr__(self, "target", self._index_of(self.target))
+        elif _is_index(self.target):
+            object.__setattr__(self, "target", int(cast(Any, self.target)))
         indices = self.target if isinstance(self.target, tuple) else (self.target,)
         if self.target is not None and not all(isinstance(index, Integral) for index in indices):
             raise SceneCaptumError(
@@ -314,6 +316,12 @@ class TargetedMetric:
             f"The metric {self.name} modifies its input image in place. Write image = image * 2 instead of "
             "image *= 2 or image.mul_(2), or begin with image = image.clone()."
         )
+
+
+def _is_index(target: Any) -> bool:
+    """Whether a target is a tensor with one integer, as Captum takes it."""
+    is_one = isinstance(target, torch.Tensor) and target.numel() == 1
+    return is_one and not (target.is_floating_point() or target.is_complex() or target.dtype == torch.bool)
 
 
 def _inner_product(adjoint: torch.Tensor, difference: torch.Tensor) -> float:
