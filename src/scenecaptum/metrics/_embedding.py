@@ -34,7 +34,7 @@ class EmbeddingDistance(NetworkMetric):
         An image, ``(H, W, 3)`` linear radiance of any size; or an embedding ``(D,)``, such as CLIP's of a text; or
         several embeddings ``(K, D)``, for a vector of distances that ``attribute(target=)`` indexes.
     encoder
-        Any network or function from ``(N, 3, h, w)`` to ``(N, D)``. It runs in evaluation mode and does not
+        Any network or function from ``(N, 3, h, w)`` to ``(N, D)``. A network runs in evaluation mode and does not
         change.
     transform
         Differentiable preprocessing from an sRGB picture ``(1, 3, H, W)`` in [0, 1] to the encoder's input. By
