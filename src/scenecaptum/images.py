@@ -28,6 +28,9 @@ def channels_last(picture: torch.Tensor) -> torch.Tensor:
 def check_image_shape(image: torch.Tensor) -> None:
     """Raise if a tensor is not an ``(H, W, 3)`` image."""
     if image.ndim != 3 or image.shape[-1] != 3 or not image.numel():
+        each = (
+            " For the pictures of several cameras use metrics.PerCamera(metric)." if image.ndim == 4 else ""
+        )
         raise SceneCaptumError(
-            f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}."
+            f"An image has shape (H, W, 3), height first; this one has {tuple(image.shape)}.{each}"
         )

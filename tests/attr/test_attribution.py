@@ -121,7 +121,7 @@ def test_a_metric_that_cannot_be_attributed_is_refused_with_the_reason(metric, m
 
 def test_a_target_that_is_no_index_is_refused():
     renderer = ToyRenderer()
-    for target in ("cube", 0.5, ("cube",)):
+    for target in ("cube", 0.5, ("cube",), torch.tensor(0.0), torch.tensor([0, 1]), torch.tensor(True)):
         with pytest.raises(SceneCaptumError, match="must be the index of an element"):
             VanillaSceneGradient(renderer, torch.mean).attribute(renderer.inputs, target=target)
 
@@ -147,6 +147,10 @@ def test_target_chooses_an_element_of_a_vector():
         return image.mean((0, 1))
 
     attribution = VanillaSceneGradient(renderer, per_channel).attribute(target=1)
+    for target in (torch.tensor(1), torch.tensor([1])):
+        same = VanillaSceneGradient(renderer, per_channel).attribute(target=target)
+        assert same.info["metric"] == "per_channel[1]"
+        assert torch.equal(same["x"], attribution["x"])
     torch.testing.assert_close(attribution["x"], exact_gradient(renderer, lambda image: image[..., 1].mean()))
     with pytest.raises(SceneCaptumError, match=r"target=3 does not index .* shape \(3,\)\.$"):
         VanillaSceneGradient(renderer, per_channel).attribute(target=3)
@@ -364,6 +368,19 @@ def test_errors_of_unrelated_results_add_in_squares():
     expected = torch.hypot(a.standard_error["x"], b.standard_error["x"])
     torch.testing.assert_close((a - b).standard_error["x"], expected)
     assert (a - b).saliency_error()["x"] > 0
+
+
+def test_attributions_have_a_negative_and_a_sum():
+    one, other = made(), made(torch.mean)
+    assert torch.equal((-one)["x"], -one["x"])
+    assert torch.equal((-one).standard_error["x"], one.standard_error["x"])
+    assert (-one).metric_value == -one.metric_value
+    total = sum([one, other])
+    assert torch.equal(total["x"], (one + other)["x"])
+    assert total.info["metric"] == (one + other).info["metric"]
+    for impossible in (lambda: 1 + one, lambda: "0" + one):
+        with pytest.raises(TypeError):
+            impossible()
 
 
 def test_a_difference_is_called_by_what_its_sides_measure():

@@ -464,3 +464,45 @@ def test_a_range_takes_bounds():
     found = VanillaSceneGradient(Boundless(), sigmoid).attribute()
     with pytest.raises(SceneCaptumError, match="needs the range"):
         found.ranking(scale="range")
+
+
+# --- Where the caller has disabled gradients ------------------------------------------------------
+
+GRADIENT_METHODS = [
+    VanillaSceneGradient,
+    InputXGradientScene,
+    IntegratedGradientsScene,
+    SmoothGradScene,
+    GradientShapScene,
+]
+
+
+def tone_mapped(image: torch.Tensor) -> torch.Tensor:
+    return (image / (1 + image)).mean()
+
+
+@pytest.mark.parametrize("method", GRADIENT_METHODS)
+def test_gradients_are_the_same_under_no_grad(box, method):
+    settings = {"baselines": "dark"} if method in (IntegratedGradientsScene, GradientShapScene) else {}
+    attribution = method(box, tone_mapped)
+    expected = attribution.attribute(spp=256, seed=shifted(), **settings)
+    with torch.no_grad():
+        found = attribution.attribute(spp=256, seed=shifted(), **settings)
+        assert not torch.is_grad_enabled()
+    assert expected[LIGHT].any()
+    torch.testing.assert_close(dict(found), dict(expected))
+
+
+def test_a_goal_is_reached_under_no_grad():
+    attribution = VanillaSceneGradient(Glowing(noise=0.3), metrics.Smoothed(sigmoid))
+    with torch.no_grad():
+        found = attribution.attribute(tolerance=0.5, seed=shifted())
+    assert found.info["planner"]["reached"]
+
+
+def test_inference_mode_is_refused_before_anything_is_rendered():
+    renderer = Glowing()
+    attribution = VanillaSceneGradient(renderer, sigmoid)
+    with torch.inference_mode(), pytest.raises(SceneCaptumError, match=r"use torch\.no_grad\(\)"):
+        attribution.attribute()
+    assert not renderer.calls

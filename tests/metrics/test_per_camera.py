@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 from networks import UNCHANGED, ordinary, small_network
+from refusals import message
 from seeds import shifted
 
 from scenecaptum import Camera, SceneCaptumError, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.metrics import ClassLogit, MeanLuminance, PerCamera, Smoothed
+from scenecaptum.report import write_report
 
 
 def stack(count: int = 3) -> torch.Tensor:
@@ -127,3 +129,12 @@ def test_smoothed_logits_of_several_cameras_are_attributed(pair):
     results = method.attribute(target=[0, 1], seed=shifted(), replicates=2)
     assert all(result.covariance is not None for result in results)
     assert results[0].info["measure"]["name"] == "smoothed logit of cube of camera 0"
+
+
+def test_a_map_or_a_metric_of_one_picture_says_what_to_do_with_several(pair, tmp_path):
+    result = VanillaSceneGradient(pair, PerCamera(MeanLuminance(1))).attribute(target=1, replicates=2)
+    for draw in (result.heatmap, result.plot_heatmap, lambda: write_report(result, tmp_path / "report.html")):
+        assert "of 2 sensors, and a map is of one: attribute each with a renderer of its own" in message(draw)
+    network = ClassLogit(small_network(), 0, UNCHANGED)
+    for metric in (MeanLuminance(), network, Smoothed(network)):
+        assert "PerCamera(metric)" in message(lambda metric=metric: metric(result.image))

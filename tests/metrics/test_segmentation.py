@@ -168,7 +168,9 @@ def test_masks_and_networks_that_do_not_fit_are_named():
         SegmentationScore(colors, 3, corner())(ordinary())
     with pytest.raises(SceneCaptumError, match=r"returned shape \(1, 3\)"):
         SegmentationScore(lambda x: x.mean((2, 3)), 0, corner())(ordinary())
-    with pytest.raises(SceneCaptumError, match="returned a dict with 'masks'"):
+    with pytest.raises(
+        SceneCaptumError, match=r"returned a dict with 'masks'\. .*self\.model\(x\)\['masks'\]"
+    ):
         SegmentationScore(lambda x: {"masks": x}, 0, corner())(ordinary())
 
 

@@ -7,8 +7,9 @@ import math
 import pytest
 import torch
 from seeds import shifted
+from toy import ToyRenderer
 
-from scenecaptum import SceneCaptumError, metrics
+from scenecaptum import SceneCaptumError, VanillaSceneGradient, metrics
 from scenecaptum.estimation import TargetedMetric
 
 
@@ -114,11 +115,19 @@ def test_a_smoothed_logit_is_the_smoothed_metric(target):
     assert plain.n_draws == 0
 
 
+def test_a_smoothed_function_has_the_name_of_the_function():
+    found = VanillaSceneGradient(ToyRenderer(), metrics.Smoothed(squares, n=2)).attribute()
+    assert str(found).startswith("smoothed squares = ")
+    of_channels = metrics.Smoothed(lambda image: image.mean((0, 1)), n=2)
+    assert TargetedMetric(of_channels, 1).name == "smoothed <lambda>[1]"
+    assert metrics.Smoothed.__name__ == "Smoothed"
+
+
 def test_elements_of_a_smoothed_metric_have_the_names_of_its_classes():
     logits = metrics.ClassLogit(metrics.ShapeClassifier.pretrained())
     smoothed = metrics.Smoothed(logits, 0.3, n=2)
     assert smoothed.target_index("cube") == 1
-    assert TargetedMetric(smoothed, "cube").name == "Smoothed[cube]"
+    assert TargetedMetric(smoothed, "cube").name == "smoothed ClassLogit[cube]"
     assert TargetedMetric(logits, 1).name == "ClassLogit[cube]"
     assert TargetedMetric(smoothed, "cube").label == "smoothed logit of cube"
     with pytest.raises(SceneCaptumError, match="a value for each of 3 classes"):

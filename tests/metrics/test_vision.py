@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections import OrderedDict
 from pathlib import Path
 
 import pytest
@@ -284,9 +285,16 @@ def test_a_target_beyond_the_classes_is_refused():
 @pytest.mark.parametrize(
     ("output", "message"),
     [
-        (lambda x: {"logits": x.mean((2, 3))}, r"returned a dict\. Pass a function that returns its logits"),
+        (
+            lambda x: {"maps": x, "shape": x.mean((2, 3))},
+            r"returned a dict with 'maps', 'shape'\. Pass a torch\.nn\.Module that returns its logits, with "
+            r"return self\.model\(x\)\['shape'\] in its forward",
+        ),
+        (lambda x: OrderedDict(out=x), r"returned an OrderedDict with 'out'\. .*self\.model\(x\)\['out'\]"),
+        (lambda x: (x, x.mean((2, 3))), r"returned a tuple of 2\. .*self\.model\(x\)\[1\]"),
+        (lambda x: object(), r"returned an object\. .*self\.model\(x\)\.logits"),
         (lambda x: x, r"returned shape \(1, 3, 224, 224\)\. Reduce it"),
-        (lambda x: x.mean((0, 2, 3)), r"returned shape \(3,\)\. Pass a function"),
+        (lambda x: x.mean((0, 2, 3)), r"returned shape \(3,\)\. Pass a torch\.nn\.Module"),
     ],
 )
 def test_a_model_that_returns_no_logits_is_refused(output, message):

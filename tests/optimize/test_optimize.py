@@ -361,3 +361,9 @@ def test_a_clamped_texture_is_said_to_change_as_much_as_its_mean(mi: Any) -> Non
     means = change.reshape(-1, 3).mean(0).abs()
     assert change.abs().max() > 1.05 * means.max(), "some texels are clamped"
     assert moved.fraction == pytest.approx(means.max().item() / (spread.high - spread.low), rel=1e-4)
+
+
+def test_a_search_works_under_no_grad():
+    expected = optimize.minimize(Lamps(), torch.mean, 0.6, seed=shifted())
+    with torch.no_grad():
+        assert optimize.minimize(Lamps(), torch.mean, 0.6, seed=shifted()).history == expected.history

@@ -133,7 +133,7 @@ def test_several_cameras_render_a_stack_that_is_differentiated_together(mi: Any)
     assert [camera.projection for camera in both.cameras] == ["perspective", "fisheye"]
     attribution = VanillaSceneGradient(both, lambda images: images.mean()).attribute()
     assert attribution.image.shape == (2, 12, 12, 3)
-    with pytest.raises(SceneCaptumError, match="does not know which object"):
+    with pytest.raises(SceneCaptumError, match="pictures of 2 sensors, and a map is of one"):
         attribution.heatmap()
 
 

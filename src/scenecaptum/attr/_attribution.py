@@ -134,6 +134,16 @@ class SceneAttribution(AttributionData):
         self._check_matches(other)
         return add(self, other)
 
+    def __radd__(self, other: float) -> SceneAttribution:
+        """Return this attribution for ``0 + attribution``, with which ``sum`` begins."""
+        if not isinstance(other, Real) or other != 0:
+            return NotImplemented
+        return self
+
+    def __neg__(self) -> SceneAttribution:
+        """Return the attribution of the metric with the other sign."""
+        return multiply(self, -1.0)
+
     def __mul__(self, factor: float) -> SceneAttribution:
         """Return the attribution of a multiple of the metric."""
         if not isinstance(factor, Real):

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import torch
 
@@ -50,7 +50,7 @@ from ._data import Tensors, metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
 from ._steps import step_errors
 
-Targets: TypeAlias = "Target | list[Target]"
+Targets: TypeAlias = "Target | torch.Tensor | list[Target]"  # a tensor of one integer, as for Captum
 
 # A ``SceneAttribution``, or a list of them where ``target`` is a list.
 Result: TypeAlias = Any
@@ -364,6 +364,6 @@ class GradientMethod:
 
 def target_list(target: Targets) -> list[Target]:
     """Return the targets as a list."""
-    if target == []:
+    if isinstance(target, list) and not target:
         raise SceneCaptumError("target is an empty list: give at least one element of the metric's output.")
-    return target if isinstance(target, list) else [target]
+    return target if isinstance(target, list) else [cast(Target, target)]

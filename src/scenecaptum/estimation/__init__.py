@@ -6,6 +6,7 @@ Renderers and metrics are known only by what they do (``protocols``). Nothing he
 __all__: list[str] = []
 
 from ._adjoints import Adjoints as Adjoints
+from ._autograd import gradients_enabled as gradients_enabled
 from ._comparison import differences as differences
 from ._goal import DEFAULT_SHARE as DEFAULT_SHARE
 from ._goal import Compared as Compared

@@ -15,6 +15,7 @@ from ..errors import SceneCaptumError
 from ..finite import NotFiniteError, check_gradient, check_image, error_context
 from ..protocols import Capabilities, Renderer, RenderPass
 from ._adjoints import Adjoints
+from ._autograd import gradients_enabled
 from ._jackknife import adjoints_if_linear, jackknife, with_image_transform
 from ._linearity import is_linear
 from ._metric import TargetedMetric
@@ -269,6 +270,7 @@ class GradientEstimator:
         """Number of points."""
         return len(self.budget.spp)
 
+    @gradients_enabled()
     def estimate(self, index: int, point: Point) -> tuple[list[PointGradient], bool]:
         """Estimate the gradients at a point, number ``index`` of the budget.
 

@@ -14,6 +14,8 @@ import torch
 from ..errors import SceneCaptumError, listed
 from ..finite import NotFiniteError, describe_location
 from ..protocols import Capabilities, Measure, Renderer, takes_keyword
+from ..training_mode import warn_of_training_mode
+from ._autograd import gradients_enabled
 from ._metric_image import IDENTITY, ImageTransform
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -27,7 +29,10 @@ OWN_ADVICE = (
 
 
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
-    """Raise if either is not callable, or if they were passed in the wrong order."""
+    """Raise if either is not callable, or if they were passed in the wrong order.
+
+    Warn if the metric calls a network in training mode.
+    """
     for name, value in (("renderer", renderer), ("metric", metric)):
         if not callable(value):
             raise SceneCaptumError(
@@ -37,6 +42,7 @@ def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
         raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
     if takes_keyword(metric, "seed") and not takes_keyword(renderer, "seed"):
         raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
+    warn_of_training_mode(metric)
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,8 @@ class TargetedMetric:
         if isinstance(self.target, str):
             # Frozen, and everything else knows elements by their index.
             object.__setattr__(self, "target", self._index_of(self.target))
+        elif _is_index(self.target):
+            object.__setattr__(self, "target", int(cast(Any, self.target)))
         indices = self.target if isinstance(self.target, tuple) else (self.target,)
         if self.target is not None and not all(isinstance(index, Integral) for index in indices):
             raise SceneCaptumError(
@@ -180,7 +188,7 @@ class TargetedMetric:
     def value_and_adjoint_at(self, metric_image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return value and adjoint at this image, without the transform."""
         leaf = metric_image.detach().requires_grad_()
-        with torch.enable_grad():
+        with gradients_enabled():
             value = self._scalar(self.output(leaf))
         adjoint = torch.autograd.grad(value, leaf, allow_unused=True)[0] if value.requires_grad else None
         if adjoint is None:
@@ -237,7 +245,7 @@ class TargetedMetric:
     ) -> tuple[float, torch.Tensor | None]:
         """Return the value at this image, without the transform, and its derivative or None if there is none."""
         leaf = metric_image.detach().requires_grad_(differentiate)
-        with torch.set_grad_enabled(differentiate):
+        with gradients_enabled() if differentiate else torch.no_grad():
             value = self._scalar(self.output(leaf))
         if not (value.requires_grad and torch.isfinite(value)):
             return value.item(), None
@@ -308,6 +316,12 @@ class TargetedMetric:
             f"The metric {self.name} modifies its input image in place. Write image = image * 2 instead of "
             "image *= 2 or image.mul_(2), or begin with image = image.clone()."
         )
+
+
+def _is_index(target: Any) -> bool:
+    """Whether a target is a tensor with one integer, as Captum takes it."""
+    is_one = isinstance(target, torch.Tensor) and target.numel() == 1
+    return is_one and not (target.is_floating_point() or target.is_complex() or target.dtype == torch.bool)
 
 
 def _inner_product(adjoint: torch.Tensor, difference: torch.Tensor) -> float:

@@ -14,6 +14,7 @@ from time import perf_counter
 import torch
 
 from ..protocols import Renderer
+from ._autograd import gradients_enabled
 from ._goal import Compared
 from ._gradients import GradientEstimator, Point, Tensors, vjp
 from ._metric import TargetedMetric
@@ -98,6 +99,7 @@ class Pilot(GradientEstimator):
         )
         self._signs = random_generator(seed, Stream.PILOT)
 
+    @gradients_enabled()
     def measure(self, point: Point, compared: Compared) -> tuple[Part, Part, Part]:
         """Return the parts of the variance of the effects that a goal refers to: backward, picture, draws."""
         leaves, (spp,) = self._held(point), self.budget.spp

@@ -12,6 +12,7 @@ import torch
 from ..checkpoint import Stopwatch, without_checkpoint
 from ..protocols import Capabilities, Renderer
 from ._adjoints import Adjoints
+from ._autograd import gradients_enabled
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
 from ._jackknife import jackknife, with_image_transform
 from ._linearity import is_linear
@@ -151,6 +152,7 @@ class Rounds(GradientEstimator):
         """All rounds are at the same point."""
         return 1
 
+    @gradients_enabled()
     def warm_up(self, point: Point, spp: int) -> None:
         """Render and differentiate once to compile all kernels; discard the results."""
         leaves = {name: value.detach().clone().requires_grad_() for name, value in point.values.items()}

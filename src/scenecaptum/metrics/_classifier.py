@@ -12,7 +12,7 @@ from ..errors import SceneCaptumError
 from ..visualization import rounded
 from ._classes import check_class, class_index, class_name, class_names, named_class
 from ._measure import Measure
-from ._network import Model, NetworkMetric, Transform
+from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._noise import without_smoothing
 from ._preprocessing import ResizeCropNormalize
 
@@ -103,16 +103,17 @@ def _first(target: int | tuple[int, ...] | None) -> int | None:
 
 
 def _not_logits(model: object, output: Any) -> str:
-    name = type(model).__name__
-    got = f"shape {tuple(output.shape)}" if isinstance(output, torch.Tensor) else f"a {type(output).__name__}"
     fix = (
-        "Pass a function that returns its logits, for example lambda x: model(x).logits."
+        wrap_it(output, 2, "its logits", "logits")
         if not isinstance(output, torch.Tensor)
-        else "Reduce it to one row of logits, for example with lambda x: model(x).mean((2, 3))."
+        else "Reduce it: torch.nn.Sequential(model, torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten())."
         if output.ndim == 4
-        else "Pass a function that returns one row of logits."
+        else "Pass a torch.nn.Module that returns one row of logits."
     )
-    return f"A classifier must return logits of shape (1, classes); {name} returned {got}. {fix}"
+    return (
+        f"A classifier must return logits of shape (1, classes); {type(model).__name__} returned "
+        f"{describe_output(output)}. {fix}"
+    )
 
 
 def _probability(share: float) -> str:

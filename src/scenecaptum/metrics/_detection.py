@@ -175,5 +175,5 @@ def _not_detections(model: object, outputs: Any) -> str:
         )
     return (
         "A detector must return a list with a dict of the tensors 'boxes', 'labels' and 'scores' for each "
-        f"picture; {type(model).__name__} returned {got}. Pass a function that returns these."
+        f"picture; {type(model).__name__} returned {got}. Pass a torch.nn.Module that returns these."
     )

@@ -9,7 +9,7 @@ import torch
 from ..errors import SceneCaptumError
 from ._checks import cast_like
 from ._measure import Measure
-from ._network import Model, NetworkMetric, Transform
+from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._picture import check_reference
 from ._preprocessing import ResizeCropNormalize
 
@@ -34,7 +34,7 @@ class EmbeddingDistance(NetworkMetric):
         An image, ``(H, W, 3)`` linear radiance of any size; or an embedding ``(D,)``, such as CLIP's of a text; or
         several embeddings ``(K, D)``, for a vector of distances that ``attribute(target=)`` indexes.
     encoder
-        Any network or function from ``(N, 3, h, w)`` to ``(N, D)``. It runs in evaluation mode and does not
+        Any network or function from ``(N, 3, h, w)`` to ``(N, D)``. A network runs in evaluation mode and does not
         change.
     transform
         Differentiable preprocessing from an sRGB picture ``(1, 3, H, W)`` in [0, 1] to the encoder's input. By
@@ -131,15 +131,14 @@ def _check_reference(reference: torch.Tensor) -> torch.Tensor:
 
 
 def _not_embeddings(encoder: object, output: object) -> str:
-    shape = tuple(output.shape) if isinstance(output, torch.Tensor) else None
-    got = f"a {type(output).__name__}" if shape is None else f"shape {shape}"
     fix = (
-        "Pass a function that returns the tensor, for example lambda x: encoder(x).pooler_output."
-        if shape is None
+        wrap_it(output, 2, "the tensor", "pooler_output")
+        if not isinstance(output, torch.Tensor)
         else "Keep the batch dimension: use flatten(1) instead of flatten(), and no squeeze()."
-        if len(shape) < 2
-        else "Reduce it to one vector for each picture, for example with lambda x: encoder(x).flatten(1)."
+        if output.ndim < 2
+        else "Reduce it to one vector for each picture: torch.nn.Sequential(encoder, torch.nn.Flatten())."
     )
     return (
-        f"An encoder must return embeddings of shape (N, D); {type(encoder).__name__} returned {got}. {fix}"
+        f"An encoder must return embeddings of shape (N, D); {type(encoder).__name__} returned "
+        f"{describe_output(output)}. {fix}"
     )

@@ -10,6 +10,8 @@ from typing import Any, TypeAlias, TypeVar
 
 import torch
 
+from ..images import check_image_shape
+from ..training_mode import warn_of_training_mode
 from ._frozen import run_frozen
 from ._measure import Measure
 from ._noise import PLAIN_TOLERANCE, ROUGH, PictureNoise, smoothed_measure
@@ -42,11 +44,14 @@ class NetworkMetric(torch.nn.Module, ABC):
         self.exposure = check_exposure(exposure)
         self.transform = transform or own_preprocessing(model, default_transform)
         self._is_default = self.transform is default_transform
+        if not isinstance(model, torch.nn.Module):  # a module runs in evaluation mode
+            warn_of_training_mode(model)
         self.model = model
         self.noise = None if smoothing is None else PictureNoise.create(smoothing)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the value of an ``(H, W, 3)`` image, a 0-d tensor, or its vector of values."""
+        check_image_shape(image)
         return self.of_batch(image[None])[0] if self.noise is None else self.noise.mean(self.of_batch, image)
 
     @abstractmethod
@@ -103,6 +108,36 @@ class NetworkMetric(torch.nn.Module, ABC):
         """Return the settings of every network metric for ``extra_repr``."""
         smoothing = "" if self.noise is None else f", smoothing={self.noise.sigma:g}"
         return f"exposure={self.exposure:g}{smoothing}"
+
+
+def describe_output(output: Any) -> str:
+    """Return what a network returned, in words: a shape, or the keys of a dict."""
+    if isinstance(output, torch.Tensor):
+        return f"shape {tuple(output.shape)}"
+    kind = type(output).__name__
+    article = "an" if kind[0] in "AEIOUaeiou" else "a"
+    if isinstance(output, Mapping):
+        return f"{article} {kind} with {', '.join(map(repr, output)) or 'nothing'}"
+    return f"{article} {kind} of {len(output)}" if isinstance(output, list | tuple) else f"{article} {kind}"
+
+
+def wrap_it(output: Any, ndim: int, wanted: str, default: str) -> str:
+    """Return how to pass a network whose output contains a tensor ``wanted`` of ``ndim`` dimensions.
+
+    ``default`` is the attribute for an output that is neither a dict nor a sequence, such as ``"logits"``.
+    """
+    found = output if isinstance(output, Mapping) else dict(enumerate(output)) if _is_sequence(output) else {}
+    fits = [key for key, value in found.items() if isinstance(value, torch.Tensor) and value.ndim == ndim]
+    key = next(iter([*fits, *found]), None)
+    access = f".{default}" if key is None else f"[{key!r}]"
+    return (
+        f"Pass a torch.nn.Module that returns {wanted}, with return self.model(x){access} in its forward: it runs "
+        "in evaluation mode. In a function, the model would run in its own mode."
+    )
+
+
+def _is_sequence(output: Any) -> bool:
+    return isinstance(output, list | tuple)
 
 
 def _warn_of_enlarging(transform: ResizeCropNormalize, height: int, width: int) -> None:

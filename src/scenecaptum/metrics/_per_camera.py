@@ -9,6 +9,7 @@ from typing import Any, TypeAlias, cast
 import torch
 
 from ..errors import SceneCaptumError
+from ..training_mode import warn_of_training_mode
 from ._measure import Measure
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -53,6 +54,8 @@ class PerCamera(torch.nn.Module):
             raise SceneCaptumError(
                 f"metric must be a metric, or a list with one for each camera, not {metric!r}."
             )
+        for one in self.metrics:
+            warn_of_training_mode(one)
         # Registered, so that their parameters and buffers are those of this module.
         self.registered = torch.nn.ModuleList(m for m in self.metrics if isinstance(m, torch.nn.Module))
 

@@ -13,7 +13,7 @@ from ._checks import cast_like
 from ._classes import check_class, class_index, class_name, class_names, named_class
 from ._mask import check_mask, check_mask_fits, mask_in_input
 from ._measure import Measure
-from ._network import Model, NetworkMetric, Transform
+from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._noise import without_smoothing
 from ._preprocessing import ResizeCropNormalize
 
@@ -106,8 +106,7 @@ class SegmentationScore(NetworkMetric):
             name = type(self.model).__name__
             raise SceneCaptumError(
                 "A segmentation network must return logits of shape (N, classes, h, w), or a dict with them as "
-                f"'out'; {name} returned {_describe(output)}. Pass a function that returns them, for example "
-                "lambda x: model(x).logits."
+                f"'out'; {name} returned {describe_output(output)}. {wrap_it(output, 4, 'them', 'logits')}"
             )
         return cast_like(logits, images)
 
@@ -159,11 +158,3 @@ class SegmentationScore(NetworkMetric):
         """Show the class and the settings."""
         target = named_class(self.target, self.classes)
         return f"target={target}, score={self.score!r}, mask={tuple(self.mask.shape)}, {self.settings()}"
-
-
-def _describe(output: object) -> str:
-    if isinstance(output, Mapping):
-        return f"a dict with {', '.join(map(repr, output)) or 'nothing'}"
-    return (
-        f"shape {tuple(output.shape)}" if isinstance(output, torch.Tensor) else f"a {type(output).__name__}"
-    )

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import torch
 
 from ..errors import SceneCaptumError
+from ..training_mode import warn_of_training_mode
 from ._measure import Measure
 from ._noise import DEFAULT_DRAWS, NoiseKind, PictureNoise, smoothed_measure, without_smoothing
 
@@ -78,8 +79,14 @@ class Smoothed(torch.nn.Module):
             raise SceneCaptumError(
                 f"{type(metric).__name__} is smoothed already: give the metric without smoothing."
             )
+        warn_of_training_mode(metric)
         self.metric = metric
         self.noise = PictureNoise.create(sigma, n, noise, seed)
+
+    @property
+    def __name__(self) -> str:
+        """Name for results, where the metric has no measure: that of the function, or of the metric's class."""
+        return f"smoothed {getattr(self.metric, '__name__', type(self.metric).__name__)}"
 
     @property
     def tolerated_noise(self) -> float | None:

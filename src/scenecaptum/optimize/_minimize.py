@@ -23,6 +23,7 @@ from ..estimation import (
     at_values,
     check_renderer_and_metric,
     derived_seeds,
+    gradients_enabled,
     half_sample_error,
     input_values,
     jackknife,
@@ -173,6 +174,7 @@ class Search:
         (self._transformed,) = with_image_transform([self._targeted], images, selector)
         self._before = self._measured(self._values, images)
 
+    @gradients_enabled()
     def to(self, below: float, options: SearchOptions, *, show_progress: bool = False) -> Optimization:
         """Search until the metric is below a goal; at once where it is already."""
         measure = {} if self._targeted.measure is None else self._targeted.measure.describe()

@@ -24,5 +24,6 @@ from ._projection import normalized as normalized
 from ._projection import objects_of_unclear_sign as objects_of_unclear_sign
 from ._projection import shared_maximum as shared_maximum
 from ._projection import used_by_objects as used_by_objects
+from ._projection import views_without_map as views_without_map
 from ._surfaces import SurfaceMap as SurfaceMap
 from ._surfaces import TexelMap as TexelMap

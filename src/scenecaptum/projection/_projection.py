@@ -184,10 +184,22 @@ def clear_sum(rows: Sequence[RankedParameter]) -> float:
 def surfaces_of(attribution: Attribution, given: SurfaceMap | None) -> SurfaceMap:
     surfaces = attribution.surfaces if given is None else given
     if surfaces is None:
-        raise SceneCaptumError(
-            "This attribution does not know which object each pixel shows: only a SceneRenderer does."
+        why = (
+            views_without_map(attribution)
+            or "does not know which object each pixel shows: only a SceneRenderer does."
         )
+        raise SceneCaptumError(f"This attribution {why}")
     return surfaces
+
+
+def views_without_map(attribution: Attribution) -> str:
+    """Return why an attribution of several sensors has no map from pixels to objects; empty for others."""
+    if attribution.image is None or attribution.image.ndim != 4:
+        return ""
+    return (
+        f"is of the pictures of {len(attribution.image)} sensors, and a map is of one: attribute each with a "
+        "renderer of its own, such as SceneRenderer(…, sensor=0)."
+    )
 
 
 def _entries(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..attr import Explanation
 from ..errors import SceneCaptumError
 from ..estimation import student_t
-from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects
+from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects, views_without_map
 from ..protocols import Attribution, RankedParameter
 from ..visualization import (
     LOWERS,
@@ -409,10 +409,11 @@ def check(
             continue
         which = f"The attribution of {metric_name(attribution)}"
         if attribution.surfaces is None:
-            raise SceneCaptumError(
-                f"{which} does not know which object each pixel shows, which a report needs: compute it with a "
-                "SceneRenderer, or for a sensor grid give plans=. Its tables and bar charts work without."
+            why = views_without_map(attribution) or (
+                "does not know which object each pixel shows, which a report needs: compute it with a "
+                "SceneRenderer, or for a sensor grid give plans=."
             )
+            raise SceneCaptumError(f"{which} {why} Its tables and bar charts work without.")
         if attribution.image is None:
             raise SceneCaptumError(f"{which} has no picture, which a report needs.")
         if tuple(attribution.image.shape) != (*attribution.surfaces.shape, 3):

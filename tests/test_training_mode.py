@@ -1,0 +1,135 @@
+"""Networks in training mode that functions call are named; the library's own metrics and losses are not."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from toy import ToyRenderer
+
+from scenecaptum import FeatureAblationScene, VanillaSceneGradient, metrics
+
+IMAGE = torch.rand(16, 20, 3)
+NETWORK = torch.nn.Sequential(torch.nn.Conv2d(3, 4, 3), torch.nn.BatchNorm2d(4), torch.nn.Flatten())
+
+
+class Scorer:
+    """An object with a network, to be called or with a method to be passed."""
+
+    def __init__(self, network: torch.nn.Module) -> None:
+        self.network = network
+
+    def __call__(self, x: torch.Tensor) -> torch.Tensor:
+        return self.score(x)
+
+    def score(self, x: torch.Tensor) -> torch.Tensor:
+        return self.network(x)
+
+
+def with_global(x: torch.Tensor) -> torch.Tensor:
+    return NETWORK(x)
+
+
+def through_another_function(x: torch.Tensor) -> torch.Tensor:
+    return torch.stack([with_global(one) for one in x[None]])
+
+
+def with_argument(network: torch.nn.Module, x: torch.Tensor) -> torch.Tensor:
+    return network(x)
+
+
+def functions(net: torch.nn.Module) -> dict[str, Callable[..., Any]]:
+    """Return functions that call a network, by the name that the warning has for it."""
+
+    def inner(x: torch.Tensor) -> torch.Tensor:
+        return net(x)
+
+    return {
+        "net": inner,
+        "net ": lambda x: 2 * inner(x),
+        "NETWORK": with_global,
+        "NETWORK ": through_another_function,
+        "its argument": functools.partial(with_argument, net),
+        "network": functools.partial(with_argument, network=net),
+        "self.network": Scorer(net),
+        "self.network ": Scorer(net).score,
+        "self": net.forward,
+    }
+
+
+def said(call: Callable[[], Any]) -> list[str]:
+    """Return the warnings of a call."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        call()
+    return [str(one.message) for one in caught]
+
+
+@pytest.fixture(autouse=True)
+def in_training_mode():
+    NETWORK.train()
+    yield
+    NETWORK.train()
+
+
+@pytest.mark.parametrize("place", functions(NETWORK))
+@pytest.mark.parametrize("make", [metrics.ClassLogit, lambda f: VanillaSceneGradient(ToyRenderer(), f)])
+def test_a_network_in_training_mode_is_named_until_it_is_not(place, make):
+    function = functions(NETWORK)[place]
+    (warning,) = said(lambda: make(function))
+    assert f"calls {place.strip()} (Sequential), which is in training mode" in warning
+    assert f"Call .eval() on {place.strip()} first." in warning
+    NETWORK.eval()
+    assert said(lambda: make(function)) == []
+
+
+def test_a_metric_that_is_a_network_in_training_mode_is_named():
+    (warning,) = said(lambda: FeatureAblationScene(ToyRenderer(), NETWORK))
+    assert "Sequential is in training mode" in warning
+
+
+@pytest.mark.parametrize("wrap", [metrics.Smoothed, metrics.PerCamera])
+def test_metrics_of_metrics_look_into_functions(wrap):
+    (warning,) = said(lambda: wrap(with_global))
+    assert "with_global calls NETWORK" in warning
+
+
+def test_what_trains_nothing_is_not_named():
+    loss, logit = torch.nn.MSELoss(), metrics.ClassLogit(NETWORK, 0)
+
+    class Wrapped(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.logit, self.frozen = logit, torch.nn.Conv2d(3, 4, 3).eval()
+
+    wrapped = Wrapped()
+
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        return loss(image, IMAGE) + logit(image) + wrapped(image)
+
+    assert said(lambda: VanillaSceneGradient(ToyRenderer(), metric)) == []
+    assert said(lambda: VanillaSceneGradient(ToyRenderer(), logit)) == []
+
+
+def test_the_warning_is_on_the_line_of_the_caller():
+    with pytest.warns(UserWarning, match="training mode") as caught:
+        metrics.ClassLogit(with_global)
+    assert caught[0].filename == __file__
+
+
+def test_the_advised_module_runs_in_evaluation_mode():
+    class Logits(torch.nn.Module):
+        def __init__(self, model: torch.nn.Module) -> None:
+            super().__init__()
+            self.model = model
+
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            return {"out": self.model(x)}["out"]
+
+    before = NETWORK[1].running_mean.clone()
+    metrics.ClassLogit(Logits(NETWORK), 0, lambda x: x)(IMAGE)
+    assert torch.equal(NETWORK[1].running_mean, before)
