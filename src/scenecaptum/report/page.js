@@ -122,7 +122,6 @@ function drawResult() {
   drawOverlay();
   drawTable();
   drawNotes(result());
-  drawCautions(data.comparison ? results : [result()]); // of a comparison, both values stand above
   drawFacts(result());
   select(found(state.selection));
 }
@@ -401,6 +400,7 @@ function drawResults() {
     return make("label", { class: "result" }, input, make("span", { class: "result-face" },
       make("span", {}, make("span", { class: "result-title" }, one.title), one.title.includes(one.metric) ? null : make("span", { class: "result-metric" }, ` · ${one.metric}`)),
       make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
+      ...cautionsOf(one),
       ...[one.verdict, ...one.premises].filter(Boolean).map((text) => make("span", { class: "result-verdict" }, text))));
   });
   byId("results").replaceChildren(...choices);
