@@ -160,7 +160,9 @@ def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alon
             )
         )
 
-    note = "~  attributed alone, this roughness has a smaller error, because lamps light it: metal.alpha.value"
+    note = (
+        "~  attributed alone, this roughness has a smaller error, because lamps light it: metal.alpha.value"
+    )
     assert note in text(1.0)
     several = "these roughnesses have smaller errors, because lamps light them: metal.alpha.value; floor"
     assert several in " ".join(text(1.0, noisy=["metal.alpha.value", "floor"]).split())
