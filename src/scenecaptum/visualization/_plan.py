@@ -183,8 +183,17 @@ def _label(ax: Axes, lines: ContourSet, apart: float) -> None:
             )
             if place is not None:
                 kept.append(place)
-                text = rounded(level, digits=4)
-                ax.text(*place, text, size=TEXT, color="white", ha="center", va="center", bbox=_LABEL)
+                across, up = place
+                ax.text(
+                    across,
+                    up,
+                    rounded(level, digits=4),
+                    size=TEXT,
+                    color="white",
+                    ha="center",
+                    va="center",
+                    bbox=_LABEL,
+                )
 
 
 def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any], width: float) -> tuple[float, float]:
