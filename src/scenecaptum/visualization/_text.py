@@ -250,7 +250,7 @@ def scene_cautions(attribution: Attribution) -> list[str]:
     more = len(cautions) - _MAX_CAUTIONS
     if more <= 0:
         return cautions
-    return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
+    return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out"]
 
 
 def range_notes(
