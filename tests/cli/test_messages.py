@@ -17,6 +17,8 @@ OFFICE = ["office", "--resolution", "16x9", "--spp", "4", "--max-depth", "2", "-
 def test_a_word_in_quotes_is_the_value_of_an_option():
     options = argparse.Namespace(sensor=None)
     assert in_options('Use SceneRenderer(…, sensor="fisheye").', options) == "Use --sensor fisheye."
+    given = "SensorGrid(floor='flor'): the scene has no such shape."
+    assert in_options(given, argparse.Namespace(floor=None)) == "--floor 'flor': the scene has no such shape."
 
 
 def test_advice_to_call_a_function_is_no_message_of_a_command():
@@ -32,7 +34,7 @@ def test_warnings_name_options(monkeypatch, capsys):
     monkeypatch.setattr(warnings, "showwarning", show)
     before = warnings.formatwarning
     with warnings_in_options(argparse.Namespace(sensor=None)):
-        warnings.warn("Too low. Use SceneRenderer(…, sensor='fisheye').", stacklevel=1)
+        warnings.warn('Too low. Use SceneRenderer(…, sensor="fisheye").', stacklevel=1)
     assert capsys.readouterr().err == "scenecaptum: warning: Too low. Use --sensor fisheye.\n"
     assert warnings.formatwarning is before
 

@@ -16,7 +16,7 @@ KEYWORD = re.compile(
 )
 # A sentence of advice that ends with a call in Python.
 IN_PYTHON = re.compile(r" [A-Z][^.]*\brenderer\.\w+\([^()]*\)\.")
-WORD_IN_QUOTES = re.compile(r"^(['\"])(\w+)\1$")
+IN_CODE = re.compile(r'^"(\w+)"$')  # a word of advice; what was given is in single quotes
 VALUE = re.compile(r"[\w'\"\[{(−-]")
 
 
@@ -36,7 +36,7 @@ def in_options(message: str, options: argparse.Namespace) -> str:
         if not hasattr(options, name):
             return found[0]
         option = RENAMED.get(name, f"--{name.replace('_', '-')}")
-        value = WORD_IN_QUOTES.sub(r"\2", found["value"].strip("…")) if found["name"] else found[4]
+        value = IN_CODE.sub(r"\1", found["value"].strip("…")) if found["name"] else found[4]
         return f"{option} {value}" if VALUE.match(value) else f"{option}{value}"
 
     message = IN_PYTHON.sub("", message)
