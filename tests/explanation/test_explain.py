@@ -160,3 +160,32 @@ def test_only_a_source_that_is_close_to_an_absolute_threshold_has_a_note():
     assert has_note(4000.0)
     assert not has_note(20000.0)
     assert not has_note(4000.0, threshold_factor=5.0)
+
+
+class _Firefly:
+    """A dim room of which the first picture, and no other, has one very bright pixel."""
+
+    inputs = {"paint": torch.tensor(0.5)}  # noqa: RUF012 -- read only
+
+    def __init__(self) -> None:
+        self.seed: int | None = None
+
+    def __call__(self, inputs, *, seed=0, spp=None):
+        self.seed = seed if self.seed is None else self.seed
+        bright = torch.zeros(16, 16, 3)
+        bright[8, 8] = 1000.0 * (seed == self.seed)
+        return inputs["paint"] * torch.ones(16, 16, 3) + bright
+
+
+def test_the_notes_on_a_rating_are_of_the_picture_of_its_value():
+    """The value has a source: it must not be said that there is none, but that a single sample makes it."""
+    camera = Camera.fisheye(16, 16)
+    notes = explain(_Firefly(), metrics.DaylightGlareProbability(camera), changes=0, denoise=False).notes()
+    assert not any("no pixel is brighter" in note for note in notes)
+    (caution,) = [note for note in notes if "single samples" in note]
+    assert "in another render its pixels have 89.5 cd/m²" in caution
+    lit = _Firefly()
+    lit.seed = -1
+    lit.inputs = {"paint": torch.tensor(50.0)}
+    notes = explain(lit, metrics.DaylightGlareProbability(camera), changes=0, denoise=False).notes()
+    assert not any("single samples" in note for note in notes)

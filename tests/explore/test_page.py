@@ -243,6 +243,28 @@ def test_a_glare_rating_has_the_cautions_of_an_explanation() -> None:
     [rated] = exploration.channel.message("base")["metrics"]
     assert any("UGR and its limits are for luminaires" in one for one in rated["premises"])
     assert any("with a threshold of 5 times the mean luminance, UGR is" in one for one in rated["premises"])
+    assert re.match(r"[\d.]+ by the definition; predictions need", rated["relaxed"])
+
+
+def test_a_slider_that_leads_for_another_metric_and_a_relaxed_rating_say_so(browser):
+    renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
+    named = {
+        "glare": metrics.UnifiedGlareRating(renderer.camera),
+        "constant": lambda image: 1 + 0 * image.mean(),
+    }
+    with served(Exploration(renderer, named, top=2, spp=16, seed=shifted())) as server:
+        window = Window(browser, server)
+        wait_for(lambda: window.all("slider").count() >= 1 and not window.all("slider[data-waiting]").count())
+        wait_for(lambda: window.text("status") == "")
+        sky = window.slider("sky.emitter.radiance.value")
+        assert "leads for" not in sky.inner_text()
+        values = window.all("value")
+        assert values.nth(0).inner_text().endswith(" relaxed")
+        assert "by the definition" in values.nth(0).locator("span").get_attribute("title")
+        assert "relaxed" not in values.nth(1).inner_text()
+        window.page.get_by_label("constant").check(force=True)
+        wait_for(lambda: "leads for unified glare rating" in sky.inner_text())
+        window.close()
 
 
 def test_the_design_as_python_gives_the_same_metric(window):

@@ -63,6 +63,18 @@ def test_dgp_of_a_partial_view_warns():
     assert metrics.DaylightGlareProbability(Camera.fisheye(16, 16)).caution is None
 
 
+def test_dgp_of_a_partial_view_has_a_class_only_above_a_limit():
+    """A value that is too low may be in any higher class."""
+    with pytest.warns(UserWarning, match="too low"):
+        partial = metrics.DaylightGlareProbability(Camera.perspective(16, 9, 60), threshold_factor=5)
+    assert partial.measure.verdict(0.28) == ""
+    assert partial.measure.verdict(0.41) == "at least disturbing glare"
+    assert partial.measure.verdict(0.6) == "intolerable glare"
+    assert "5 times" in partial.measure.definition
+    whole = metrics.DaylightGlareProbability(Camera.fisheye(16, 16))
+    assert whole.measure.verdict(0.28) == "imperceptible glare"
+
+
 def test_a_logit_knows_its_class_and_probability():
     model = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten(), torch.nn.Linear(3, 3))
     image = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(1))

@@ -168,24 +168,20 @@ def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
 def test_a_picture_too_noisy_for_the_metric_is_said(browser, tmp_path):
     noisy = noted(ranged(), picture={"spp": 4, "caution": "the noise alone raises it <b>"})
     page = Page(browser, written(tmp_path, noisy))
-    assert "! the noise alone raises it <b>" in page.page.locator("#cautions").inner_text()
-    assert box_of(page, "#cautions")[1] <= box_of(page, "#picture")[0]
+    assert "! the noise alone raises it <b>" in page.page.locator(".result").inner_text()
     page.context.close()
 
 
-def test_the_cautions_of_a_comparison_are_those_of_both_with_their_titles(browser, tmp_path):
+def test_a_caution_of_a_comparison_is_in_the_box_of_its_value(browser, tmp_path):
     noisy = noted(ranged(), picture={"spp": 4, "caution": "the noise alone raises it"})
     said = Explanation(ranged(), premises=("caution: DGP is valid from 0.2",), count=0)
-    for before, cautions in (
-        (said, "! B: the noise alone raises it"),
-        (noisy, "! the noise alone raises it"),
-    ):
-        path = written(tmp_path, before, noisy, titles=["as it is", "B"], comparison=Comparison(0.1))
-        page = Page(browser, path)
-        assert page.page.locator("#cautions").inner_text() == cautions
-        shown = page.page.locator(".result").first.inner_text()
-        assert ("caution: DGP is valid from 0.2" in shown) == (before is said)
-        page.context.close()
+    path = written(tmp_path, said, noisy, titles=["as it is", "B"], comparison=Comparison(0.1))
+    page = Page(browser, path)
+    before, after = page.page.locator(".result").all_inner_texts()
+    assert "! the noise alone raises it" in after
+    assert "noise" not in before
+    assert "caution: DGP is valid from 0.2" in before
+    page.context.close()
 
 
 def test_the_settings_of_a_sensor_grid_and_of_an_explanation_are_those_that_were_given(browser, tmp_path):
@@ -668,4 +664,52 @@ def test_classes_are_called_by_their_names(browser, tmp_path):
     page.page.get_by_text("logit of lamp", exact=True).first.click()
     assert "logit of lamp" in page.page.locator("#caption").inner_text()
     page.check(path)
+    page.context.close()
+
+
+def printed(page: Page) -> Page:
+    """The page as a browser prints it."""
+    page.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    page.page.emulate_media(media="print")
+    return page
+
+
+def test_on_paper_each_of_several_results_is_shown_in_full(browser, tmp_path):
+    said = [dataclasses.replace(explained(), attribution=noted(ranged(), metric=name)) for name in ("A", "B")]
+    page = printed(Page(browser, written(tmp_path, *said, titles=["First", "Second"])))
+    parts = page.page.locator("#printed > div")
+    assert [part.split(":")[0] for part in parts.locator("> h2").all_inner_texts()] == ["First", "Second"]
+    for part in parts.all():
+        assert part.get_by_text("Where the glare comes from").is_visible()
+        assert part.locator("#render").is_visible()
+        assert part.locator("#rows tr").first.is_visible()
+    assert not page.page.locator(".answer ~ .explanation").is_visible()
+    assert not page.page.locator(".answer ~ .work").is_visible()
+    page.page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert page.page.locator("#printed > div").count() == 0
+    page.context.close()
+
+
+def test_on_paper_two_designs_are_whole_pictures_side_by_side(browser, tmp_path):
+    dark, bright = (ranged(image=plain_picture(*3 * [value])) for value in (0.1, 0.6))
+    path = written(tmp_path, dark, bright, titles=["as it is", "B"], comparison=Comparison(0.1))
+    page = printed(Page(browser, path))
+    first, second = page.page.locator("#printed .frame").all()
+    one, other = first.bounding_box(), second.bounding_box()
+    assert one["y"] == other["y"]
+    assert one["x"] + one["width"] <= other["x"]
+    for frame in (first, second):
+        assert frame.locator("img:visible").count() == 1
+        assert frame.locator("#overlay").evaluate("one => getComputedStyle(one).clipPath") == "none"
+    for hint in ("Divider", "Point at the picture"):
+        assert not any(one.is_visible() for one in page.page.get_by_text(hint).all())
+    page.context.close()
+
+
+def test_a_printed_report_of_one_result_has_no_hints(browser, tmp_path):
+    page = printed(Page(browser, written(tmp_path, ranged())))
+    assert page.page.locator("#picture").is_visible()
+    assert page.page.locator("#rows tr").first.is_visible()
+    for selector in (".hint", ".controls", "#filter", ".downloads"):
+        assert not page.page.locator(selector).first.is_visible()
     page.context.close()

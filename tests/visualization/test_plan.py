@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -33,6 +36,30 @@ def test_contours_are_at_the_levels_within_the_range():
     np.testing.assert_allclose(np.concatenate(drawn.allsegs[2])[:, 0], 1.0)
     (own,) = contours(plot_plan(ramp(), plan(5, 7), levels=(400, 250, 9e9)))
     assert own.levels.tolist() == [250, 400]
+
+
+@pytest.mark.parametrize("width", [7.2, 4.2])
+def test_a_contour_near_another_is_labelled_as_well(width):
+    """As of a daylight factor near a window: the label moves along its contour until there is room."""
+    falling = torch.tensor([0.3, 0.35, 0.4, 0.6, 1.0, 1.8, 3.8])[:, None].expand(7, 9)
+    figure = plot_plan(falling, plan(7, 9), levels=(0.5, 1.0001, 2.0, 3.0), width=width)
+    labels = figure.axes[0].texts
+    assert sorted(label.get_text() for label in labels) == ["0.5", "1", "2", "3"]
+    places = [label.get_position() for label in labels]
+    apart = [math.dist(one, other) for one, other in itertools.combinations(places, 2)]
+    assert min(apart) >= 0.08 * 7.2 / width * 4.0
+
+
+def test_no_contour_passes_between_blank_points():
+    inside = torch.ones(5, 7, dtype=torch.bool)
+    inside[2, 2] = False
+    values = ramp().clone()
+    values[2, 2] = 1e6
+    (drawn,) = contours(plot_plan(values, plan(5, 7), inside, levels=(290.0,)))
+    ends = np.concatenate(drawn.allsegs[0])
+    assert len(ends)
+    # In the cells around the blank point, which is at (1, 1), nothing is known.
+    assert not ((abs(ends[:, 1] - 1) < 0.499) & (abs(ends[:, 0] - 1) < 0.499)).any()
 
 
 def test_points_outside_are_blank_and_do_not_count():

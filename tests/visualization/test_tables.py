@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -146,7 +147,7 @@ def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
 
 
 def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alone() -> None:
-    def text(error: float, **info: Any) -> str:
+    def text(error: float, noisy: Sequence[str] = ("metal.alpha.value", "not here"), **info: Any) -> str:
         name = "metal.alpha.value"
         return table_text(
             dataclasses.replace(
@@ -155,12 +156,16 @@ def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alon
                 covariance={name: torch.tensor([[error**2]]), "floor": torch.tensor([[1.0]])},
                 parameter_values={},
                 extents={name: torch.ones(1), "floor": torch.ones(1)},
-                info={**make(**info).info, "noisy_roughness": [name, "not in this result"]},
+                info={**make(**info).info, "noisy_roughness": noisy},
             )
         )
 
-    note = "~  metal.alpha.value: attribute this roughness alone: lit by lamps, its error will be smaller"
+    note = (
+        "~  attributed alone, this roughness has a smaller error, because lamps light it: metal.alpha.value"
+    )
     assert note in text(1.0)
+    several = "these roughnesses have smaller errors, because lamps light them: metal.alpha.value; floor"
+    assert several in " ".join(text(1.0, noisy=["metal.alpha.value", "floor"]).split())
     assert "alone" not in text(0.1), "its error is small enough"
     assert "alone" not in text(1.0, quantity="effect of ablation"), "no gradient is taken"
 
@@ -259,7 +264,7 @@ def test_parameters_left_out_for_their_values_are_named_in_every_form() -> None:
     assert said in " ".join(table_html(left_out).split())
     assert f"! {said}" in " ".join(all_text(plot_bars(left_out)).split())
     many = make(left_out={f"knob{n}": "it is nan" for n in range(9)})
-    assert "4 more are left out; renderer.plan lists all" in " ".join(table_text(many).split())
+    assert "4 more are left out" in " ".join(table_text(many).split())
 
 
 def test_cautions_are_grouped() -> None:

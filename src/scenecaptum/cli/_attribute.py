@@ -19,7 +19,7 @@ from ..report import json_text, write_report
 from ..visualization import table_text, terminal_width, wrap
 from . import _arguments
 from ._design import add_design, designed_values
-from ._files import print_files, writable, write_files
+from ._files import OutputFormat, print_files, writable, write_files
 from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._messages import warnings_after_checks
 from ._metrics import DEFAULT, add_metric, find_metrics
@@ -223,7 +223,7 @@ def _write_result(
     if options.json:
         print(json_text(attribution))
         return
-    print(table_text(attribution, scale=options.scale))
+    print(table_text(attribution, scale=options.scale, complete=_complete_table(formats)))
     exact = by_definition(attribution, metric)
     lines = [f"quote {exact}, the value by the definition; {RELAXED}"] if exact else []
     if of_picture := _of_picture(attribution, metric):
@@ -231,6 +231,13 @@ def _write_result(
     width = terminal_width() or WIDTH
     print("".join(f"\n{wrap(line, width)}" for line in [*lines, *premises(metric, options)]))
     print_files(folder, formats)
+
+
+def _complete_table(formats: Sequence[OutputFormat[SceneAttribution]]) -> str:
+    """Return the file with all parameters, or the option that writes it."""
+    written = {one.file for one in formats}
+    of_numbers = [FORMATS[name].file for name in ("csv", "json")]
+    return next((file for file in of_numbers if file in written), "--format csv")
 
 
 def _of_picture(attribution: SceneAttribution, metric: Metric) -> tuple[str, ...]:

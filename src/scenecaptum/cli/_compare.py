@@ -233,8 +233,10 @@ def _side(
 ) -> Side:
     """Return what belongs to a result; ``images`` are those of the value by the definition, if it has one."""
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
-    of_picture = photometric_premises(metric, attribution.image, attribution.metric_value)
+    # The notes are of the picture of the value.
     of_value = attribution.image if definition is None or images is None else images.mean(0)
+    value = attribution.metric_value if definition is None else definition.value
+    of_picture = photometric_premises(metric, of_value, value)
     return Side(
         plan_of(of_value, renderer, metric),
         definition,

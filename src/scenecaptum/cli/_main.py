@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 import time
-import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -29,7 +28,7 @@ from . import (
     _validate,
 )
 from ._interrupt import INTERRUPTED, leave, prompt_exit
-from ._messages import in_options
+from ._messages import in_options, warnings_in_options
 
 COMMANDS = (
     _explain,
@@ -59,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     say = partial(_say_interrupted, options, time.time())
     try:
-        with prompt_exit(say):
+        with prompt_exit(say), warnings_in_options(options):
             status: int = options.run(options)
             sys.stdout.flush()
     except SceneCaptumError as error:
@@ -76,18 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run() -> int:
     """Run the command of this process; it ends within seconds of Ctrl-C."""
-    warnings.formatwarning = _one_line
     status = main()
     if status == INTERRUPTED and "drjit" in sys.modules:  # whose kernels may still run
         leave(status)
     return status
-
-
-def _one_line(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
-) -> str:
-    """Return a warning without the place in the source code, which means nothing to users of a command."""
-    return f"scenecaptum: warning: {message}\n"
 
 
 def _say_interrupted(options: argparse.Namespace, started: float) -> None:

@@ -14,6 +14,9 @@ OF_COMMANDS = re.compile(r"(?:^|\s)--?[A-Za-z]")
 KEYWORD = re.compile(
     r"\b(?:SceneRenderer|SensorGrid)\((?:…, )?(?P<name>\w+)=(?P<value>[^()]*)\)|\b(?P<alone>\w+)=(\S?)"
 )
+# A sentence of advice that ends with a call in Python.
+IN_PYTHON = re.compile(r" [A-Z][^.]*\brenderer\.\w+\([^()]*\)\.")
+IN_CODE = re.compile(r'^"(\w+)"$')  # a word of advice; what was given is in single quotes
 VALUE = re.compile(r"[\w'\"\[{(−-]")
 
 
@@ -25,7 +28,7 @@ def in_options(message: str, options: argparse.Namespace) -> str:
     >>> in_options("inputs='wal*' matches nothing: choose another with inputs=.", argparse.Namespace(inputs=None))
     "--inputs 'wal*' matches nothing: choose another with --inputs."
 
-    A message that names options already is returned as it is.
+    A message that names options already is returned as it is. Advice to call a method of the renderer is left out.
     """
 
     def written(found: re.Match[str]) -> str:
@@ -33,10 +36,29 @@ def in_options(message: str, options: argparse.Namespace) -> str:
         if not hasattr(options, name):
             return found[0]
         option = RENAMED.get(name, f"--{name.replace('_', '-')}")
-        value = (found["value"] or "").strip("…") if found["name"] else found[4]
+        value = IN_CODE.sub(r"\1", found["value"].strip("…")) if found["name"] else found[4]
         return f"{option} {value}" if VALUE.match(value) else f"{option}{value}"
 
+    message = IN_PYTHON.sub("", message)
     return message if OF_COMMANDS.search(message) else KEYWORD.sub(written, message)
+
+
+@contextmanager
+def warnings_in_options(options: argparse.Namespace) -> Iterator[None]:
+    """Show the warnings of a block in the words of a command, on one line.
+
+    The place in the source code is left out: it means nothing to users of a command.
+    """
+
+    def one_line(message: Warning | str, *_: object, **__: object) -> str:
+        return f"scenecaptum: warning: {in_options(str(message), options)}\n"
+
+    original = warnings.formatwarning
+    warnings.formatwarning = one_line
+    try:
+        yield
+    finally:
+        warnings.formatwarning = original
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from ._changes import propose, rendered
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
-from ._threshold import is_near_threshold, relative_rating, threshold_notes
+from ._threshold import is_near_threshold, relative_rating, single_sample_notes, threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
@@ -129,16 +129,21 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         )
         goal = _reach(below, search, show_progress=show_progress)
     picture = scenes.images.mean(0)
-    shown = scenes.metric.transform(picture)
-    premises = photometric_premises(metric, picture, attribution.metric_value, shown)
-    if goal is not None and not goal.was_below and isinstance(metric, GlareRating):
-        premises += _threshold_at(goal, scenes, metric, shown)
     # Of the pictures from which the changes are measured: before and after are values of the same points.
     definition = (
         definition_of(scenes.metric, scenes.images) if states_definition(scenes.metric, picture) else None
     )
-    # What a plan draws and the rows count is what the quoted value is of.
-    of_value = attribution.image if definition is None else picture
+    # What the notes are of, a plan draws and the rows count is what the quoted value is of.
+    assert attribution.image is not None, "every attribution of a gradient method has its image"
+    value, of_value, other = attribution.metric_value, attribution.image, picture
+    if definition is not None:
+        value, of_value, other = definition.value, picture, attribution.image
+    shown = scenes.metric.transform(of_value)
+    premises = photometric_premises(metric, of_value, value, shown)
+    if isinstance(metric, GlareRating):
+        premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
+        if goal is not None and not goal.was_below:
+            premises += _threshold_at(goal, scenes, metric, shown)
     return Explanation(
         attribution,
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),

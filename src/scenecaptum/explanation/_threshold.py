@@ -9,6 +9,7 @@ from ..metrics import GlareRating, GlareSource, luminance
 from ..visualization import rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
+LASTING = 2.0  # the luminance of a source is within this factor in another render
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 
 
@@ -32,6 +33,20 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
             f"once; {relative_rating(metric, image)}"
         ]
     return []
+
+
+def single_sample_notes(metric: GlareRating, image: torch.Tensor, other: torch.Tensor) -> tuple[str, ...]:
+    """Return a note if bright single samples make the main source of a picture: an independent one has it not."""
+    if (main := _main_source(metric, image)) is None:
+        return ()
+    rows, columns = main.pixels.to(other.device).unbind(-1)
+    there = metric.efficacy * luminance(other)[rows, columns].mean().item()
+    if there > main.luminance / LASTING:
+        return ()
+    return (
+        f"caution: bright single samples make the main glare source, of {rounded(main.luminance)} cd/m²: in "
+        f"another render its pixels have {rounded(there)} cd/m²; use more samples",
+    )
 
 
 def is_near_threshold(metric: GlareRating, image: torch.Tensor) -> bool:

@@ -13,12 +13,12 @@ import torch
 
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import Metric, TargetedMetric
-from ..explanation import photometric_premises
+from ..explanation import definition_of, photometric_premises, states_definition
 from ..linearization import Derivative, Design, Designs, Linearization, Measured, Slider
 from ..metrics import Measure
 from ..rendering import SceneRenderer
 from ..report import describe_objects
-from ..visualization import automatic_exposure
+from ..visualization import automatic_exposure, rounded
 from ._channel import Channel
 
 MAX_NAME = 60  # characters of the name of a saved design
@@ -294,6 +294,7 @@ class Exploration:
                 "value": value,
                 "error": error,
                 "verdict": metric.verdict(value, measured.image),
+                "relaxed": _relaxed(metric, measured.image),
                 "premises": list(
                     photometric_premises(
                         metric.metric, measured.image, value, metric.transform(measured.image)
@@ -337,6 +338,16 @@ def _encode(image: torch.Tensor) -> tuple[float, bytes]:
     """Return a factor, and an image divided by it in half precision (little-endian)."""
     scale = image.abs().max().item() / LARGEST or 1.0
     return scale, (image / scale).half().numpy(force=True).astype("<f2").tobytes()
+
+
+def _relaxed(metric: TargetedMetric, image: torch.Tensor) -> str:
+    """Return why the value is the relaxed one, and that by the definition; empty where they are the same."""
+    exact = definition_of(metric, image[None]) if states_definition(metric, image) else None
+    if exact is None:
+        return ""
+    return (
+        f"{rounded(exact.value, 4)} by the definition; predictions need the derivatives of the relaxed value"
+    )
 
 
 def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from typing import Literal
 
@@ -9,16 +10,16 @@ import torch
 
 from ..camera import Camera
 from ._glare import Background, GlareRating, Grouping, check_choice
-from ._measure import DGP
+from ._measure import DGP, Band
 from ._sources import Sources
 
 Constants = Literal["evalglare", "published"]
 
 _COEFFICIENTS = {"evalglare": (5.87e-5, 0.092, 0.159), "published": (5.87e-5, 0.0918, 0.16)}
-PARTIAL_VIEW = (
-    "DGP is defined for a view of 180°, and this camera sees less: its values are too low. Use "
-    'SceneRenderer(..., sensor="fisheye").'
-)
+PARTIAL_VIEW = "DGP is defined for a view of 180°, and this camera sees less: its values are too low"
+FISHEYE = 'Use SceneRenderer(…, sensor="fisheye").'
+# A value that is too low shows that there is at least so much glare, and never that there is little.
+_AT_LEAST = ("", "at least perceptible glare", "at least disturbing glare")
 _MIN_ILLUMINANCE = 1e-6  # lux; keeps the quotient finite for a source at 90° from the line of sight
 
 
@@ -27,8 +28,9 @@ class DaylightGlareProbability(GlareRating):
 
     Ev is the vertical illuminance at the eye in lux; L, ω and P are a source's luminance, solid angle and
     position index. The formula is valid for 180° images, ``Ev`` above 380 lux and values from 0.2 to 0.8.
-    Without a source it is ``c₁ Ev + c₃``. It does not depend on the background: ``background`` is accepted for
-    consistency and has no effect.
+    Without a source it is ``c₁ Ev + c₃``. Of a camera that sees less than 180° the values are too low: they have a
+    class only above a limit, such as "at least disturbing glare". It does not depend on the background:
+    ``background`` is accepted for consistency and has no effect.
 
     Parameters
     ----------
@@ -73,7 +75,9 @@ class DaylightGlareProbability(GlareRating):
             task=task,
         )
         if not camera.sees_hemisphere:
-            warnings.warn(PARTIAL_VIEW, stacklevel=2)
+            warnings.warn(f"{PARTIAL_VIEW}. {FISHEYE}", stacklevel=2)
+            bands = [Band(band.upper, least) for band, least in zip(DGP.bands, _AT_LEAST, strict=True)]
+            self.measure = dataclasses.replace(self.measure, bands=tuple(bands))
         self.low_light = low_light
         self.constants = check_choice("constants", constants, tuple(_COEFFICIENTS))
 

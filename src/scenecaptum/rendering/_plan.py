@@ -189,7 +189,7 @@ def make_plan(
     noisy = _noisy_roughness(graph, routes, sensors) if integrator.light_tracing and not hide_emitters else ()
     if noisy:
         reasons[f"{len(noisy)} of low roughness among others"] = (
-            "attribute each alone: lit by lamps, its error will be smaller"
+            "attributed alone, each has a smaller error, because lamps light it"
         )
     cautions = (
         *(

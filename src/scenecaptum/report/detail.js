@@ -89,11 +89,11 @@ function othersOf(results, current, name) {
 
 /** Before anything is selected: how to read the picture, and what matters out of sight. */
 function hintOf(result, isPlan) {
-  if (isPlan) return [make("p", { class: "muted" }, "Click a row of the table to see all about its parameter.")];
+  if (isPlan) return [make("p", { class: "muted hint" }, "Click a row of the table to see all about its parameter.")];
   const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && objectsOf(result, index).length === 0);
   const hint = "Point at the picture to read an object; click it, or a row of the table, to keep it lit.";
   const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);
-  return [make("p", { class: "muted" }, hint), hidden].filter(Boolean);
+  return [make("p", { class: "muted hint" }, hint), hidden].filter(Boolean);
 }
 
 /** The answer in sentences: a heading for each part, and its lines. */

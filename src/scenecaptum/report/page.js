@@ -122,9 +122,52 @@ function drawResult() {
   drawOverlay();
   drawTable();
   drawNotes(result());
-  drawCautions(data.comparison ? results : [result()]); // of a comparison, both values stand above
   drawFacts(result());
   select(found(state.selection));
+}
+
+// ------------------------------------------------------------------------------------------------- on paper
+
+/** Draw each of several results in full, for paper; of one, the page itself is printed. */
+function drawPrinted() {
+  if (results.length < 2) return;
+  const { current, selection } = state;
+  const copies = results.map((_, index) => {
+    Object.assign(state, { current: index, selection });
+    drawResult();
+    return printedCopy();
+  });
+  Object.assign(state, { current, selection });
+  drawResult();
+  byId("printed").classList.toggle("pair", Boolean(otherResult()));
+  byId("printed").replaceChildren(...copies);
+}
+
+const HALVES = ["other", "other-overlay", "split-before", "split-after"]; // of a picture with a divider
+
+/** Copy what is shown of the result: its picture or plan as a whole, its sentences, and its table. */
+function printedCopy() {
+  const { title, written, unit } = result();
+  const head = make("h2", {}, `${title}: ${[withError(written), unit].filter(Boolean).join(" ")}`);
+  const hasMap = view().names.length > 0 && byId("opacity").value > 0;
+  const shown = [byId("explanation"), document.querySelector(".frame"), ...(hasMap ? [document.querySelector(".legend")] : []), document.querySelector(".list")];
+  const copies = shown.filter((one) => !one.hidden).map(copyOf);
+  for (const copy of copies) {
+    for (const half of HALVES) copy.querySelector(`#${half}`)?.remove();
+    copy.querySelector("#overlay")?.style.removeProperty("clip-path");
+    copy.querySelector("#picture")?.classList.remove("split");
+  }
+  return make("div", {}, head, ...copies);
+}
+
+/** Copy an element with what is painted on its canvases. */
+function copyOf(element) {
+  const copy = element.cloneNode(true);
+  const painted = element.querySelectorAll("canvas");
+  copy.querySelectorAll("canvas").forEach((canvas, index) => {
+    if (painted[index].width && painted[index].height) canvas.getContext("2d").drawImage(painted[index], 0, 0);
+  });
+  return copy;
 }
 
 // ----------------------------------------------------------------------------------------------- selecting
@@ -401,6 +444,7 @@ function drawResults() {
     return make("label", { class: "result" }, input, make("span", { class: "result-face" },
       make("span", {}, make("span", { class: "result-title" }, one.title), one.title.includes(one.metric) ? null : make("span", { class: "result-metric" }, ` · ${one.metric}`)),
       make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
+      ...cautionsOf(one),
       ...[one.verdict, ...one.premises].filter(Boolean).map((text) => make("span", { class: "result-verdict" }, text))));
   });
   byId("results").replaceChildren(...choices);
@@ -457,6 +501,8 @@ function listen() {
   byId("svg").addEventListener("click", () => download("effects.svg", "image/svg+xml", barsText()));
   byId("csv").addEventListener("click", () => download("attributions.csv", "text/csv", csvText()));
   byId("json").addEventListener("click", () => download("attributions.json", "application/json", jsonText()));
+  window.addEventListener("beforeprint", drawPrinted);
+  window.addEventListener("afterprint", () => byId("printed").replaceChildren());
   window.addEventListener("hashchange", () => location.reload());
   new ResizeObserver(drawOutlines).observe(picture);
 }

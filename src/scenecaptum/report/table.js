@@ -120,12 +120,10 @@ function markSelected(rows) {
 
 const cautioned = (texts) => texts.map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`));
 
-/** What puts the whole result in doubt stands below its value, not below the table. */
-function drawCautions(results) {
-  const cautions = results.map(({ sampling }) => sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", "")));
-  const shared = (text) => cautions.every((ones) => ones.includes(text));
-  const whole = results.flatMap(({ title }, index) => cautions[index].map((text) => (shared(text) ? text : `${title}: ${text}`)));
-  byId("cautions").replaceChildren(...cautioned([...new Set(whole)]));
+/** What puts the whole result in doubt stands with its value, not below the table. */
+function cautionsOf({ sampling }) {
+  const texts = sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", ""));
+  return texts.map((text) => make("span", { class: "result-caution" }, make("span", { class: "mark caution" }, "!"), ` ${text}`));
 }
 
 function drawNotes(result) {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -20,14 +19,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.contour import ContourSet
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
 BLANK = "blank: inside an object, or at the edge of the floor"
 # Of the scale of illuminance in EN 12464-1, in lx: what a room may have to reach.
 LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 5000.0)
 # A label of a contour is horizontal, in a dark box: an outline alone is hard to read on cells of many colours.
 _LABEL = {"facecolor": "black", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
-_APART = 0.06  # of the longer side, between two labels
+_APART = 0.08  # of the longer side, between two labels
+_PLACES = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9]  # of a label along its contour, the best first
 _MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
 _BESIDE_TITLE = 1.2  # inches left of a title, which begins at the map, and at its right
 _TITLE_LINE = 0.17  # inches
@@ -161,21 +160,40 @@ def _draw_contours(
     within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
     if min(shown.shape) < 2 or not within:
         return
-    lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0)
+    # Without corner masks no line passes between blank points, where it would be a piece without meaning.
+    lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0, corner_mask=False)
     lines.set(path_effects=[withStroke(linewidth=2.2, foreground="black")])
     _label(ax, lines, apart * max(abs(float(side[-1] - side[0])) for side in (x, y)))
 
 
 def _label(ax: Axes, lines: ContourSet, apart: float) -> None:
-    """Write the value of each contour on it, unless another label is nearer than a distance."""
-    kept: list[Text] = []
-    write = partial(rounded, digits=4)
-    for text in ax.clabel(lines, fmt=write, fontsize=TEXT, colors="white", inline=False):
-        text.set(rotation=0, bbox=_LABEL)
-        if any(math.dist(text.get_position(), other.get_position()) < apart for other in kept):
-            text.remove()
-        else:
-            kept.append(text)
+    """Write its value on each contour, as near to its middle as other labels are no nearer than a distance."""
+    import numpy as np
+
+    kept: list[np.ndarray[Any, Any]] = []
+    for level, parts in zip(lines.levels, lines.allsegs, strict=True):
+        for part in parts:
+            along = np.concatenate([[0.0], np.hypot(*np.diff(part, axis=0).T).cumsum()])
+            if along[-1] < apart:
+                continue  # shorter than its label
+            places = along[-1] * np.array(_PLACES)
+            candidates = np.stack([np.interp(places, along, side) for side in part.T], -1)
+            place = next(
+                (one for one in candidates if all(math.dist(one, two) >= apart for two in kept)), None
+            )
+            if place is not None:
+                kept.append(place)
+                across, up = place
+                ax.text(
+                    across,
+                    up,
+                    rounded(level, digits=4),
+                    size=TEXT,
+                    color="white",
+                    ha="center",
+                    va="center",
+                    bbox=_LABEL,
+                )
 
 
 def _size(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any], width: float) -> tuple[float, float]:

@@ -54,7 +54,11 @@ class _Table:
 
 
 def table_text(
-    attribution: Attribution, top: int | None = DEFAULT_ROWS, *, scale: Scale | None = None
+    attribution: Attribution,
+    top: int | None = DEFAULT_ROWS,
+    *,
+    scale: Scale | None = None,
+    complete: str = ".ranking()",
 ) -> str:
     """Format the ranking for a terminal, within its width.
 
@@ -66,8 +70,10 @@ def table_text(
         Number of parameters; None for all.
     scale
         As for ``SceneAttribution.ranking``.
+    complete
+        Where all parameters are, for a note below a table of some.
     """
-    table = _table(attribution, top, scale)
+    table = _table(attribution, top, scale, complete)
     width = shutil.get_terminal_size(fallback=(_DEFAULT_WIDTH, 24)).columns
     heading, notes = (
         [part for text in texts for part in wrap(text, width, 3).splitlines()]
@@ -121,7 +127,9 @@ def _cells(row: _Row, tag: str) -> str:
     return "".join(f'<{tag} class="{kind}">{html.escape(text)}</{tag}>' for kind, text in kinds)
 
 
-def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _Table:
+def _table(
+    attribution: Attribution, top: int | None, scale: Scale | None, complete: str = ".ranking()"
+) -> _Table:
     ranking = attribution.ranking(scale=scale)
     is_norm = attribution.ranks_by_norm(scale)
     shown = ranking if top is None else ranking[:top]
@@ -155,7 +163,7 @@ def _table(attribution: Attribution, top: int | None, scale: Scale | None) -> _T
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
-        notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; .ranking() lists all")
+        notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")
     if any(row.name in vectors for row in shown):
         notes.append("of a translation or rotation in the direction with the largest effect")
     if textures:

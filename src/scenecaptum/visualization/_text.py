@@ -250,7 +250,7 @@ def scene_cautions(attribution: Attribution) -> list[str]:
     more = len(cautions) - _MAX_CAUTIONS
     if more <= 0:
         return cautions
-    return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out; renderer.plan lists all"]
+    return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out"]
 
 
 def range_notes(
@@ -279,17 +279,19 @@ def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
     ]
     if not noisy:
         return {}
-    which = "this roughness" if len(noisy) == 1 else "each of these roughnesses"
-    return {
-        f"{_named(attribution, noisy)}: attribute {which} alone: lit by lamps, its error will be smaller": noisy
-    }
+    alone = (
+        "attributed alone, this roughness has a smaller error, because lamps light it"
+        if len(noisy) == 1
+        else "attributed one at a time, these roughnesses have smaller errors, because lamps light them"
+    )
+    return {f"{alone}: {_named(attribution, noisy)}": noisy}
 
 
 def _named(attribution: Attribution, names: Sequence[str]) -> str:
     """Return the labels of the first few parameters, and how many more there are."""
     labels = [attribution.labels.get(name, name) for name in names[:_NAMED]]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{', '.join(labels)}{more}"
+    return f"{'; '.join(labels)}{more}"  # a label may have a comma or a colon
 
 
 def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:

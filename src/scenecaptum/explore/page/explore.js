@@ -7,6 +7,7 @@ const LAYERS = 3; // objects per pixel
 const OPERATORS = { dimmer: "*", offset: "+" }; // of changes, in Python and on the command line
 const UNRENDERED =
   "Changes are predicted to first order, not rendered. ± is the noise of the prediction only: a render can differ by more.";
+const NOTABLE = 0.01; // of the largest effect on a metric
 const CLEAR = 2; // errors from which a render and its prediction differ
 
 /** Make an element. Strings become text, never markup: names come from scenes that anyone may have written. */
@@ -416,7 +417,11 @@ class Page {
       const [value, verdict, change, note] = this.parts.cards.children[index].querySelectorAll("[data-part]");
       const now = this.measured(index);
       const unit = metric.unit ? ` ${metric.unit}` : "";
-      value.textContent = now ? withError(now.value, now.error) + unit : "…";
+      const relaxed = now && (now.relaxed ?? (this.base.metrics[index].relaxed && "as at the start"));
+      value.replaceChildren(
+        now ? withError(now.value, now.error) + unit : "…",
+        ...(relaxed ? [" ", make("span", { class: "muted", title: relaxed }, "relaxed")] : []),
+      );
       const band = now && metric.bands.find(([upper]) => now.value <= upper);
       const isOpen = this.isRecorded && !isStart && metric.bands.length > 0; // a render may be in another class
       verdict.textContent = !now ? "" : isOpen ? "class unknown: not rendered" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
@@ -457,7 +462,22 @@ class Page {
       row.effect.title = own ? "effect of this change, to first order" : "effect over its range, to first order";
       row.effect.dataset.sign = Math.sign(own ? own.change : (over?.[0] ?? 0));
       row.number.textContent = placeText(slider.form, this.place(slider));
+      const other = this.leads(slider);
+      row.leads.textContent = other === null ? "" : `leads for ${this.scene.metrics[other].title}`;
     }
+  }
+
+  /** Return the metric for which a slider was chosen, if it does next to nothing to the one that is shown. */
+  leads({ effects }) {
+    const share = (metric) => {
+      const all = [...this.sliders.values()].map((one) => Math.abs(one.effects[metric]?.[0] ?? 0));
+      return Math.abs(effects[metric]?.[0] ?? 0) / Math.max(...all, 1e-30);
+    };
+    const [effect, error] = effects[this.metric] ?? [0, 0];
+    if (share(this.metric) >= NOTABLE && Math.abs(effect) > CLEAR * error) return null;
+    const others = effects.map((_, metric) => metric).filter((metric) => metric !== this.metric);
+    const most = Math.max(...others.map(share));
+    return most >= NOTABLE ? others.find((metric) => share(metric) === most) : null;
   }
 
   /** Paint each pixel with the effects of what it shows. */
@@ -679,6 +699,7 @@ class Page {
         : numberControls(slider, range, moved);
     row.effect = make("output", { class: "effect" });
     row.number = make("span", { class: "number" });
+    row.leads = make("span", { class: "muted" });
     const back = button(
       "×",
       () => {
@@ -693,6 +714,7 @@ class Page {
         "div",
         { class: "head" },
         make("span", { class: "label", title: slider.name }, slider.label),
+        row.leads,
         row.effect,
         back,
       ),
