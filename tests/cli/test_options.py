@@ -740,6 +740,39 @@ def test_filters_select_parameters(capsys: pytest.CaptureFixture[str]) -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (
+            "compare office --metric ugr --metric luminance",
+            "compare takes one --metric, not both ugr and lum",
+        ),
+        ("explain office --metric luminance --metric luminance", "explain takes one --metric"),
+        ("optimize office --below 19 --metric ugr --metric luminance", "optimize takes one --metric"),
+        ("validate office --metric ugr --metric luminance", "validate takes one --metric"),
+        ("tradeoff office --metric ugr --metric luminance", "tradeoff takes one --metric"),
+        ("render office --sensor 0 --sensor fisheye", "render takes one --sensor, not both 0 and fisheye"),
+        ("render office --design a.json --design b.json", "takes one --design, not both a.json and b.json"),
+        ("compare office --from a.json --from b.json", "compare takes one --from"),
+        ("attribute office --target 0 --target 1", "attribute takes one --target, not both 0 and 1"),
+        ("attribute office --method gradient --method ablation", "attribute takes one --method"),
+        ("attribute office --scale unit --scale value", "attribute takes one --scale"),
+        ("attribute office --groups kind --groups object", "attribute takes one --groups"),
+        ("daylight classroom --weather a.epw --weather b.epw", "daylight takes one --weather"),
+        ("daylight classroom --floor a --floor b", "daylight takes one --floor"),
+        ("render office --set a=1 --set a=2", "--set a= is given twice"),
+        ("render office --object a=b --object a=c", "--object a= is given twice"),
+        ("parameters office -D a=1 -D a=2", "-D a= is given twice"),
+    ],
+)
+def test_what_is_taken_once_is_not_dropped_silently(
+    given: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):  # as the parser ends it, too
+        sys.exit(cli.main(shlex.split(given)))
+    assert words in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", [name for name in subparsers() if name != "doctor"])
 def test_a_misspelt_option_shows_the_usage_of_its_command(
     name: str, capsys: pytest.CaptureFixture[str]

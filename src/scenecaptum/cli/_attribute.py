@@ -25,6 +25,7 @@ from ._files import print_files, writable, write_files
 from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._messages import warnings_after_checks
 from ._metrics import DEFAULT, add_metric, find_metrics
+from ._once import Once
 from ._plan import by_definition, plan_format, plan_of
 from ._points import check_grid, needed_coefficients, premises, with_settings
 
@@ -56,6 +57,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_metric(parser, several=True, of_daylight=True)
     parser.add_argument(
         "--method",
+        action=Once,
         choices=METHODS,
         default=next(iter(METHODS)),
         metavar="METHOD",
@@ -63,11 +65,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--scale",
+        action=Once,
         choices=get_args(Scale),
         help="compare effects over each parameter's range, per unit, or relative to its value (default: range)",
     )
     parser.add_argument(
-        "--groups", choices=GROUPS, help="attribute to all parameters of a kind, material or object together"
+        "--groups",
+        action=Once,
+        choices=GROUPS,
+        help="attribute to all parameters of a kind, material or object together",
     )
     parser.add_argument(
         "--baselines",

@@ -37,6 +37,7 @@ from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
+from ._once import Once
 from ._plan import plan_of
 from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
@@ -80,7 +81,9 @@ def add(commands: Any) -> None:
     parser.add_argument("other", nargs="?", metavar="B", help="another scene or saved result")
     add_metric(parser, of_daylight=True)
     add_design(parser)
-    parser.add_argument("--from", type=Path, dest="origin", metavar="FILE", help="the design that is A")
+    parser.add_argument(
+        "--from", action=Once, type=Path, dest="origin", metavar="FILE", help="the design that is A"
+    )
     parser.add_argument("--titles", nargs=2, metavar=("A", "B"), help="names of the two in the output")
     _arguments.add_title(parser)
     _arguments.add_output(parser)

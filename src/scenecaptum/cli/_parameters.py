@@ -10,6 +10,7 @@ from typing import Any
 from ..scene import Parameter, SceneParameters, discover_in
 from ..visualization import pluralize
 from . import _arguments
+from ._once import named_once
 
 
 def add(commands: Any) -> None:
@@ -33,7 +34,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    found = discover_in(options.scene, dict(options.parameters or ()))
+    found = discover_in(options.scene, named_once(options.parameters, "-D"))
     chosen = [
         parameter
         for name, parameter in found.items()
