@@ -743,6 +743,28 @@ def test_filters_select_parameters(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
+        ("'dsk.*'", ["'dsk.*' matches no parameter of the scene. Did you mean 'desk.*'", "office --all"]),
+        ("'desk.*' '*rofl*'", ["'*rofl*' matches no parameter of the scene."]),
+        ("--kind lamps", ["no kind 'lamps'", "Did you mean 'emitters'?", "reflectance", "media"]),
+        ("--kind reflectence", ["Did you mean 'reflectance'"]),
+        ("--kind media", ["no parameter of the kind 'media'."]),
+        ("'desk.*' --kind emitters", ["no parameter of the kind 'emitters' that these globs match."]),
+    ],
+)
+def test_parameters_that_are_not_there_are_an_error(
+    given: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for form in ("", " --json"):
+        assert cli.main(shlex.split(f"parameters office {given}{form}")) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert [word for word in words if word not in printed.err] == []
+        assert printed.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
         (
             "compare office --metric ugr --metric luminance",
             "compare takes one --metric, not both ugr and lum",
@@ -771,6 +793,12 @@ def test_what_is_taken_once_is_not_dropped_silently(
     with pytest.raises(SystemExit, match="2"):  # as the parser ends it, too
         sys.exit(cli.main(shlex.split(given)))
     assert words in capsys.readouterr().err
+
+
+def test_a_camera_is_chosen_as_a_sensor(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(shlex.split("explain office --metric ugr --camera 1"))
+    assert "Did you mean '--sensor'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [name for name in subparsers() if name != "doctor"])
