@@ -11,6 +11,8 @@ from collections.abc import Iterable, Sequence
 from numbers import Real
 
 _MOST_LISTED = 20  # names in a message
+# What the same thing is called elsewhere, and here.
+_SYNONYMS = {"--camera": "--sensor", "lamps": "emitters", "lights": "emitters"}
 
 
 class SceneCaptumError(Exception):
@@ -31,9 +33,11 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
     """Return ``' Did you mean …?'`` for the known names closest to ``name``, or an empty string.
 
     Names that have ``name`` as one of their parts or words come first: ``floor`` means
-    ``floor.reflectance.value``, and ``lamp`` means ``table lamp``.
+    ``floor.reflectance.value``, and ``lamp`` means ``table lamp``. What has another name here comes alone.
     """
     candidates = list(known)
+    if (synonym := _SYNONYMS.get(name.lower())) in candidates:
+        return f" Did you mean {synonym!r}?"
     by_folded = {candidate.lower(): candidate for candidate in candidates}
     whole = [folded for folded in by_folded if name.lower() in re.split(r"[.\s]", folded)]
     close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)

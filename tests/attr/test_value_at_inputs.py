@@ -1,4 +1,4 @@
-"""Methods that evaluate gradients at other points render the inputs with as many samples as all of these points."""
+"""Methods with gradients at other points render the inputs with as many samples as all of these points."""
 
 import math
 
@@ -18,7 +18,9 @@ METHODS = {
 
 
 class Bounded(ToyRenderer):
-    bounds = {"x": (0.0, 1.0)}
+    def __init__(self, noise=0.3):
+        super().__init__(noise)
+        self.bounds = {"x": (0.0, 1.0)}
 
 
 class Wave(torch.nn.Module):

@@ -656,8 +656,20 @@ def test_the_design_of_a_missed_goal_has_the_values_that_were_tried(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = f"explain cornell-box {VIEW} --metric luminance --below -1 --changes 0 --out out"
-    assert cli.main(shlex.split(text)) == 0
+    assert cli.main(shlex.split(text)) == 1
     assert "design.json  the values that were tried, for --design" in capsys.readouterr().out
+    assert cli.main(shlex.split(f"{text} --json")) == 1
+
+
+def test_the_rating_at_the_other_threshold_is_of_the_design_that_was_tried(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = "--resolution 16x9 --spp 8 --max-depth 3 --inputs sky.*.value"
+    for goal, status, words in ((-50, 1, "of the design that was tried: "), (24, 0, "at the goal: ")):
+        text = f"explain office --metric ugr --below {goal} {small} --changes 0 --json --out out"
+        assert cli.main(shlex.split(text)) == status
+        found = json.loads(capsys.readouterr().out)["premises"]
+        assert [one for one in found if one.startswith(f"{words}with a threshold of 5 times")], found
 
 
 def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> None:
@@ -726,6 +738,67 @@ def test_filters_select_parameters(capsys: pytest.CaptureFixture[str]) -> None:
         "desk.pose.scale": "poses",
         "camera.fov": "camera",
     }
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("'dsk.*'", ["'dsk.*' matches no parameter of the scene. Did you mean 'desk.*'", "office --all"]),
+        ("'desk.*' '*rofl*'", ["'*rofl*' matches no parameter of the scene."]),
+        ("--kind lamps", ["no kind 'lamps'", "Did you mean 'emitters'?", "reflectance", "media"]),
+        ("--kind reflectence", ["Did you mean 'reflectance'"]),
+        ("--kind media", ["no parameter of the kind 'media'."]),
+        ("'desk.*' --kind emitters", ["no parameter of the kind 'emitters' that these globs match."]),
+    ],
+)
+def test_parameters_that_are_not_there_are_an_error(
+    given: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for form in ("", " --json"):
+        assert cli.main(shlex.split(f"parameters office {given}{form}")) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert [word for word in words if word not in printed.err] == []
+        assert printed.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (
+            "compare office --metric ugr --metric luminance",
+            "compare takes one --metric, not both ugr and lum",
+        ),
+        ("explain office --metric luminance --metric luminance", "explain takes one --metric"),
+        ("optimize office --below 19 --metric ugr --metric luminance", "optimize takes one --metric"),
+        ("validate office --metric ugr --metric luminance", "validate takes one --metric"),
+        ("tradeoff office --metric ugr --metric luminance", "tradeoff takes one --metric"),
+        ("render office --sensor 0 --sensor fisheye", "render takes one --sensor, not both 0 and fisheye"),
+        ("render office --design a.json --design b.json", "takes one --design, not both a.json and b.json"),
+        ("compare office --from a.json --from b.json", "compare takes one --from"),
+        ("attribute office --target 0 --target 1", "attribute takes one --target, not both 0 and 1"),
+        ("attribute office --method gradient --method ablation", "attribute takes one --method"),
+        ("attribute office --scale unit --scale value", "attribute takes one --scale"),
+        ("attribute office --groups kind --groups object", "attribute takes one --groups"),
+        ("daylight classroom --weather a.epw --weather b.epw", "daylight takes one --weather"),
+        ("daylight classroom --floor a --floor b", "daylight takes one --floor"),
+        ("render office --set a=1 --set a=2", "--set a= is given twice"),
+        ("render office --object a=b --object a=c", "--object a= is given twice"),
+        ("parameters office -D a=1 -D a=2", "-D a= is given twice"),
+    ],
+)
+def test_what_is_taken_once_is_not_dropped_silently(
+    given: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):  # as the parser ends it, too
+        sys.exit(cli.main(shlex.split(given)))
+    assert words in capsys.readouterr().err
+
+
+def test_a_camera_is_chosen_as_a_sensor(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(shlex.split("explain office --metric ugr --camera 1"))
+    assert "Did you mean '--sensor'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [name for name in subparsers() if name != "doctor"])

@@ -13,6 +13,7 @@ from typing import Any
 from ..rendering import SceneRenderer, named_sensors
 from ..scene import BUNDLED
 from ._design import designed_names
+from ._once import Once, named_once
 from ._points import Coefficients, chosen_sensor
 
 MAX_DEPTH = 6
@@ -39,6 +40,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
     parser.add_argument(
         "--sensor",
+        action=Once,
         metavar="SENSOR",
         help="index of the sensor in the scene, or a sensor with the pose of the first: "
         f"{describe(named_sensors())} (default: 0)",
@@ -174,12 +176,12 @@ def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None
     renderer = SceneRenderer(
         options.scene,
         selection(options),
-        objects=dict(options.objects or ()) or None,
+        objects=named_once(options.objects, "--object") or None,
         resolution=getattr(options, "resolution", None),
         spp=options.spp,
         max_depth=default_depth if options.max_depth is None else options.max_depth,
         sensor=chosen_sensor(options, coefficients),
-        parameters=dict(options.parameters or ()),
+        parameters=named_once(options.parameters, "-D"),
         sky_patches=None if coefficients is None else coefficients.patches,
         direct_sky=coefficients is not None and coefficients.direct,
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import inspect
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
 from ..attr import GROUPS, METHODS, AttributionInterrupted, Explanation, SceneAttribution
+from ..daylight import DaylightMetric
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
 from ..explanation import photometric_premises, states_definition
@@ -16,13 +18,14 @@ from ..metrics import GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
-from ..visualization import table_text, terminal_width, wrap
+from ..visualization import metric_name, table_text, terminal_width, wrap
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._messages import warnings_after_checks
 from ._metrics import DEFAULT, add_metric, find_metrics
+from ._once import Once
 from ._plan import by_definition, plan_format, plan_of
 from ._points import check_grid, needed_coefficients, premises, with_settings
 
@@ -30,7 +33,6 @@ REPORT = "report.html"
 
 DENOISE: dict[str, Denoise] = {"auto": "auto", "on": True, "off": False}
 WIDTH = 100  # of sentences, without a terminal
-RELAXED = "the relaxed value above only serves the derivatives"
 BY_EXPLANATION = (
     "this rating is relaxed near the threshold: explain and compare state the value by the definition"
 )
@@ -55,6 +57,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_metric(parser, several=True, of_daylight=True)
     parser.add_argument(
         "--method",
+        action=Once,
         choices=METHODS,
         default=next(iter(METHODS)),
         metavar="METHOD",
@@ -62,11 +65,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--scale",
+        action=Once,
         choices=get_args(Scale),
         help="compare effects over each parameter's range, per unit, or relative to its value (default: range)",
     )
     parser.add_argument(
-        "--groups", choices=GROUPS, help="attribute to all parameters of a kind, material or object together"
+        "--groups",
+        action=Once,
+        choices=GROUPS,
+        help="attribute to all parameters of a kind, material or object together",
     )
     parser.add_argument(
         "--baselines",
@@ -210,6 +217,8 @@ def _write_result(
     metric: Metric,
 ) -> None:
     """Write the files of a result and print it."""
+    said = _explained(attribution, metric)
+    attribution = attribution if said is None else _named_relaxed(said)
     view = renderer.shows_a_view
     formats = selected_formats(
         options.formats or default_formats(view=view),
@@ -224,12 +233,9 @@ def _write_result(
         print(json_text(attribution))
         return
     print(table_text(attribution, scale=options.scale, complete=_complete_table(formats)))
-    exact = by_definition(attribution, metric)
-    lines = [f"quote {exact}, the value by the definition; {RELAXED}"] if exact else []
-    if of_picture := _of_picture(attribution, metric):
-        lines += Explanation(attribution, premises=of_picture).value_notes()
     width = terminal_width() or WIDTH
-    print("".join(f"\n{wrap(line, width)}" for line in [*lines, *premises(metric, options)]))
+    notes = [] if said is None else said.value_notes()
+    print("".join(f"\n{wrap(line, width)}" for line in [*notes, *premises(metric, options)]))
     print_files(folder, formats)
 
 
@@ -240,14 +246,31 @@ def _complete_table(formats: Sequence[OutputFormat[SceneAttribution]]) -> str:
     return next((file for file in of_numbers if file in written), "--format csv")
 
 
-def _of_picture(attribution: SceneAttribution, metric: Metric) -> tuple[str, ...]:
-    """Return what a photometric metric takes for granted; nothing of other metrics, and without a picture."""
-    if attribution.image is None or attribution.surfaces is None:
-        return ()
-    notes = photometric_premises(metric, attribution.image, attribution.metric_value)
-    if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), attribution.image):
+def _explained(attribution: SceneAttribution, metric: Metric, more: Sequence[str] = ()) -> Explanation | None:
+    """Return a result with what belongs to its value; None if nothing does.
+
+    That is what a photometric metric takes for granted, and of a metric of daylight the value by the definition.
+    """
+    image, definition = attribution.image, by_definition(attribution, metric)
+    if image is None or (attribution.surfaces is None and not isinstance(metric, DaylightMetric)):
+        return None
+    notes = photometric_premises(metric, image, attribution.metric_value)
+    if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), image):
         notes += (BY_EXPLANATION,)
-    return notes
+    if not notes and definition is None:
+        return None
+    return Explanation(attribution, premises=(*notes, *more), count=0, definition=definition)
+
+
+def _named_relaxed(said: Explanation) -> SceneAttribution:
+    """Return a result that is called relaxed, with what the value by the definition means, if it has one."""
+    attribution = said.attribution
+    assert isinstance(attribution, SceneAttribution), "it is what _explained was given"
+    if said.definition is None:
+        return attribution
+    measure = {**attribution.info["measure"], "name": f"{metric_name(attribution)}, relaxed"}
+    info = {**attribution.info, "measure": measure, "verdict": said.rating()}
+    return dataclasses.replace(attribution, info=info)
 
 
 def _write_report(
@@ -260,8 +283,7 @@ def _write_report(
     plans = [plan_of(one.image, renderer, metric) for one, metric in finished]
     shown: list[SceneAttribution | Explanation] = []
     for one, metric in finished:
-        of_picture = _of_picture(one, metric)
-        shown.append(Explanation(one, premises=of_picture, count=0) if of_picture else one)
+        shown.append(_explained(one, metric, premises(metric, options)) or one)
     write_report(shown, path, title=options.title, plans=plans)
     if not options.json:
         print(f"{path}  interactive page with all results")

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
+from .. import metrics
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
-from ..daylight import DaylightMetric
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Metric, at_values
+from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
 from ..explanation import definition_of, difference_by_definition, photometric_premises, states_definition
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
@@ -24,7 +24,6 @@ from ..validation import Scenes, denoise_of
 from ..visualization import (
     format_with_error,
     grid,
-    metric_line,
     metric_name,
     metric_unit,
     pluralize,
@@ -38,6 +37,7 @@ from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
+from ._once import Once
 from ._plan import plan_of
 from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REPORT = "comparison.html"
+COMMON_NAMES = ("scene", "attribution", "design")
+# Settings on which a value depends, by their key in ``info``, and their names.
+SETTINGS = {"resolution": "resolution", "sensor": "camera", "max_depth": "max depth"}
 ROWS = 10
 SMALL = 0.01  # of the largest change of an effect: smaller ones are left out of the table
 WIDTH = 100  # of sentences, without a terminal
@@ -56,6 +59,10 @@ MEASURED = (
 BY_DEFINITION = (
     "The values by the definition come from separate renders of both designs with the same random numbers, in "
     "which most of the noise of their change cancels."
+)
+SAVED = (
+    "Both values are relaxed near the threshold, which only serves the derivatives: a saved result has no value "
+    "by the definition. Explain the scenes to get it."
 )
 RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
 
@@ -74,7 +81,9 @@ def add(commands: Any) -> None:
     parser.add_argument("other", nargs="?", metavar="B", help="another scene or saved result")
     add_metric(parser, of_daylight=True)
     add_design(parser)
-    parser.add_argument("--from", type=Path, dest="origin", metavar="FILE", help="the design that is A")
+    parser.add_argument(
+        "--from", action=Once, type=Path, dest="origin", metavar="FILE", help="the design that is A"
+    )
     parser.add_argument("--titles", nargs=2, metavar=("A", "B"), help="names of the two in the output")
     _arguments.add_title(parser)
     _arguments.add_output(parser)
@@ -99,8 +108,19 @@ class Compared:
     by_definition: tuple[float, float | None] | None = None
 
     def notes(self) -> list[str]:
-        """Return what belongs to the change: how it was measured, and that of the relaxed metric."""
-        return list(filter(None, (self.measured, self.relaxed())))
+        """Return what belongs to the change: how it was measured, that of the relaxed metric, and cautions."""
+        return list(filter(None, (self.measured, self.relaxed(), self.different_settings())))
+
+    def different_settings(self) -> str:
+        """Return a caution that names the settings by which the two results differ; empty if there are none."""
+        different = [
+            f"{name} {' against '.join(values)}"
+            for key, name in SETTINGS.items()
+            if all(values := _different_settings(self.before, self.after, key))
+        ]
+        if not different:
+            return ""
+        return f"caution: made with different settings, which are part of the change: {'; '.join(different)}"
 
     def premises(self) -> list[str]:
         """Return what both results were computed for; what holds for one of them alone begins with its title."""
@@ -115,9 +135,15 @@ class Compared:
     def relaxed(self) -> str:
         """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
         if self.by_definition is None:
-            return ""
+            return (
+                SAVED if any(side.is_saved for side in self.sides) and _is_glare_rating(self.before) else ""
+            )
         change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
         return f"{RELAXED}: it changes by {change}."
+
+    def are_relaxed_ratings(self) -> bool:
+        """Whether the two values are relaxed ratings of glare, as one that was saved is."""
+        return any(side.is_saved for side in self.sides) and _is_glare_rating(self.before)
 
     def shown(self) -> list[Explanation]:
         """Return both results for the page, with what belongs to their values."""
@@ -138,13 +164,25 @@ class ChangedEffect(NamedTuple):
     error: float | None
 
 
+class Result(NamedTuple):
+    """One of the two results, and the renderer and the metric that made it; without these if it was loaded."""
+
+    attribution: SceneAttribution
+    renderer: SceneRenderer | None = None
+    metric: Metric | None = None
+
+
 @dataclass(frozen=True)
 class Side:
-    """What belongs to one of the two results: its plan, its value by the definition, and its premises."""
+    """What belongs to one of the two results: its plan, its value by the definition, and its premises.
+
+    A result that was saved has none of these.
+    """
 
     plan: Figure | None = None
     definition: Definition | None = None
     premises: Sequence[str] = ()
+    is_saved: bool = False
 
 
 def run(options: argparse.Namespace) -> int:
@@ -173,12 +211,29 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> Compared:
+    if options.titles and len(set(options.titles)) < len(options.titles):
+        raise SceneCaptumError("--titles must differ: they tell the two apart.")
+    _refuse_designs(options)
     designed = bool(options.settings or options.design)
     if (options.other is None) != designed:
         raise SceneCaptumError(
             "Give either a second scene or saved result, or the values of a design with --set or --design."
         )
     return _compare_designs(options) if designed else _compare_scenes(options)
+
+
+def _refuse_designs(options: argparse.Namespace) -> None:
+    """Raise if a design is given in the place of a scene."""
+    given = [one for one in (options.scene, options.other) if one and Path(one).suffix in (".json", ".toml")]
+    if not given:
+        return
+    scene = next((one for one in (options.scene, options.other) if one and one not in given), "SCENE")
+    is_one = len(given) == 1
+    files = f"--design {given[0]}" if is_one else f"--from {given[0]} --design {given[1]}"
+    what = (
+        f"{given[0]} is a design, not a scene" if is_one else f"{' and '.join(given)} are designs, not scenes"
+    )
+    raise SceneCaptumError(f"{what}: scenecaptum compare {scene} {files}")
 
 
 def _compare_designs(options: argparse.Namespace) -> Compared:
@@ -204,19 +259,15 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         denoise=denoise_of(before),
         values=origin,
     )
-    titles = options.titles or [
-        "as it is" if options.origin is None else options.origin.stem,
-        "the design" if options.design is None else options.design.stem,
-    ]
+    titles = options.titles or _design_titles(options.origin, options.design)
     images = scenes.render(design or {})
     change = scenes.difference(images, design or {})
     rated = scenes.metric, at_values(scenes.metric, renderer, {**scenes.values, **(design or {})})
     both = list(zip(rated, (scenes.images, images), strict=True))
     stated = any(states_definition(one, pictures.mean(0)) for one, pictures in both)
-    definitions = [definition_of(one, pictures) if stated else None for one, pictures in both]
     sides = [
-        _side(one, definition, pictures, renderer, metric, options)
-        for one, definition, (_, pictures) in zip((before, after), definitions, both, strict=True)
+        _side(Result(one, renderer, metric), of_definition if stated else None, options)
+        for one, of_definition in zip((before, after), both, strict=True)
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
     measured = MEASURED if exact is None else BY_DEFINITION
@@ -224,19 +275,23 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
 
 
 def _side(
-    attribution: SceneAttribution,
-    definition: Definition | None,
-    images: torch.Tensor | None,
-    renderer: SceneRenderer,
-    metric: Metric,
-    options: argparse.Namespace,
+    result: Result, of_definition: tuple[TargetedMetric, torch.Tensor] | None, options: argparse.Namespace
 ) -> Side:
-    """Return what belongs to a result; ``images`` are those of the value by the definition, if it has one."""
+    """Return what belongs to a result; of the metric and the renders by which its definition is stated, if it is.
+
+    What is said and drawn of daylight is of the renders whose value is quoted.
+    """
+    attribution, renderer, metric = result
+    if renderer is None or metric is None:
+        return Side(is_saved=True)
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
-    # The notes are of the picture of the value.
-    of_value = attribution.image if definition is None or images is None else images.mean(0)
+    definition, of_value, shown = None, attribution.image, None
+    if of_definition is not None:
+        targeted, images = of_definition
+        definition, of_value = definition_of(targeted, images), images.mean(0)
+        shown = targeted.transform(of_value)
     value = attribution.metric_value if definition is None else definition.value
-    of_picture = photometric_premises(metric, of_value, value)
+    of_picture = photometric_premises(metric, of_value, value, shown)
     return Side(
         plan_of(of_value, renderer, metric),
         definition,
@@ -249,9 +304,8 @@ def _compare_scenes(options: argparse.Namespace) -> Compared:
         raise SceneCaptumError(
             "--from needs --set or --design: it is the design that they are compared with."
         )
-    (before, side), (after, other) = (
-        _loaded_or_attributed(options, given) for given in (options.scene, options.other)
-    )
+    results = [_loaded_or_attributed(options, given) for given in (options.scene, options.other)]
+    before, after = (one.attribution for one in results)
     if metric_name(before) != metric_name(after):
         raise SceneCaptumError(
             f"The results are of different metrics, {metric_name(before)} and {metric_name(after)}: compare "
@@ -259,36 +313,64 @@ def _compare_scenes(options: argparse.Namespace) -> Compared:
         )
     a, b = before.metric_standard_error, after.metric_standard_error
     error = None if a is None or b is None else math.hypot(a, b)
-    titles = options.titles or [_name(options.scene), _name(options.other)]
     change = after.metric_value - before.metric_value
+    titles = options.titles or _titles(options.scene, options.other)
+    sides = [
+        _side(one, of_definition, options)
+        for one, of_definition in zip(results, _for_definition(results, options), strict=True)
+    ]
+    definitions = [side.definition for side in sides if side.definition is not None]
     exact = None
-    if side.definition is not None and other.definition is not None:
-        errors = [one.definition.error or 0.0 for one in (side, other) if one.definition is not None]
-        exact = other.definition.value - side.definition.value, math.hypot(*errors)
-    return Compared(before, after, titles, change, error, [side, other], by_definition=exact)
+    if len(definitions) == len(sides):
+        first, second = definitions
+        exact = second.value - first.value, math.hypot(first.error or 0.0, second.error or 0.0)
+    return Compared(before, after, titles, change, error, sides, by_definition=exact)
 
 
-def _loaded_or_attributed(options: argparse.Namespace, given: str) -> tuple[SceneAttribution, Side]:
+def _loaded_or_attributed(options: argparse.Namespace, given: str) -> Result:
     if given.endswith(".npz"):
         loaded = SceneAttribution.load(given)
         if loaded.surfaces is None:
             raise SceneCaptumError(
                 f"{given} has no picture of objects, as a sensor grid has none: compare the scenes, not the files."
             )
-        return loaded, Side()
+        return Result(loaded)
     renderer, metric = _renderer_and_metric(options, given)
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
-    definition = images = None
-    if isinstance(metric, DaylightMetric):
-        scenes = Scenes(
-            renderer, metric, options.target, seed=options.seed, spp=None, replicates=DEFAULT_REPLICATES
+    return Result(with_settings(result, renderer, options), renderer, metric)
+
+
+def _for_definition(
+    results: Sequence[Result], options: argparse.Namespace
+) -> Sequence[tuple[TargetedMetric, torch.Tensor] | None]:
+    """Return the metrics and renders by which the definition is stated: of both scenes, or of none.
+
+    A saved result has no replicates of its picture.
+    """
+    known = [
+        (attribution, renderer, metric, attribution.image)
+        for attribution, renderer, metric in results
+        if renderer is not None and metric is not None and attribution.image is not None
+    ]
+    if len(known) < len(results) or not any(
+        states_definition(TargetedMetric(metric, options.target), image) for _, _, metric, image in known
+    ):
+        return [None] * len(results)
+    scenes = [
+        Scenes(
+            renderer,
+            metric,
+            options.target,
+            seed=options.seed,
+            spp=(attribution.info.get("picture") or {}).get("spp"),
+            replicates=DEFAULT_REPLICATES,
+            denoise=denoise_of(attribution),
         )
-        images = scenes.images
-        definition = definition_of(scenes.metric, images)
-    side = _side(result, definition, images, renderer, metric, options)
-    return with_settings(result, renderer, options), side
+        for attribution, renderer, metric, _ in known
+    ]
+    return [(one.metric, one.images) for one in scenes]
 
 
 def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
@@ -302,9 +384,31 @@ def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[Scene
         return renderer, create(renderer)
 
 
-def _name(given: str) -> str:
-    path = Path(given)
-    return path.parent.name if path.stem in ("scene", "attribution") and path.parent.name else path.stem
+def _design_titles(origin: Path | None, design: Path | None) -> list[str]:
+    if origin is not None and design is not None:
+        return _titles(origin, design)
+    return [
+        "as it is" if origin is None else _name(origin),
+        "the design" if design is None else _name(design),
+    ]
+
+
+def _titles(*given: str | Path) -> list[str]:
+    """Return what to call two files: their names, or what else tells them apart."""
+    paths = [Path(one) for one in given]
+    for titles in (
+        [_name(path) for path in paths],
+        [path.parent.name or path.stem for path in paths],
+        [str(path.with_suffix("")) for path in paths],
+    ):
+        if len(set(titles)) == len(titles):
+            return titles
+    return [f"{_name(path)} ({letter})" for path, letter in zip(paths, "AB", strict=True)]
+
+
+def _name(path: Path) -> str:
+    """Return the name of a file without its extension; of one that a command has named, that of its folder."""
+    return path.parent.name if path.stem in COMMON_NAMES and path.parent.name else path.stem
 
 
 def _lines(found: Compared) -> list[str]:
@@ -313,12 +417,11 @@ def _lines(found: Compared) -> list[str]:
     suffix = f" {metric_unit(before)}".rstrip()
     text = [
         *(
-            f"{title}: {_value_line(one, side)}"
+            f"{title}: {_value_line(one, side)}{', relaxed' if found.are_relaxed_ratings() else ''}"
             for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
         ),
         f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
-        *_note(found.measured),
-        *_note(found.relaxed()),
+        *(line for note in found.notes() for line in _note(note)),
         *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
     ]
     moved = [
@@ -353,12 +456,39 @@ def _lines(found: Compared) -> list[str]:
 
 def _value_line(attribution: SceneAttribution, side: Side) -> str:
     """Return the metric and its value; by the definition, with the relaxed one behind it, if there are two."""
+    headline = Explanation(attribution, definition=side.definition).headline()
     if side.definition is None:
-        return metric_line(attribution)
+        return headline
     relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
     relaxed = f"{relaxed} {metric_unit(attribution)}".rstrip()
-    headline = Explanation(attribution, definition=side.definition).headline()
     return f"{headline} by the definition; relaxed {relaxed}"
+
+
+def _is_glare_rating(attribution: SceneAttribution) -> bool:
+    """Whether a result is of a rating of glare, also if it was saved."""
+    rating = getattr(metrics, str(attribution.info.get("metric")), None)
+    return isinstance(rating, type) and issubclass(rating, metrics.GlareRating)
+
+
+def _different_settings(before: SceneAttribution, after: SceneAttribution, key: str) -> list[str]:
+    """Return a setting of two results in words, what differs of it; empty where it is equal or not known."""
+    values = [_setting(one, key) for one in (before, after)]
+    if not all(values):
+        return ["", ""]
+    parts, others = (value.split(", ") for value in values)
+    different = [
+        ", ".join(part for part in own if part not in rest)
+        for own, rest in ((parts, others), (others, parts))
+    ]
+    return different if all(different) or parts == others else values
+
+
+def _setting(attribution: SceneAttribution, key: str) -> str:
+    """Return a setting of a result in words; empty if it is not known."""
+    value = attribution.info.get(key)
+    if key == "resolution" and value is not None:
+        return "×".join(map(str, value))
+    return "no limit" if value == -1 else str("" if value is None else value)
 
 
 def _note(text: str) -> list[str]:
@@ -397,6 +527,7 @@ def _numbers(found: Compared) -> dict[str, Any]:
             name: [one.parameter_values[name].tolist() for one in (before, after)]
             for name in different_values(before, after)
         },
+        "notes": found.notes(),
         "effects": [
             {
                 "name": one.name,

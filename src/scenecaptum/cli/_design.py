@@ -11,6 +11,7 @@ import torch
 from ..designs import CHANGES, design_of, read_design
 from ..rendering import SceneRenderer
 from ..scene import pose_component
+from ._once import Once, named_once
 
 
 def add_design(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +29,7 @@ def add_design(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--design",
+        action=Once,
         type=Path,
         metavar="FILE",
         help="JSON or TOML file with the values of parameters by name; --set takes precedence",
@@ -73,4 +75,4 @@ def design_settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return the values of a design by name; none if the command has no options for them."""
     design = getattr(options, "design", None)
     settings: dict[str, Any] = dict(read_design(design)) if design else {}
-    return settings | dict(getattr(options, "settings", None) or ())
+    return settings | named_once(getattr(options, "settings", None), "--set")

@@ -24,7 +24,7 @@ from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
-from ._optimize import design_format, optimization_numbers, with_design_option
+from ._optimize import NOT_REACHED, design_format, optimization_numbers, with_design_option
 from ._plan import plan_format, plan_of
 from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
 
@@ -41,7 +41,8 @@ def add(commands: Any) -> None:
         "explain",
         help="say what a metric depends on, and which changes of the scene would matter",
         description="Attribute a metric, say in sentences what its value means and what it depends on, and render "
-        "the few changes that matter. Only effects that are clear of the noise are stated.",
+        "the few changes that matter. Only effects that are clear of the noise are stated. Exits with 1 if the "
+        "goal of --below is not reached.",
         epilog="example: scenecaptum explain office --metric ugr --spp 64 --resolution 160x90",
     )
     _arguments.add_scene(parser)
@@ -85,9 +86,11 @@ def run(options: argparse.Namespace) -> int:
         write_files(explanation, options.out, formats)
         if options.report:
             _write_report(explanation, renderer, metric, options)
+    missed = explanation.goal is not None and not explanation.goal.reached
+    status = NOT_REACHED if missed else 0
     if options.json:
         print(_json(explanation, renderer))
-        return 0
+        return status
     if explanation.goal is not None:
         explanation = dataclasses.replace(explanation, goal=with_design_option(explanation.goal, options.out))
     print(explanation)
@@ -95,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     if options.report:
         print(f"{options.out / REPORT}  interactive page")
     _arguments.print_resumed(renderer)
-    return 0
+    return status
 
 
 def _write_report(

@@ -53,7 +53,8 @@ UNREAD = 128 + 13  # as a shell says of a process that SIGPIPE ended
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status.
 
-    0 is success, 1 not confirmed, 2 bad input, 130 interrupted, and 141 that nobody reads its output.
+    0 is success, 1 not confirmed or a goal not reached, 2 bad input, 130 interrupted, and 141 that nobody reads
+    its output.
     """
     options = parser().parse_args(arguments)
     say = partial(_say_interrupted, options, time.time())

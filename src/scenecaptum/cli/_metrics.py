@@ -14,6 +14,7 @@ from ..estimation import Metric
 from ..metrics import BY_NAME, import_metric
 from ..rendering import SceneRenderer
 from ._arguments import describe
+from ._once import Once
 from ._points import add_points, read_weather
 
 DEFAULT = "luminance"
@@ -23,7 +24,9 @@ OWN = "your own function as FILE.py:NAME or MODULE:NAME"
 
 def add_metric(parser: argparse.ArgumentParser, *, several: bool = False, of_daylight: bool = False) -> None:
     """Add the metric as ``metric``, or several metrics as ``metrics``, and their options."""
-    kind: dict[str, Any] = {"action": "append", "dest": "metrics"} if several else {"default": DEFAULT}
+    kind: dict[str, Any] = (
+        {"action": "append", "dest": "metrics"} if several else {"action": Once, "default": DEFAULT}
+    )
     known = (
         f"{describe(BY_NAME)}, of daylight {describe(daylight.BY_NAME)}" if of_daylight else describe(BY_NAME)
     )
@@ -49,6 +52,7 @@ def add_metric(parser: argparse.ArgumentParser, *, several: bool = False, of_day
     )
     parser.add_argument(
         "--target",
+        action=Once,
         type=_index_or_name,
         help="element of the metric to attribute, if it returns a vector: its index, or the name of a class",
         metavar="ELEMENT",

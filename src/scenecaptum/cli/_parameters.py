@@ -7,9 +7,11 @@ import json
 from fnmatch import fnmatchcase
 from typing import Any
 
-from ..scene import Parameter, SceneParameters, discover_in
+from ..errors import SceneCaptumError, near_misses
+from ..scene import KINDS, Parameter, SceneParameters, discover_in, is_of_kind, near_names
 from ..visualization import pluralize
 from . import _arguments
+from ._once import named_once
 
 
 def add(commands: Any) -> None:
@@ -33,13 +35,17 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    found = discover_in(options.scene, dict(options.parameters or ()))
+    found = discover_in(options.scene, named_once(options.parameters, "-D"))
+    _check_filters(found, options)
     chosen = [
         parameter
         for name, parameter in found.items()
         if (not options.filters or any(fnmatchcase(name, glob) for glob in options.filters))
-        and options.kind in (None, parameter.kind)
+        and (options.kind is None or is_of_kind(parameter, options.kind))
     ]
+    if not chosen:
+        which = " that these globs match" if options.filters else ""
+        raise SceneCaptumError(f"The scene has no parameter of the kind {options.kind!r}{which}.")
     if options.json:
         print(json.dumps([_row(parameter) for parameter in chosen], indent=1))
         return 0
@@ -50,6 +56,22 @@ def run(options: argparse.Namespace) -> int:
             f"\n{pluralize(len(chosen) - len(shown), 'other')} cannot be inputs: --all lists them with the reasons"
         )
     return 0
+
+
+def _check_filters(found: SceneParameters, options: argparse.Namespace) -> None:
+    """Raise if a glob matches nothing, or there is no such kind."""
+    for glob in options.filters:
+        if not any(fnmatchcase(name, glob) for name in found):
+            raise SceneCaptumError(
+                f"{glob!r} matches no parameter of the scene.{near_names(glob, list(found))} "
+                f"`scenecaptum parameters {options.scene} --all` lists every name."
+            )
+    kinds = list(dict.fromkeys([*KINDS, *(parameter.kind for parameter in found.values())]))
+    if options.kind not in (None, *kinds):
+        raise SceneCaptumError(
+            f"There is no kind {options.kind!r} of parameters.{near_misses(options.kind, kinds)} "
+            f"Kinds are {', '.join(kinds)}."
+        )
 
 
 def _row(parameter: Parameter) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from ..attr import SceneAttribution
+from ..attr import Definition, SceneAttribution
 from ..daylight import DaylightMetric, PlanValues
 from ..estimation import Metric, TargetedMetric
 from ..explanation import definition_of
 from ..metrics import MeanIlluminance
 from ..rendering import SceneRenderer
-from ..visualization import LEVELS, metric_unit, plain_number, plot_plan
+from ..visualization import LEVELS, plot_plan
 from ._files import OutputFormat, Result, figure_writer
 
 if TYPE_CHECKING:
@@ -23,15 +23,13 @@ if TYPE_CHECKING:
 FILE_WIDTH, REPORT_WIDTH = 7.2, 4.2
 
 
-def by_definition(attribution: SceneAttribution, metric: Metric) -> str:
-    """Return the value of a relaxed metric by its definition, as ``"60.3 %"``; else nothing."""
+def by_definition(attribution: SceneAttribution, metric: Metric) -> Definition | None:
+    """Return the value of a relaxed metric of a sensor grid by its definition; None of others, and of pictures."""
     if (
         attribution.image is None or attribution.surfaces is not None
     ):  # a picture has replicates and a transform
-        return ""
-    exact = definition_of(TargetedMetric(metric), attribution.image[None])
-    unit = metric_unit(attribution)
-    return "" if exact is None else f"{plain_number(exact.value, unit)} {unit}".rstrip()
+        return None
+    return definition_of(TargetedMetric(metric), attribution.image[None])
 
 
 def draw_plan(

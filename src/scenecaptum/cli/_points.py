@@ -23,6 +23,7 @@ from ..estimation import Metric
 from ..grid import GridPoints, SensorGrid
 from ..rendering import SceneRenderer
 from ..visualization import rounded
+from ._once import Once
 
 GRID, WEATHER, SKY = (
     ("height", "spacing", "margin", "floor", "rectangle"),
@@ -58,6 +59,7 @@ def add_points(parser: argparse.ArgumentParser) -> None:
         group.add_argument(f"--{name}", type=float, metavar="X", help=f"{text} (default: {default})")
     group.add_argument(
         "--floor",
+        action=Once,
         metavar="NAME",
         help="the shape that is the floor, or the material of its pieces (default: the lowest large level shape)",
     )
@@ -70,6 +72,7 @@ def add_points(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--weather",
+        action=Once,
         type=Path,
         metavar="FILE",
         help="EnergyPlus weather file (.epw) of the place (default: a made-up year of no real place)",

@@ -171,7 +171,8 @@ def _threshold_at(
         is_near_threshold(metric, one) for one in (before, after)
     ):
         return ()
-    return (f"at the goal: {relative_rating(metric, after)}",)
+    whose = "at the goal" if goal.reached else "of the design that was tried"
+    return (f"{whose}: {relative_rating(metric, after)}",)
 
 
 def photometric_premises(

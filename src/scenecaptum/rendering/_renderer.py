@@ -58,6 +58,7 @@ from ._sensors import (
     camera_of,
     choose_sensor,
     common_resolution,
+    describe_sensor,
     grid_of,
     shows_a_view,
 )
@@ -612,6 +613,15 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
                     cameras.append(camera_of(view.live.sensor))
             return cameras
 
+    def _describe_sensors(self) -> str:
+        """Return the type and the pose of every sensor in words."""
+        with exclusively(self._variant):
+            described = []
+            for view in self._views:
+                with view.live.exclusive():
+                    described.append(describe_sensor(view.live.sensor))
+            return "; ".join(described)
+
     @property
     def info(self) -> dict[str, Any]:
         """The settings of this renderer as plain values, for the ``info`` of results."""
@@ -619,6 +629,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             "scene": self.name,
             **({"parameters": self._placeholders.copy()} if self._placeholders else {}),
             "resolution": list(self.resolution),
+            **({"sensor": self._describe_sensors()} if self.shows_a_view else {}),
             "integrator": self.plan.integrator,
             "max_depth": self.plan.max_depth,
             "variant": self._variant,

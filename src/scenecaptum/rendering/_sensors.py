@@ -83,6 +83,23 @@ def camera_of(sensor: Any) -> Camera:
     return camera
 
 
+def describe_sensor(sensor: Any) -> str:
+    """Return ``"perspective, 75° wide, at 0 −2 1.2, towards 0 1 0"``, which tells cameras apart."""
+    import mitsuba as mi
+
+    kind, settings = _type_name(sensor), mi.traverse(sensor)
+    fov = float(settings["x_fov"][0]) if "x_fov" in settings else getattr(sensor, "fov", None)
+    pose = _pose_of(sensor)
+    place, ahead = (" ".join(_short(pose[row][column]) for row in range(3)) for column in (3, 2))
+    wide = [] if fov is None else [f"{_short(fov)}° wide"]
+    return ", ".join([kind or str(sensor.class_name()), *wide, f"at {place}", f"towards {ahead}"])
+
+
+def _short(number: float) -> str:
+    """Return a number in four digits; what is rounded away from 0 in the arithmetic of a pose is 0."""
+    return f"{round(number, 5) + 0.0:.4g}".replace("-", "−")
+
+
 def _type_name(sensor: Any) -> str | None:
     return next((name for name, known in SENSORS.items() if sensor.class_name() in known.class_names), None)
 

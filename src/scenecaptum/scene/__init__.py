@@ -48,7 +48,10 @@ from ._ranges import choose_ranges as choose_ranges
 from ._reflection import OPEN_MARGIN as OPEN_MARGIN
 from ._reflection import clamp_inside as clamp_inside
 from ._reflection import reflect as reflect
+from ._selection import KINDS as KINDS
 from ._selection import Selection as Selection
+from ._selection import is_of_kind as is_of_kind
+from ._selection import near_names as near_names
 from ._selection import select as select
 from .bundled import BUNDLED as BUNDLED
 from .bundled import rgb_film as rgb_film

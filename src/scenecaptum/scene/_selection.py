@@ -94,9 +94,8 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
             f"{first.name}, for example: {first.problem}.{hint}"
         )
-    owner, _, rest = item.partition(".")
-    of_owners = [f"{name.partition('.')[0]}.{rest}" for name in known]
-    hint = "" if item in KINDS else near_misses(item, of_owners if "*" in rest else [*KINDS, *known])
+    owner = item.partition(".")[0]
+    hint = "" if item in KINDS else near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
     if re.match(r"object_\d", item):
@@ -106,6 +105,14 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
         f"Kinds are {', '.join(KINDS)}; `scenecaptum parameters SCENE`, in Python parameters_table(), lists every "
         "name."
     )
+
+
+def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> str:
+    """Return ``' Did you mean …?'`` for the names and kinds closest to a name; for a glob, the closest owners."""
+    rest = item.partition(".")[2]
+    if "*" in rest:
+        return near_misses(item, [f"{name.partition('.')[0]}.{rest}" for name in known])
+    return near_misses(item, [*kinds, *known])
 
 
 def _camera_hint(known: Sequence[str]) -> str:

@@ -1,0 +1,174 @@
+"""What ``compare`` says of two results: which render a line is of, their settings, and their names."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import results
+
+from scenecaptum import SceneRenderer, View, cli
+from scenecaptum.attr import SceneAttribution
+from scenecaptum.cli import _compare
+
+SMALL = "--spp 8 --max-depth 3 --inputs emitters --no-progress"
+
+
+def compared(*settings: dict[str, Any], is_saved: bool = True) -> _compare.Compared:
+    before, after = (
+        dataclasses.replace(one, info={**one.info, **more})
+        for one, more in zip([results.make()] * 2, settings, strict=True)
+    )
+    sides = [_compare.Side(is_saved=is_saved)] * 2
+    return _compare.Compared(before, after, ["A", "B"], 0.0, None, sides)
+
+
+def test_the_shares_of_points_are_of_the_render_whose_value_is_quoted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With few samples, those of the attribution are other points."""
+    text = "compare classroom --spp 4 --spacing 1 --metric en17037 --inputs pane.* --no-progress --json"
+    change = "--set pane.specular_transmittance.value=0.75"
+    assert cli.main(shlex.split(f"{text} {change} --out {tmp_path}")) == 0
+    quoted = [one["definition"]["value"] for one in json.loads(capsys.readouterr().out)["results"]]
+    page = (tmp_path / "comparison.html").read_text()
+    (found,) = re.findall(r'<script[^>]*type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
+    for value, card in zip(quoted, json.loads(found)["results"], strict=True):
+        (line,) = [one for one in card["premises"] if "300 lx at" in one and "required" in one]
+        shares = [float(share) for share in re.findall(r"at ([\d.]+) % of the points", line)]
+        ratios = [100 * share / needed for share, needed in zip(shares, (50, 95), strict=True)]
+        assert min(ratios) == pytest.approx(value, rel=2e-3)
+
+
+def test_settings_that_differ_are_named_as_a_part_of_the_change() -> None:
+    office = "perspective, 66° wide, at 0 0 1.5, towards 0 1 0"
+    ours = {"resolution": [32, 18], "sensor": office, "max_depth": 6}
+    theirs = {
+        "resolution": [64, 64],
+        "sensor": office.replace("perspective, 66", "fisheye, 180"),
+        "max_depth": -1,
+    }
+    found = compared(ours, theirs)
+    (caution,) = found.notes()
+    assert caution == (
+        "caution: made with different settings, which are part of the change: resolution 32×18 against 64×64; "
+        "camera perspective, 66° wide against fisheye, 180° wide; max depth 6 against no limit"
+    )
+    assert caution in " ".join(" ".join(_compare._lines(found)).split())
+    assert compared(ours, ours).notes() == []
+    assert compared(ours, {}).notes() == [], "a setting that an older file does not have"
+    moved = {**ours, "sensor": f"{office}, turned"}
+    assert "camera" in compared(ours, moved).notes()[0]
+
+
+def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, view in (("small", "--resolution 16x9"), ("wide", "--resolution 16x16 --sensor fisheye")):
+        out = f"--format npz --out {tmp_path / name}"
+        assert cli.main(shlex.split(f"attribute office --metric ugr {view} {SMALL} {out}")) == 0
+    capsys.readouterr()
+    files = [str(tmp_path / name / "attribution.npz") for name in ("small", "wide")]
+    assert cli.main(["compare", *files, "--out", str(tmp_path / "out")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"small: unified glare rating = \S+ ± \S+ at 16×9 pixels, relaxed ", printed)
+    assert re.search(r"wide: unified glare rating = \S+ ± \S+ at 16×16 pixels, relaxed ", printed)
+    assert "a saved result has no value by the definition" in printed
+    assert (
+        "resolution 16×9 against 16×16; camera perspective, 65.81° wide against fisheye, 180° wide" in printed
+    )
+    scene = f"compare office {files[0]} --metric ugr --resolution 16x9 {SMALL} --out {tmp_path / 'out'}"
+    assert cli.main(shlex.split(scene)) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("at 16×9 pixels, relaxed") == 2
+    assert "different settings" not in printed
+
+
+def test_two_scenes_are_compared_by_the_definition_near_the_threshold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"compare office office --metric ugr --resolution 16x9 {SMALL} --json --out {tmp_path}"
+    assert cli.main(shlex.split(text)) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert all(one["definition"] for one in found["results"])
+    assert found["change"]["definition"]["value"] == 0
+    assert [one["title"] for one in found["results"]] == ["office (A)", "office (B)"]
+
+
+def test_a_renderer_tells_its_camera() -> None:
+    told = {
+        name: SceneRenderer("office", "emitters", sensor=sensor, resolution=(16, 16)).info["sensor"]
+        for name, sensor in (("own", 0), ("fisheye", "fisheye"), ("turned", View(turn=90)))
+    }
+    assert told["own"].startswith("perspective, 65.81° wide, at −0.75 −0.55 1.52, towards ")
+    assert told["fisheye"] == told["own"].replace("perspective, 65.81", "fisheye, 180")
+    assert told["turned"].split(", ")[:3] == told["own"].split(", ")[:3]
+    assert told["turned"] != told["own"]
+    assert "sensor" not in SceneRenderer("classroom", "emitters", sensor="grid").info
+
+
+@pytest.mark.parametrize(
+    ("files", "titles"),
+    [
+        (("out/a/design.json", "out/b/design.json"), ["a", "b"]),
+        (("out/a/lamp.json", "out/b/lamp.json"), ["a", "b"]),
+        (("bright.json", "dark.toml"), ["bright", "dark"]),
+        (("a/out/attribution.npz", "b/out/attribution.npz"), ["a/out/attribution", "b/out/attribution"]),
+        (("out/attribution.npz", "out/attribution.npz"), ["out (A)", "out (B)"]),
+        (("office", "office"), ["office (A)", "office (B)"]),
+    ],
+)
+def test_titles_differ(files: tuple[str, str], titles: list[str]) -> None:
+    assert _compare._titles(*files) == titles
+
+
+def test_designs_are_called_by_their_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, factor in (("first", 0.5), ("second", 0.8)):
+        (tmp_path / name).mkdir()
+        design = {"light.emitter.radiance.value*": factor}
+        (tmp_path / name / "design.json").write_text(json.dumps(design))
+    files = f"--from {tmp_path}/first/design.json --design {tmp_path}/second/design.json"
+    text = f"compare cornell-box --resolution 8x8 {SMALL} {files} --json --out {tmp_path / 'out'}"
+    assert cli.main(shlex.split(text)) == 0
+    found = json.loads(capsys.readouterr().out)["results"]
+    assert [one["title"] for one in found] == ["first", "second"]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("a/design.json b/design.json", "compare SCENE --from a/design.json --design b/design.json"),
+        (
+            "office b/design.toml",
+            "b/design.toml is a design, not a scene: scenecaptum compare office --design b/",
+        ),
+        ("office --set a=1 --titles A A", "--titles must differ"),
+    ],
+)
+def test_what_cannot_be_compared_has_its_command(
+    given: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(shlex.split(f"compare {given} --out {tmp_path / 'out'}")) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_an_attribution_of_daylight_is_called_relaxed_and_its_report_quotes_the_definition(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "attribute classroom --spp 4 --spacing 2 --metric sda --inputs pane.* --report --no-progress"
+    assert cli.main(shlex.split(f"{text} --out {tmp_path}")) == 0
+    printed = capsys.readouterr().out
+    assert "spatial daylight autonomy without blinds, relaxed = " in printed.splitlines()[0]
+    (quoted,) = re.findall(r"quote ([\d.]+) %, the value by the definition", printed)
+    page = (tmp_path / "report.html").read_text()
+    card = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"][0]
+    assert card["written"] == [quoted, ""]
+    saved = SceneAttribution.load(tmp_path / "attribution.npz")
+    assert saved.info["measure"]["name"] == "spatial daylight autonomy without blinds, relaxed"
