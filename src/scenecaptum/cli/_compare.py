@@ -39,7 +39,7 @@ from ._files import print_files, writable
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._plan import plan_of
-from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
+from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -297,6 +297,7 @@ def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[Scene
             argparse.Namespace(**{**vars(options), "scene": scene}), coefficients
         )
         check_grid(renderer)
+        check_report(renderer)
         return renderer, create(renderer)
 
 

@@ -99,6 +99,6 @@ def check_formats(names: Collection[str]) -> None:
         if FORMATS[name].of_a_view:
             others = [other for other, one in FORMATS.items() if not one.of_a_view]
             raise SceneCaptumError(
-                f"--format {name} needs a picture of objects, and a sensor grid shows none: choose "
-                f"{', '.join(others[:-1])} or {others[-1]}, or leave --format out, which also writes a plan."
+                f"--format {name} needs a picture of objects, and this sensor shows none: choose "
+                f"{', '.join(others[:-1])} or {others[-1]}, or leave --format out."
             )
