@@ -12,7 +12,7 @@ from typing import Any, Literal, NoReturn, cast
 import numpy as np
 import torch
 
-from ..backend import SceneOwner, device, exclusively
+from ..backend import SceneOwner, device, exclusively, warn_unless_rgb
 from ..camera import Camera, View
 from ..checkpoint import Checkpoint, Folder, digest
 from ..daylight import SkyPatches
@@ -175,7 +175,10 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             "direct_sky": direct_sky,
         }
         self._replaced: dict[str, Any] = {}
-        with exclusively(_variant_of(scene)) as mi:
+        variant = _variant_of(scene)
+        if variant is None:
+            warn_unless_rgb()
+        with exclusively(variant) as mi:
             self._variant, self._device = mi.variant(), device()
             self._borrowed = isinstance(scene, mi.Scene)
             self.checkpoint: Checkpoint | None = None
