@@ -58,8 +58,12 @@ class WithSensor(Protocol):
         """The points of a sensor grid."""
 
     @property
+    def has_grid(self) -> bool:
+        """Whether its pixels are the points of a sensor grid."""
+
+    @property
     def shows_a_view(self) -> bool:
-        """Whether it shows a view rather than the points of a grid."""
+        """Whether its pixels are those of a picture."""
 
 
 class Adjustable(Protocol):

@@ -102,6 +102,17 @@ def test_physical_bounds_are_kept_with_a_margin():
     at_its_bound.inputs["faint"] = torch.zeros(4, 4, 3)
     found = optimize.minimize(at_its_bound, torch.mean, -1.0, top=3, steps=3)
     assert torch.equal(found.values["faint"], torch.zeros(4, 4, 3))
+    assert [moved.name for moved in found.moved] == ["strong", "weak"], "what cannot move has not changed"
+
+
+def test_where_nothing_can_move_there_is_no_table():
+    lamps = Lamps()
+    lamps.inputs = {name: torch.zeros_like(value) for name, value in lamps.inputs.items()}
+    found = optimize.minimize(lamps, torch.mean, -1.0, steps=2)
+    assert not found.moved
+    assert not found.was_below
+    assert str(found).endswith("not below the goal of -1")
+    assert "changed" not in str(found)
 
 
 def test_the_path_depends_on_the_seed_only():
@@ -349,6 +360,34 @@ def test_the_curve_ends_with_the_confirmed_value():
     assert "confirmed" in [text.get_text() for text in history.texts]
     missed = dataclasses.replace(found, below=0.0).plot().axes[-1]
     assert "measured again" in [text.get_text() for text in missed.texts]
+
+
+@pytest.mark.parametrize("goal", [1.02, 0.98])
+def test_the_final_point_has_its_name_clear_of_the_goal(goal: float) -> None:
+    """Both where it was confirmed and where the goal was just missed."""
+    found = optimize.minimize(Lamps(noise=0.0), torch.mean, 0.6, top=1)
+    figure = dataclasses.replace(found, below=goal * found.after.value).plot()
+    figure.canvas.draw()
+    history = figure.axes[-1]
+    (name,) = [text for text in history.texts if text.get_text() in ("confirmed", "measured again")]
+    line = history.transData.transform((0, goal * found.after.value))[1]
+    drawn = name.get_window_extent()
+    assert not drawn.y0 < line < drawn.y1
+
+
+def test_a_long_outcome_is_not_cut_off() -> None:
+    """It has two lines here, which take nothing from the pictures."""
+    found = optimize.minimize(Lamps(noise=0.0), torch.mean, 0.6, top=1)
+    short = found.plot()
+    name = "unified glare rating of the people at the second row of desks, seen from the door of the room"
+    long = dataclasses.replace(found, metric=name, below=0.1).plot()
+    for figure in (short, long):
+        figure.canvas.draw()
+        drawn = figure._suptitle.get_window_extent()
+        assert 0 <= drawn.x0 < drawn.x1 <= figure.bbox.x1
+        assert 0 <= drawn.y0 < drawn.y1 <= figure.bbox.y1
+    heights = [figure.axes[0].get_position().height * figure.bbox.height for figure in (short, long)]
+    assert heights[1] == pytest.approx(heights[0], rel=0.1)
 
 
 def test_a_clamped_texture_is_said_to_change_as_much_as_its_mean(mi: Any) -> None:

@@ -460,6 +460,9 @@ def test_poses_that_are_refused(mi: Any) -> None:
     assert "single sensor" in message(
         lambda: SceneRenderer("cornell-box", "camera.fov", sensor=[0, "fisheye"])
     )
+    # A setting of Mitsuba's sensor, which never has a derivative, would not say what to change.
+    of_kind = message(lambda: SceneRenderer("cornell-box", "camera", sensor=[0, "fisheye"]))
+    assert "camera.pose.translation, for example: it needs a renderer with a single sensor" in of_kind
 
 
 def test_a_lamp_in_the_ceiling_is_marked(mi: Any) -> None:

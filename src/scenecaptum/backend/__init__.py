@@ -22,6 +22,7 @@ from ._variants import SceneOwner as SceneOwner
 from ._variants import activate as activate
 from ._variants import device as device
 from ._variants import exclusively as exclusively
+from ._variants import warn_unless_rgb as warn_unless_rgb
 
 
 def main() -> int:

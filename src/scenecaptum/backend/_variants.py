@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 import threading
+import warnings
 import weakref
 from collections.abc import Iterator
 from types import ModuleType
@@ -110,6 +111,17 @@ def exclusively(variant: str | None = None) -> Iterator[ModuleType]:
                 mi.set_variant(previous)
             if not _depth:
                 _free_disposed()
+
+
+def warn_unless_rgb() -> None:
+    """Warn that a scene which is loaded now is rendered in RGB, if the user's variant is not one of RGB."""
+    previous = _active_variant()
+    if previous is not None and not previous.endswith("_rgb"):
+        warnings.warn(
+            f"The variant {previous} is active, but a SceneRenderer renders in RGB: it uses {default_variant()}, "
+            "and spectra become RGB colours. Your variant stays active for your own code.",
+            stacklevel=3,  # where the renderer is created
+        )
 
 
 _Owner = TypeVar("_Owner", bound="SceneOwner")

@@ -27,7 +27,7 @@ from ._messages import warnings_after_checks
 from ._metrics import DEFAULT, add_metric, find_metrics
 from ._once import Once
 from ._plan import by_definition, plan_format, plan_of
-from ._points import check_grid, needed_coefficients, premises, with_settings
+from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
 
@@ -148,6 +148,8 @@ def attribute(options: argparse.Namespace) -> int:
         with warnings_after_checks():
             renderer = _arguments.make_renderer(options, coefficients)
             check_grid(renderer)
+            if options.report:
+                check_report(renderer)
             if not renderer.shows_a_view:
                 check_formats(options.formats or ())
             # All of them before the first run, which may take long.
@@ -226,7 +228,7 @@ def _write_result(
         signed=options.signed,
         denoised=options.denoise != "off",
     )
-    if not (view or options.formats):
+    if renderer.has_grid and not options.formats:
         formats.append(plan_format(renderer, metric, lambda one: one.image))
     write_files(attribution, folder, formats)
     if options.json:

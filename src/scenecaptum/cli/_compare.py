@@ -39,7 +39,7 @@ from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._once import Once
 from ._plan import plan_of
-from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
+from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -381,6 +381,7 @@ def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[Scene
             argparse.Namespace(**{**vars(options), "scene": scene}), coefficients
         )
         check_grid(renderer)
+        check_report(renderer)
         return renderer, create(renderer)
 
 

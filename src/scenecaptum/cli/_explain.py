@@ -26,7 +26,7 @@ from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._optimize import NOT_REACHED, design_format, optimization_numbers, with_design_option
 from ._plan import plan_format, plan_of
-from ._points import check_grid, grid_premises, needed_coefficients, premises, with_settings
+from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
 SEPARATE = (
@@ -76,6 +76,8 @@ def run(options: argparse.Namespace) -> int:
         with warnings_after_checks():
             renderer = _arguments.make_renderer(options, coefficients)
             check_grid(renderer)
+            if options.report:
+                check_report(renderer)
             metric = create(renderer)
         values = designed_values(options, renderer)
         explanation = explained(renderer, metric, values, options, target=options.target, below=options.below)
@@ -193,7 +195,7 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
         OutputFormat("explanation.md", "the sentences in Markdown", _write_markdown),
         OutputFormat("explanation.json", "the numbers", write_json),
     ]
-    if renderer.shows_a_view:
+    if not renderer.has_grid:
         return formats
     return [*formats, plan_format(renderer, metric, lambda explanation: explanation.picture)]
 

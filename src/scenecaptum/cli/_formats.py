@@ -94,11 +94,12 @@ def default_formats(*, view: bool = True) -> list[str]:
 
 
 def check_formats(names: Collection[str]) -> None:
-    """Raise if one of the formats needs a view, for a sensor grid."""
+    """Raise if one of the formats needs a view, for a sensor that shows none."""
     for name in names:
         if FORMATS[name].of_a_view:
             others = [other for other, one in FORMATS.items() if not one.of_a_view]
             raise SceneCaptumError(
-                f"--format {name} needs a picture of objects, and a sensor grid shows none: choose "
-                f"{', '.join(others[:-1])} or {others[-1]}, or leave --format out, which also writes a plan."
+                f"--format {name} needs a picture of objects, and this sensor shows none: choose "
+                f"{', '.join(others[:-1])} or {others[-1]}, or leave --format out, which also writes "
+                "the plan of a grid."
             )

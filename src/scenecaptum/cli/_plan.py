@@ -59,8 +59,8 @@ def draw_plan(
 
 
 def plan_of(image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric) -> Figure | None:
-    """Return the map for a report; None if the renderer shows a view, and so has a picture."""
-    return None if renderer.shows_a_view else draw_plan(image, renderer, metric, REPORT_WIDTH)
+    """Return the map for a report; None if the renderer has no sensor grid."""
+    return draw_plan(image, renderer, metric, REPORT_WIDTH) if renderer.has_grid else None
 
 
 def plan_format(

@@ -170,7 +170,7 @@ def read_weather(options: argparse.Namespace) -> Weather:
 
 def check_grid(renderer: SceneRenderer) -> None:
     """Raise if a sensor grid on a floor has more than 2000 points, which take hours."""
-    if renderer.shows_a_view or not renderer.grid.sides or renderer.grid.inside.sum() <= MOST_POINTS:
+    if not renderer.has_grid or not renderer.grid.sides or renderer.grid.inside.sum() <= MOST_POINTS:
         return
     raise SceneCaptumError(
         f"The sensor grid has {_grid_size(renderer.grid)}: too many, more than {MOST_POINTS}. Choose a "
@@ -178,12 +178,21 @@ def check_grid(renderer: SceneRenderer) -> None:
     )
 
 
+def check_report(renderer: SceneRenderer) -> None:
+    """Raise if a report has nothing to show: an irradiance meter has neither a picture nor a plan."""
+    if not (renderer.shows_a_view or renderer.has_grid):
+        raise SceneCaptumError(
+            "A report shows a picture or a plan, and an irradiancemeter has neither: use scenecaptum attribute or "
+            "explain without --report, or another --sensor."
+        )
+
+
 def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
     """Return a line that says where the points of a grid over a floor are; none of other sensors.
 
     Where most of the points have nothing above them, neither a ceiling nor glass, a caution says so.
     """
-    if renderer.shows_a_view or not renderer.grid.sides:
+    if not renderer.has_grid or not renderer.grid.sides:
         return ()
     points = renderer.grid
     line = f"grid: {_grid_size(points)}, if the scene's unit is the metre"
@@ -201,7 +210,7 @@ def with_settings(
     attribution: SceneAttribution, renderer: SceneRenderer, options: argparse.Namespace
 ) -> SceneAttribution:
     """Return a result whose ``info`` has the settings of the grid and of daylight, too."""
-    if renderer.shows_a_view:
+    if not renderer.has_grid:
         return attribution
     given = {name: str(value) for name, value in _given(options, (*GRID, *WEATHER, *SKY)).items()}
     if renderer.grid.sides:

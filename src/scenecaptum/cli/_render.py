@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     if options.to.suffix not in (".png", ".exr"):
         raise SceneCaptumError(f"{options.to} must end in .png or .exr.")
     renderer = _arguments.make_renderer(options)
-    if options.to.suffix == ".png" and not renderer.shows_a_view:
+    if options.to.suffix == ".png" and renderer.has_grid:
         raise SceneCaptumError(
             "A sensor grid measures light at points and has no picture: scenecaptum explain --sensor grid "
             "--metric mean-illuminance writes plan.png, a map with a scale; an .exr file has the irradiances."

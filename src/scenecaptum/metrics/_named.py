@@ -52,7 +52,8 @@ class NamedMetric(NamedTuple):
                     f"A metric of points in a room ({self.description}): add --sensor grid, in Python "
                     'sensor="grid".'
                 )
-            known["grid"] = renderer.grid
+            if renderer.has_grid:  # otherwise an irradiance meter: every pixel counts
+                known["grid"] = renderer.grid
         return self.create(**known)
 
 

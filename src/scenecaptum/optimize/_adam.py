@@ -111,7 +111,7 @@ class BoundedAdam:
         return {name for name, _ in self._pairs(self.values()) - self._touching}
 
     def summary(self, labels: Mapping[str, str]) -> tuple[Moved, ...]:
-        """Return the initial and current value of every parameter."""
+        """Return the initial and current value of every parameter that has moved: others were at a bound."""
         values = {name: value.detach() for name, value in self.values().items()}
         before, after = summarize(self.start), summarize(values)
         # Not of the offsets, which go on where a value or a texel has reached its bound.
@@ -126,6 +126,7 @@ class BoundedAdam:
                 is_dimmed=name in self._lamps,
             )
             for name in self.start
+            if not torch.equal(self.start[name], values[name])
         )
 
     def _longest(self, name: str) -> float:

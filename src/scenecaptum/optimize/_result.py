@@ -16,6 +16,7 @@ from ..visualization import (
     TITLE,
     WIDTH,
     automatic_exposure,
+    characters_per_line,
     display_image,
     figure_of,
     format_with_error,
@@ -24,6 +25,7 @@ from ..visualization import (
     rounded,
     shorten,
     style_axes,
+    wrapped_lines,
     write_at,
 )
 
@@ -104,7 +106,8 @@ class Optimization:
     values
         The optimized scene: ``renderer(values)`` renders it.
     moved
-        The parameters that were changed, most salient first; all others were kept constant.
+        The parameters that were changed, most salient first; all others were kept constant, or were at a bound
+        and could not go on.
     before, after
         The metric and the render of both scenes, from samples independent of the optimization steps.
     history
@@ -130,7 +133,7 @@ class Optimization:
     @property
     def was_below(self) -> bool:
         """Whether the scene was below the goal from the start, so that nothing was changed."""
-        return not self.moved and self.reached
+        return not self.moved and self.before.is_below(self.below)
 
     @property
     def reached(self) -> bool:
@@ -144,14 +147,14 @@ class Optimization:
         """
         height, width, _ = self.before.image.shape
         renders, curve = WIDTH / 2 * height / width, 1.6
-        part: Any = figure or new_figure(WIDTH, renders + curve + 1)
+        title = wrapped_lines(self.outcome, characters_per_line(WIDTH, TITLE))
+        part: Any = figure or new_figure(WIDTH, renders + curve + 1 + (len(title) - 1) * 1.3 * TITLE / 72)
         axes = part.subplot_mosaic([["before", "after"], ["history"] * 2], height_ratios=[renders, curve])
         before, after, history = axes.values()
         exposure = automatic_exposure(self.before.image)
         for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
             ax.imshow(display_image(denoise(measured.image), exposure).numpy(force=True))
-            title = f"{name}: {self._format(measured)}"
-            ax.set_title(title, fontsize=TEXT, loc="left", parse_math=False)
+            ax.set_title(f"{name}: {self._format(measured)}", fontsize=TEXT, loc="left", parse_math=False)
             ax.set_axis_off()
         steps = max(1, len(self.history))
         history.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
@@ -160,7 +163,10 @@ class Optimization:
         end = (steps, self.after.value)
         history.plot(*end, "o", color=RAISES, markersize=5, clip_on=False)
         confirmed = "confirmed" if self.reached else "measured again"
-        write_at(history, confirmed, end, (8, 0), va="center", fontsize=SMALL)
+        # On the side of the point that is away from the line of the goal.
+        align = "top" if self.after.value < self.below else "bottom"
+        write_at(history, confirmed, end, (8, 0), va=align, fontsize=SMALL)
+        history.margins(y=0.12)
         history.set_xlim(left=-0.02 * steps, right=1.17 * steps)
         # Away from the curve's end, and from the axis below a goal that is missed.
         side = -9 if self.reached else 3
@@ -170,7 +176,7 @@ class Optimization:
         of_steps = self.metric if self.after.relaxed is None else f"{self.metric}, relaxed at the steps"
         style_axes(history, of_steps, x="step", size=TEXT)
         history.locator_params(axis="x", integer=True)
-        part.suptitle(self.outcome, fontsize=TITLE, x=0.01, ha="left", parse_math=False)
+        part.suptitle("\n".join(title), fontsize=TITLE, x=0.01, ha="left", parse_math=False)
         return figure_of(part)
 
     def __str__(self) -> str:
@@ -180,7 +186,7 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        if self.was_below:
+        if not self.moved:
             return self.outcome
         end = filter(None, [self.outcome, self.note])
         return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", *end])

@@ -31,7 +31,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         """Return rays through all pixels, their weights, and the points of the film; for Mitsuba's own passes."""
         ray, weight, point = super().sample_rays(scene, sensor, sampler)
         self.receiver = _receiver(sensor, point)
-        return ray, weight, point
+        return one_for_each(ray, point), weight, point
 
     def random_rays(self, sensor: Any, sampler: Any, pixel: Any) -> tuple[Any, Any, Any]:
         """Return rays through random points of pixels, the sensor response to each, and the points."""
@@ -49,7 +49,7 @@ class AdjointSampledIntegrator(RBIntegrator):
         position = point * dr.rcp(mi.ScalarVector2f(size))  # rounded as in Mitsuba
         ray, response = sensor.sample_ray_differential(time, wavelength, position, lens)
         self.receiver = _receiver(sensor, point)
-        return ray, response
+        return one_for_each(ray, point), response
 
     def render_samples(self, scene: Any, sensor: Any, seed: Any, pixel: Any) -> Any:
         """Render an image as ``render`` does, given the row-major pixel index of each sample.
@@ -285,6 +285,13 @@ def _weight_sum(profile: torch.Tensor, radius: int, pixels: int) -> torch.Tensor
     weight = profile[(offset.abs() * PROFILE_STEPS / (radius + 1)).round().long()] / resolution
     inside = (centre + offset > 0) & (centre + offset < pixels)
     return inside.to(weight) @ weight
+
+
+def one_for_each(ray: Any, point: Any) -> Any:
+    """Return a ray for each point, also of a sensor with a single ray, such as a radiance meter."""
+    if dr.width(ray) < dr.width(point):
+        ray.o += dr.zeros(mi.Point3f, dr.width(point))
+    return ray
 
 
 def _receiver(sensor: Any, point: Any) -> Any:

@@ -16,9 +16,10 @@ import mitsuba as mi
 import torch
 from torch.nn.functional import pad
 
+from ..errors import SceneCaptumError
 from ..scene import SceneParameters
 from ._backward import AdjointSampledIntegrator, has_independent_samples
-from ._bridge import evaluate
+from ._bridge import evaluate, full_message
 from ._chunks import Chunk, chunks
 from ._derivative_routes import (
     DIFFERENCE_SPP_DIVISOR,
@@ -436,7 +437,15 @@ class StockEngine(Engine):
         """Return the vector–Jacobian product; ``importance_sampling`` is ignored."""
         values = self._live.snapshot(values)
         routes = uncorrected_routes(self._parameters, values, tracked)
-        gradients = self._replay_all_pixels(values, routes, adjoint.detach().float(), seed, spp)
+        try:
+            gradients = self._replay_all_pixels(values, routes, adjoint.detach().float(), seed, spp)
+        except RuntimeError as error:
+            if "invalid gradient size" not in full_message(error):
+                raise
+            raise SceneCaptumError(
+                f"Mitsuba's own integrators cannot differentiate the image of a {self._live.sensor.class_name()}, "
+                "which has a single ray: leave integrator= out."
+            ) from None
         zeros = {name: torch.zeros_like(values[name]) for name in tracked}
         return tuple((zeros | gradients)[name].to(values[name]) for name in tracked)
 

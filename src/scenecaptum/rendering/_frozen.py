@@ -7,6 +7,7 @@ literals in kernels, so they are arguments (``scalars``): with other numbers the
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import drjit as dr
@@ -48,19 +49,22 @@ def make_kernels(
     ``forget_gradients`` clears the gradients of a recording that has failed.
     """
 
-    def render(scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:
+    def render(sensor: Any, scene: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> Any:
         return integrator.render(scene, sensor, seed=seed, spp=spp)
 
-    def render_samples(scene: Any, seed: Any, pixel: Any, scalars: tuple[float, ...]) -> Any:
+    def render_samples(sensor: Any, scene: Any, seed: Any, pixel: Any, scalars: tuple[float, ...]) -> Any:
         return integrator.render_samples(scene, sensor, seed, pixel)
 
-    def radiance_at(scene: Any, seed: Any, point: Any, scalars: tuple[float, ...]) -> Any:
+    def radiance_at(sensor: Any, scene: Any, seed: Any, point: Any, scalars: tuple[float, ...]) -> Any:
         return integrator.radiance_at(scene, sensor, seed, point)
 
-    def render_backward(scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]) -> None:
+    def render_backward(
+        sensor: Any, scene: Any, adjoint: Any, seed: Any, spp: int, scalars: tuple[float, ...]
+    ) -> None:
         integrator.render_backward(scene, None, adjoint, sensor, seed=seed, spp=spp)
 
-    def render_backward_pixels(
+    def render_backward_pixels(  # noqa: PLR0917 -- as its callers pass them
+        sensor: Any,
         scene: Any,
         adjoint: Any,
         seed: Any,
@@ -75,7 +79,8 @@ def make_kernels(
             camera = CameraAdjoint(sensor, adjoint, profile)
             trace_light_backward(integrator, scene, camera, *light, seed)
 
-    def differences(
+    def differences(  # noqa: PLR0917 -- as above
+        sensor: Any,
         scene: Any,
         adjoint: Any,
         seed: Any,
@@ -93,7 +98,7 @@ def make_kernels(
 
     functions = (render, render_samples, radiance_at, render_backward, render_backward_pixels, differences)
     if not freeze:
-        return Kernels(*functions)
+        return Kernels(*(partial(function, sensor) for function in functions))
     return Kernels(*(FrozenFunction(function, reset, sensor) for function in functions))
 
 
@@ -118,12 +123,19 @@ def _registries() -> list[Any]:
 
 
 class FrozenFunction:
-    """A frozen function, or the plain function where a plugin hides objects that freezing would have to see."""
+    """A frozen function, or the plain function where a plugin hides objects that freezing would have to see.
+
+    Its first argument is the sensor. A function that had the sensor in its closure would keep it, since frozen
+    functions are cycles of references that wait for the collector. The scene would go before, and a sensor that
+    is a part of a shape (an irradiance meter) would point to a shape that is no more: Dr.Jit calls such a sensor
+    while it records another scene.
+    """
 
     def __init__(self, function: Callable[..., Any], reset: Callable[..., None], sensor: Any) -> None:
         self._function = function
+        self._sensor = sensor
 
-        def state(*arguments: Any, **options: Any) -> list[Any]:
+        def state(sensor: Any, *arguments: Any) -> list[Any]:
             # Nor does it see the arrays of a sensor written in Python.
             return [*_registries(), *getattr(sensor, "arrays", ())]
 
@@ -133,11 +145,11 @@ class FrozenFunction:
 
     def __call__(self, *arguments: Any) -> Any:
         try:
-            return self._call(*arguments)
+            return self._call(self._sensor, *arguments)
         except RuntimeError as error:
             if "record()" not in full_message(error) or is_detached_error(error):
                 raise
             # What the failed recording has accumulated would count twice.
             self._reset(*arguments)
             self._call = self._function
-            return self._function(*arguments)
+            return self._function(self._sensor, *arguments)

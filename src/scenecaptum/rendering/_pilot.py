@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import drjit as dr
@@ -267,9 +267,10 @@ class Pilots:
     @cached_property
     def _kernel(self) -> Callable[..., None]:
         """The integrator's ``accumulate_moments``, frozen where possible."""
-        integrator, sensor, count = self.integrator, self.live.sensor, len(self._groups.parameters)
+        integrator, count = self.integrator, len(self._groups.parameters)
 
         def accumulate(
+            sensor: Any,
             scene: Any,
             seed: Any,
             scalars: tuple[float, ...],
@@ -285,10 +286,9 @@ class Pilots:
 
             integrator.accumulate_moments(scene, sensor, seed, pixel, make_moments)
 
-        freeze = self.plan.kind.freezable
-        return (
-            FrozenFunction(accumulate, lambda *arguments: clear(arguments), sensor) if freeze else accumulate
-        )
+        if not self.plan.kind.freezable:
+            return partial(accumulate, self.live.sensor)
+        return FrozenFunction(accumulate, lambda *arguments: clear(arguments), self.live.sensor)
 
 
 def _pixels_in_chunks(pixels: int, spp: int) -> Iterator[Any]:

@@ -12,7 +12,7 @@ from typing import Any, Literal, NoReturn, cast
 import numpy as np
 import torch
 
-from ..backend import SceneOwner, device, exclusively
+from ..backend import SceneOwner, device, exclusively, warn_unless_rgb
 from ..camera import Camera, View
 from ..checkpoint import Checkpoint, Folder, digest
 from ..daylight import SkyPatches
@@ -60,6 +60,7 @@ from ._sensors import (
     common_resolution,
     describe_sensor,
     grid_of,
+    is_grid,
     shows_a_view,
 )
 
@@ -175,7 +176,10 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             "direct_sky": direct_sky,
         }
         self._replaced: dict[str, Any] = {}
-        with exclusively(_variant_of(scene)) as mi:
+        variant = _variant_of(scene)
+        if variant is None:
+            warn_unless_rgb()
+        with exclusively(variant) as mi:
             self._variant, self._device = mi.variant(), device()
             self._borrowed = isinstance(scene, mi.Scene)
             self.checkpoint: Checkpoint | None = None
@@ -263,7 +267,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         from ._live_scene import LiveScene
         from ._view import make_view
 
-        if not self.shows_a_view and not plan.kind.sensor_grids:
+        if self.has_grid and not plan.kind.sensor_grids:
             raise SceneCaptumError(
                 f"A sensor grid cannot be rendered by {plan.integrator}: use a scene without participating media, "
                 "and the default integrator."
@@ -406,7 +410,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             If a setting is invalid.
         """
         with exclusively(self._variant):
-            if resolution is not None and not self.shows_a_view:
+            if resolution is not None and self.has_grid:
                 raise SceneCaptumError(GRID_SIZE)
             size = self.resolution if resolution is None else common_resolution(self._sensors, resolution)
             given = {"resolution": resolution, "max_depth": max_depth, "integrator": integrator}
@@ -600,8 +604,16 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def shows_a_view(self) -> bool:
-        """Whether neighbouring pixels show neighbouring directions, as in a picture, unlike on a sensor grid."""
+        """Whether neighbouring pixels show neighbouring directions, as in a picture.
+
+        Those of a sensor grid and of an irradiance meter do not.
+        """
         return all(shows_a_view(sensor) for sensor in self._sensors)
+
+    @property
+    def has_grid(self) -> bool:
+        """Whether the pixels are the points of a sensor grid, ``grid``."""
+        return is_grid(self._sensors[0])
 
     @property
     def cameras(self) -> list[Camera]:
@@ -660,7 +672,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def surfaces(self) -> SurfaceMap | None:
-        """The objects that each pixel shows; None for a list of sensors or a sensor grid."""
+        """The objects that each pixel shows; None for a list of sensors, a sensor grid or an irradiance meter."""
         return self._surface_map(())
 
     def mask(self, objects: str | Collection[str]) -> torch.Tensor:
@@ -690,7 +702,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             If a name matches no object of the scene.
         """
         if not self.shows_a_view:
-            raise SceneCaptumError("The pixels of a sensor grid show no objects, so it has no mask of them.")
+            raise SceneCaptumError("The pixels of this sensor show no objects, so it has no mask of them.")
         maps = [view.surface_map((), False, ()) for view in self._views]
         masks = torch.stack([torch.from_numpy(surfaces.mask(objects)) for surfaces in maps]).to(self._device)
         return masks if self._stacked else masks[0]

@@ -35,6 +35,8 @@ SENSORS = {
     "grid": SensorType("irradiance on a sensor grid", ("GridSensor",), "scenecaptum_grid", has_camera=False),
 }
 
+# The class of Mitsuba's sensor on a shape, whose pixel collects the light from everywhere above it.
+IRRADIANCE_METER = "IrradianceMeter"
 
 SensorLike: TypeAlias = "int | str | SensorGrid | View"
 
@@ -66,6 +68,8 @@ def allows_light_tracing(graph: SceneGraph, sensor: Any) -> bool:
 
 def camera_of(sensor: Any) -> Camera:
     """Return the geometry of a sensor's pixels."""
+    if sensor.class_name() == IRRADIANCE_METER:
+        raise SceneCaptumError("An irradiancemeter has no camera: metrics of views need another sensor.")
     name = _type_name(sensor)
     if name is None:
         known = [name for name, one in SENSORS.items() if one.has_camera]
@@ -114,16 +118,21 @@ def _list(names: Iterable[str]) -> str:
 
 def grid_of(sensor: Any) -> GridPoints:
     """Return the points of a sensor grid."""
-    if _type_name(sensor) != "grid":
+    if not is_grid(sensor):
         raise SceneCaptumError('Only a renderer with sensor="grid" or a SensorGrid has a grid.')
     points: GridPoints = sensor.points
     return points
 
 
+def is_grid(sensor: Any) -> bool:
+    """Whether the pixels of a sensor are the points of a sensor grid."""
+    return _type_name(sensor) == "grid"
+
+
 def shows_a_view(sensor: Any) -> bool:
     """Whether neighbouring pixels show neighbouring directions: maps and denoisers need that."""
     name = _type_name(sensor)
-    return name is None or SENSORS[name].has_camera
+    return sensor.class_name() != IRRADIANCE_METER if name is None else SENSORS[name].has_camera
 
 
 def choose_sensor(

@@ -34,17 +34,13 @@ class SkyEngine(Engine):
     def __init__(self, *arguments: Any, patches: SkyPatches, direct: bool) -> None:
         super().__init__(*arguments)
         self._sky = sky_of(self._live.scene, self._parameters)
-        index, integrator, sensor = (
-            PatchIndex(patches, up_axis(self._live.scene)),
-            self._integrator,
-            self._live.sensor,
-        )
+        index, integrator = PatchIndex(patches, up_axis(self._live.scene)), self._integrator
 
-        def render(scene: Any, seed: Any, samples: Any, scalars: tuple[float, ...]) -> Any:
+        def render(sensor: Any, scene: Any, seed: Any, samples: Any, scalars: tuple[float, ...]) -> Any:
             return integrator.render_coefficients(scene, sensor, seed, samples, index, direct=direct)
 
         def differentiate(
-            scene: Any, adjoint: Any, seed: Any, samples: Any, scalars: tuple[float, ...]
+            sensor: Any, scene: Any, adjoint: Any, seed: Any, samples: Any, scalars: tuple[float, ...]
         ) -> None:
             integrator.differentiate_coefficients(scene, sensor, adjoint, seed, samples, index, direct=direct)
 
@@ -54,8 +50,8 @@ class SkyEngine(Engine):
         def reset(*arguments: Any) -> None:
             forget_gradients()
 
-        self._render_kernel = FrozenFunction(render, reset, sensor)
-        self._differentiate_kernel = FrozenFunction(differentiate, reset, sensor)
+        self._render_kernel = FrozenFunction(render, reset, self._live.sensor)
+        self._differentiate_kernel = FrozenFunction(differentiate, reset, self._live.sensor)
 
     def primal(self, values: Values, seed: int, spp: int, tracked: Sequence[str] = ()) -> torch.Tensor:
         """Render the coefficients: irradiance per radiance of each patch, ``(points, patches, 3)``."""

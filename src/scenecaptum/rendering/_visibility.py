@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..projection import SurfaceMap, TexelMap
 from ..scene import SceneGraph, SceneParameters
+from ._backward import one_for_each
 from ._registry import shape_index
 from ._texels import Indices, ShownTexture
 
@@ -136,8 +137,9 @@ def camera_rays(
         (mi.Float(pixel % width) + (mi.Float(point) + 0.5) / RAYS) / width,
         (mi.Float(pixel // width) + (mi.Float(reversed_bits) + 0.5) / RAYS) / height,
     )
-    ray, weight = sensor.sample_ray(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
-    return ray, weight, pixel, point
+    # With differentials, without which an irradiance meter has no rays.
+    ray, weight = sensor.sample_ray_differential(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
+    return one_for_each(ray, position), weight, pixel, point
 
 
 def follow_specular(

@@ -88,7 +88,8 @@ def is_of_kind(parameter: Parameter, kind: str) -> bool:
 def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) -> str:
     known = [name for name, p in parameters.items() if not p.problem]
     if matched:
-        first = matched[0]
+        # Rather a pose than a setting of Mitsuba's, which is never differentiated.
+        first = next((p for p in matched if p.moves), matched[0])
         hint = _camera_hint(known) if all(p.kind == CAMERA for p in matched) else ""
         return (
             f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
