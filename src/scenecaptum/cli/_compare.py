@@ -135,9 +135,7 @@ class Compared:
     def relaxed(self) -> str:
         """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
         if self.by_definition is None:
-            return (
-                SAVED if any(side.is_saved for side in self.sides) and _is_glare_rating(self.before) else ""
-            )
+            return SAVED if self.are_relaxed_ratings() else ""
         change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
         return f"{RELAXED}: it changes by {change}."
 
