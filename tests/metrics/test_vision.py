@@ -9,6 +9,7 @@ import torch
 from seeds import shifted
 
 from scenecaptum import SceneCaptumError, metrics
+from scenecaptum.estimation import TargetedMetric
 from scenecaptum.metrics._picture import srgb_picture
 
 WEIGHTS = Path(metrics.__file__).with_name("shape_classifier.pt")
@@ -273,6 +274,26 @@ def test_a_class_may_be_named():
 def test_a_target_must_be_a_class(target):
     with pytest.raises(SceneCaptumError, match="target must be a whole number"):
         metrics.ClassLogit(small_classifier(), target)
+
+
+@pytest.mark.parametrize("names", [["dark"], ["background", "dark", "light", "x", "y"]])
+def test_there_is_one_name_for_each_logit(names):
+    metric = metrics.ClassLogit(small_classifier(4), "dark", classes=names)
+    with pytest.raises(
+        SceneCaptumError, match=rf"returns 4 logits, but has {len(names)} name.*one name for each"
+    ):
+        metric(torch.rand(20, 30, 3))
+
+
+def test_a_state_dict_is_no_network():
+    with pytest.raises(SceneCaptumError, match=r"not OrderedDict.*network\.load_state_dict"):
+        metrics.ClassLogit(small_classifier().state_dict(), 1)
+
+
+def test_a_logit_of_one_class_has_no_elements():
+    metric = TargetedMetric(metrics.ClassLogit(small_classifier(), 1), 0)
+    with pytest.raises(SceneCaptumError, match="has a single value: leave out target="):
+        metric.value(torch.rand(20, 30, 3))
 
 
 def test_a_target_beyond_the_classes_is_refused():

@@ -67,6 +67,15 @@ def test_rooms_that_agree_by_chance_are_as_uncertain_as_their_noise(effects: lis
     assert (found.new_low, found.new_high) == (found.low, found.high)
 
 
+def test_two_rooms_of_which_one_has_all_the_weight_have_no_interval() -> None:
+    found = combine(observed(np.array([-1.14, 0.06]), np.array([0.09, 1.35])))
+    assert found.effective_rooms == pytest.approx(1.01, abs=0.01)
+    assert found.error is not None
+    assert (found.low, found.high, found.new_low, found.new_high) == (None, None, None, None)
+    alike = combine(observed(np.array([-1.14, 0.06]), np.array([0.5, 0.5])))
+    assert alike.low < 0 < alike.high
+
+
 @pytest.mark.parametrize("between", [0.1, 0.5])
 def test_intervals_hold_the_mean_where_some_rooms_are_noisier_than_others(between: float) -> None:
     # With 0.1 the rooms differ as much as the smallest of their errors, and in most studies less than can be seen.

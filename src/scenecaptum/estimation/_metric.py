@@ -304,6 +304,8 @@ class TargetedMetric:
             batch = (
                 f" The first axis is a batch of one: use target=(0, {self.target}), or return output[0]."
                 if output.ndim == 2 and len(output) == 1 and isinstance(self.target, Integral)
+                else " The metric has a single value: leave out target=."
+                if output.ndim == 0
                 else ""
             )
             raise SceneCaptumError(

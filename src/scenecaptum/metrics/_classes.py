@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..errors import SceneCaptumError, listed, near_misses, whole_number
+from ..visualization import pluralize
 
 
 def class_names(model: object, classes: Sequence[str] | None) -> tuple[str, ...]:
@@ -35,6 +36,16 @@ def class_name(index: int | None, classes: Sequence[str]) -> str:
 def named_class(index: int | None, classes: Sequence[str]) -> str:
     """Return an index with the name of the class, for ``extra_repr``."""
     return f"{index} ({classes[index]})" if index is not None and classes else f"{index}"
+
+
+def check_names(classes: Sequence[str], count: int, model: object) -> None:
+    """Raise if there are names of classes, but not one for each output of the model."""
+    if classes and len(classes) != count:
+        name = type(model).__name__
+        raise SceneCaptumError(
+            f"{name} returns {pluralize(count, 'logit')}, but has {pluralize(len(classes), 'name')} of classes: "
+            "give classes= with one name for each logit, in their order, or none."
+        )
 
 
 def check_class(index: int, count: int, model: object, setting: str = "target") -> None:

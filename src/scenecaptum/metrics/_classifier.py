@@ -10,7 +10,7 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..visualization import rounded
-from ._classes import check_class, class_index, class_name, class_names, named_class
+from ._classes import check_class, check_names, class_index, class_name, class_names, named_class
 from ._measure import Measure
 from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._noise import without_smoothing
@@ -57,6 +57,7 @@ class ClassifierMetric(NetworkMetric):
         logits = self.output(images)
         if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != len(images):
             raise SceneCaptumError(_not_logits(self.model, logits))
+        check_names(self.classes, logits.shape[1], self.model)
         return logits
 
     def target_index(self, name: str) -> int:

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import torch
 
+from ..errors import SceneCaptumError
 from ..images import check_image_shape
 from ..training_mode import warn_of_training_mode
 from ._frozen import run_frozen
@@ -41,6 +42,8 @@ class NetworkMetric(torch.nn.Module, ABC):
         smoothing: float | None,
     ) -> None:
         super().__init__()
+        if not callable(model):
+            raise SceneCaptumError(_not_a_network(model))
         self.exposure = check_exposure(exposure)
         self.transform = transform or own_preprocessing(model, default_transform)
         self._is_default = self.transform is default_transform
@@ -138,6 +141,16 @@ def wrap_it(output: Any, ndim: int, wanted: str, default: str) -> str:
 
 def _is_sequence(output: Any) -> bool:
     return isinstance(output, list | tuple)
+
+
+def _not_a_network(model: object) -> str:
+    is_state = isinstance(model, Mapping) and any(isinstance(one, torch.Tensor) for one in model.values())
+    fix = (
+        "It is a state dict: construct the network, and load it with network.load_state_dict(…)."
+        if is_state
+        else "Give a torch.nn.Module."
+    )
+    return f"model must be a network or a function of pictures, not {type(model).__name__}. {fix}"
 
 
 def _warn_of_enlarging(transform: ResizeCropNormalize, height: int, width: int) -> None:

@@ -1109,7 +1109,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
                 worst = high if high > bounds.high else low
                 raise SceneCaptumError(
                     f"{name!r} is {worst:.6g}, outside the physical range {bounds} of its kind "
-                    f"({self._table[name].kind}). Clamp it before rendering, with renderer.clamp_(inputs)."
+                    f"({self._table[name].kind}). Clamp it before rendering, with renderer.clamp_(inputs). "
+                    'For noise that Captum adds: renderer.as_captum(metric, bounds="reflect").'
                 )
 
     def extra_repr(self) -> str:

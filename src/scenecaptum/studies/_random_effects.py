@@ -26,6 +26,8 @@ from . import _extras as extras
 
 LEVEL = 0.95
 MIN_ROOMS_FOR_NEW_ROOM = 3
+# Of two rooms: below, one of little noise has nearly all the weight, and tells nothing of others.
+MIN_EFFECTIVE_ROOMS = 1.5
 
 # Relative to the square of the unit: a variance of 0 would have an infinite weight.
 _SMALLEST_VARIANCE = 1e-6
@@ -95,6 +97,7 @@ class Combined:
     noise: float | None
     seed_spread: float | None
     rooms: tuple[RoomEffect, ...]
+    effective_rooms: float
 
 
 @dataclass(frozen=True)
@@ -137,11 +140,12 @@ def combine(observations: Sequence[Observation]) -> Combined:
     views = _views(observations, None if has_errors else seed_spread or 0.0)
     rooms = _rooms(views, noise is not None)
     within = _variance_between_cameras(views, remove_common=False)
-    mean, error, between, width = _mean_over_rooms(views)
-    half = None if error is None else width * error
+    mean, error, between, width, effective = _mean_over_rooms(views)
+    is_one_room = len(rooms) == 2 and effective < MIN_EFFECTIVE_ROOMS
+    half = None if error is None or is_one_room else width * error
     new = None
-    if error is not None and between is not None and len(rooms) >= MIN_ROOMS_FOR_NEW_ROOM:
-        new = width * math.hypot(error, between)
+    if half is not None and between is not None and len(rooms) >= MIN_ROOMS_FOR_NEW_ROOM:
+        new = width * math.hypot(error or 0.0, between)
     return Combined(
         mean=mean,
         error=error,
@@ -154,11 +158,12 @@ def combine(observations: Sequence[Observation]) -> Combined:
         noise=noise,
         seed_spread=seed_spread,
         rooms=tuple(rooms),
+        effective_rooms=effective,
     )
 
 
-def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None, float]:
-    """Return the mean, its standard error, the deviation of rooms, and a half-width in standard errors.
+def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None, float, float]:
+    """Return the mean, its standard error, the deviation of rooms, a half-width in standard errors, and the rooms.
 
     The error is that of Hartung, Knapp, Sidik and Jonkman, the half-width that of a 95 % interval.
     Their factor q compares the spread of the rooms with what their variances predict. Where rooms agree by chance
@@ -166,7 +171,8 @@ def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None, 
     smaller than that of a mean of rooms that do not differ. The interval of a new room contains the same error.
 
     The degrees of freedom are those of the effective number of rooms, 1 / Σ w² for weights w that add up to 1: if
-    a few rooms of little noise have nearly all the weight, only these few say how much rooms differ.
+    a few rooms of little noise have nearly all the weight, only these few say how much rooms differ. This
+    number is the last that is returned.
 
     statsmodels estimates all but the last, in units of the rooms' spread because its tolerances are absolute.
     """
@@ -174,14 +180,14 @@ def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None, 
     counts = np.bincount(index)
     effects = np.bincount(index, views.effects) / counts
     if len(effects) == 1:
-        return float(effects[0]), None, None, math.nan
+        return float(effects[0]), None, None, math.nan, 1.0
     common = _variance_between_cameras(views, remove_common=True)
     variances = np.bincount(index, views.variances) / counts**2 + (common or 0.0) / counts
     # With a spread below the smallest error, the variance between rooms is 0 in any unit.
     unit = max(float(effects.std(ddof=1)), math.sqrt(variances.min()))
     centre = float(effects.mean())
     if unit == 0:
-        return centre, 0.0, 0.0, quantile(len(effects) - 1)
+        return centre, 0.0, 0.0, quantile(len(effects) - 1), float(len(effects))
     scaled = np.maximum(variances / unit**2, _SMALLEST_VARIANCE)
     with np.errstate(
         divide="ignore"
@@ -189,12 +195,13 @@ def _mean_over_rooms(views: _Views) -> tuple[float, float | None, float | None, 
         found: Any = extras.meta_analysis().combine_effects(
             (effects - centre) / unit, scaled, method_re="pm", use_t=True
         )
-    degrees = max(1.0, 1 / float(np.square(found.weights_rel_re).sum()) - 1)
+    effective = 1 / float(np.square(found.weights_rel_re).sum())
     return (
         float(centre + unit * found.mean_effect_re),
         float(unit * max(found.sd_eff_w_re_hksj, found.sd_eff_w_re)),  # with q, and with 1
         float(unit * math.sqrt(found.tau2)),
-        float(extras.student_t().ppf((1 + LEVEL) / 2, degrees)),
+        float(extras.student_t().ppf((1 + LEVEL) / 2, max(1.0, effective - 1))),
+        effective,
     )
 
 

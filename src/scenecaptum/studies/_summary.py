@@ -45,7 +45,8 @@ class GroupEffect(Combined):
         Jonkman: of the mean over all rooms of which these are a sample. Rooms that agree by chance do not make it
         smaller than their noise does: the factor q is at least 1 (Knapp and Hartung's ad hoc correction).
     low, high
-        95 % confidence interval of the mean (Student's t).
+        95 % confidence interval of the mean (Student's t); None for two rooms of which one has nearly all the
+        weight, with less than 1.5 ``effective_rooms``.
     new_low, new_high
         95 % prediction interval: where the effect in another room would be, with the same error of the mean.
     between, within
@@ -58,6 +59,8 @@ class GroupEffect(Combined):
         Standard deviation between seeds, about as large as ``noise`` if the errors of the cells are right.
     rooms
         A `RoomEffect` for each room that has such parameters.
+    effective_rooms
+        By how many rooms of equal weight the mean is decided: 1 / Σ w² for weights w that add up to 1 (Kish).
     metric, design, method, group
         Names in the study, and that of the group.
     measure, unit
@@ -93,6 +96,10 @@ class GroupEffect(Combined):
                 "one room: neither an interval of the mean nor the variance between rooms can be estimated"
             )
         elif count < MIN_ROOMS_FOR_NEW_ROOM:
+            if self.low is None:
+                notes.append(
+                    "one of two rooms has nearly all the weight: no interval of the mean"
+                )
             notes.append(f"{count} rooms: an interval for a new room takes {MIN_ROOMS_FOR_NEW_ROOM}")
         if self.within is None:
             notes.append(

@@ -103,7 +103,7 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
     options: dict[str, Any] = {"seed": seed, "spp": spp, "show_progress": show_progress}
     problem = Problem.of(renderer, metric, target, parameters, bounds, **options)
     pairs = zip(sample_derivatives(problem, points), problem.metrics, strict=True)
-    results = [summarise_derivatives(sampled, problem.scalars, one.name) for sampled, one in pairs]
+    results = [summarise_derivatives(sampled, problem.scalars, one.label) for sampled, one in pairs]
     return results if isinstance(target, list) else results[0]
 
 
