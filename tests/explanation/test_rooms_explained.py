@@ -36,10 +36,9 @@ def room(request: pytest.FixtureRequest) -> SceneRenderer:
     return SceneRenderer(scene, "all", resolution=(48, 27), spp=SPP, max_depth=6)
 
 
-# Every metric in the office, and one in another room; the rest of the table is long.
-QUICK = {*(("office", name) for name in METRICS), ("classroom", "logit")}
+# Every metric in the office; the other rooms are long.
 TABLE = [
-    pytest.param(scene, name, marks=() if (scene, name) in QUICK else pytest.mark.long)
+    pytest.param(scene, name, marks=() if scene == "office" else pytest.mark.long)
     for scene in ROOMS
     for name in METRICS
 ]
