@@ -671,11 +671,11 @@ def test_the_rating_at_the_other_threshold_is_of_the_design_that_was_tried(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small = "--resolution 16x9 --spp 8 --max-depth 3 --inputs sky.*.value"
-    text = f"explain office --metric ugr --below -50 {small} --changes 0 --json --out out"
-    assert cli.main(shlex.split(text)) == 1
-    found = json.loads(capsys.readouterr().out)["premises"]
-    words = "of the design that was tried: with a threshold of 5 times"
-    assert [one for one in found if one.startswith(words)], found
+    for goal, status, words in ((-50, 1, "of the design that was tried: "), (24, 0, "at the goal: ")):
+        text = f"explain office --metric ugr --below {goal} {small} --changes 0 --json --out out"
+        assert cli.main(shlex.split(text)) == status
+        found = json.loads(capsys.readouterr().out)["premises"]
+        assert [one for one in found if one.startswith(f"{words}with a threshold of 5 times")], found
 
 
 def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> None:
