@@ -14,6 +14,8 @@ _MAX_CAUTIONS = 5
 _OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
 _LARGE_ERROR = 0.3  # of the norm of all effects, or of a parameter's own
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
+# Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
+_LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
 _MAP_NDIM = 3
 _NOTABLE = 0.1  # of the largest effect
@@ -263,7 +265,11 @@ def range_notes(
     shown = [name for name in attribution if among is None or name in among]
     notes = _alone_notes(attribution, shown)
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
-        notes |= {**_sky_notes(attribution, shown), **_roughness_notes(attribution, scale, shown)}
+        notes |= {
+            **_sky_notes(attribution, shown),
+            **_roughness_notes(attribution, scale, shown),
+            **_least_roughness_notes(attribution, shown),
+        }
     return notes
 
 
@@ -327,6 +333,27 @@ def _roughness_notes(
         "range is overstated; give it a range, or use ablation"
     )
     return {note: small}
+
+
+def _least_roughness_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on roughnesses so low that Mitsuba uses its least one, whatever the value is."""
+    gradients = attribution.saliency("unit")
+    flat = [
+        name
+        for name, value in attribution.parameter_values.items()
+        if name in shown
+        and not gradients[name]
+        and any(
+            float(value.max()) < least for role, least in _LEAST_ROUGHNESS.items() if role in name.split(".")
+        )
+    ]
+    if not flat:
+        return {}
+    note = (
+        f"{_named(attribution, flat)}: Mitsuba renders a roughness this low as its lowest, so the derivative is 0 "
+        "and says nothing of the range; start from a higher one, or render the change"
+    )
+    return {note: flat}
 
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
