@@ -67,18 +67,28 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
     If the third may be the first as well, "and others" follows. If no effect exceeds two standard errors, it says
-    so.
+    so. It names no effect with a note (``~``), which may be overstated.
     """
-    metric, leaders = metric_name(attribution, FINDING_WIDTH), attribution.ranking(3, scale=scale)
-    if not leaders or not leaders[0].saliency:
+    metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    noted = range_marked(range_notes(attribution, scale))
+    if not noted and not any(row.saliency for row in ranking):
         return f"{metric} depends on none of these parameters"
-    if leaders[0].saliency <= 2 * (leaders[0].saliency_error or 0.0):
+    if ranking[0].saliency and not _is_clear(ranking[0]):
         return f"{metric}: the largest effect is within the noise"
+    leaders = [row for row in ranking if row.name not in noted][:3]
+    if not leaders or not _is_clear(leaders[0]):
+        return f"{metric}: see the notes on the effects marked ~"
     first, *others = leaders
     tied = [row for row in others if not _are_apart(first, row)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
-    return f"{metric} depends most on {listed}"
+    aside = "" if first is ranking[0] else ", effects marked ~ aside"
+    return f"{metric} depends most on {listed}{aside}"
+
+
+def _is_clear(row: RankedParameter) -> bool:
+    """Whether a saliency is not 0 and more than two standard errors from it."""
+    return not row.saliency <= 2 * (row.saliency_error or 0.0)
 
 
 def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
@@ -271,6 +281,11 @@ def range_notes(
             **_least_roughness_notes(attribution, shown),
         }
     return notes
+
+
+def range_marked(notes: Mapping[str, Collection[str]]) -> set[str]:
+    """Return the parameters that a mark, ``~``, refers to such notes."""
+    return {name for names in notes.values() for name in names}
 
 
 def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
