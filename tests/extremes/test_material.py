@@ -220,3 +220,22 @@ def test_results_carry_the_caution(radiator):
         assert found.info["left_out"][ETA].startswith("it is -0.0485")
         assert f"! {ETA} is left out: it is -0.0485" in " ".join(str(found).split())
         assert ETA not in found
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "bsdf"),
+    [
+        ("alpha", 1e-4, {"type": "roughconductor", "material": "Al"}),
+        ("roughness", 1e-3**0.5, {"type": "principled", "metallic": 1.0}),
+    ],
+)
+def test_below_the_lowest_roughness_there_is_no_derivative_and_a_note(mi, name, least, bsdf):
+    def attribution(value):
+        scene = in_the_sky(mi, {**bsdf, name: value})
+        return attribute(scene, "roughness", resolution=(8, 8), spp=16)
+
+    below, above = attribution(0.99 * least), attribution(1.01 * least)
+    assert max(below.saliency().values()) == 0
+    assert max(above.saliency().values()) > 0
+    assert "renders a roughness this low as its lowest" in " ".join(str(below).split())
+    assert "as its lowest" not in str(above)

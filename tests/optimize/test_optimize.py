@@ -293,6 +293,44 @@ def test_an_object_stays_within_its_limits(mi: Any) -> None:
         optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, limits={name: (0.1, -0.1)}, steps=1)
 
 
+FLOOR = "floor.reflectance.value"
+WITHIN = {"floor.*": (0.1, 0.2)}
+
+
+@pytest.mark.parametrize("below", [29.0, 100.0, 0.0], ids=["shortened", "below from the start", "missed"])
+@pytest.mark.parametrize("top", [1, 5])
+def test_a_design_is_within_its_limits_even_if_the_scene_is_not(mi: Any, below: float, top: int) -> None:
+    renderer = SceneRenderer(
+        "cornell-box", ["emitters", "reflectance"], resolution=(12, 12), spp=16, max_depth=3
+    )
+    before = renderer.inputs[FLOOR]
+    assert (before > 0.2).all()
+    found = optimize.minimize(
+        renderer, metrics.MeanLuminance(), below, limits=WITHIN, top=top, steps=2, seed=shifted()
+    )
+    assert found.reached == (below > 0)
+    assert not found.was_below
+    assert ((found.values[FLOOR] > 0.0999) & (found.values[FLOOR] < 0.2001)).all()
+    (moved,) = [one for one in found.moved if one.name == FLOOR]
+    assert torch.equal(moved.before, before)
+    assert torch.equal(moved.after, found.values[FLOOR])
+    assert moved.label in str(found)
+
+
+def test_a_change_is_a_fraction_of_the_range_and_not_of_the_limits() -> None:
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, limits={"strong": (0.3, 0.4)}, top=1, steps=30)
+    (moved,) = found.moved
+    assert found.values["strong"].tolist() == pytest.approx([0.3] * 3, abs=1e-6)
+    assert moved.fraction == pytest.approx(0.4)  # 0.7 → 0.3, of a range from 0 to 1
+    assert moved.extent == "40 % of its range"
+
+
+@pytest.mark.parametrize("limits", [{"faint": (0.1, 0.2)}, {"weak": ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))}])
+def test_limits_that_do_not_fit_an_input_are_refused_whether_or_not_it_moves(limits: Any) -> None:
+    with pytest.raises(SceneCaptumError, match="one for each channel"):
+        optimize.minimize(Lamps(), torch.mean, 0.6, limits=limits, top=1)
+
+
 def test_no_object_is_moved_into_another(mi: Any) -> None:
     name = "tall_box_shape.pose.translation"
     renderer = SceneRenderer("cornell-box", name, resolution=(8, 8), spp=4)

@@ -339,6 +339,23 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     page.check(path)
 
 
+def test_effects_that_are_overstated_are_marked_in_their_rows(browser, tmp_path):
+    path = tmp_path / "report.html"
+    extents = {name: torch.ones(torch.tensor(value).shape[-1:] or (1,)) for name, value in VALUES.items()}
+    low = {"chair.alpha": torch.tensor(0.01)}
+    effects = {**make().attributions, "chair.alpha": torch.tensor(-0.5)}
+    write_report(make(attributions=effects, extents=extents, parameter_values=low), path)
+    page = Page(browser, path)
+    marked = page.page.locator("#rows tr", has=page.page.locator(".mark", has_text="~"))
+    assert [row.inner_text().split()[1:3] for row in marked.all()] == [["chair:", "alpha!~"]]
+    said = "a small roughness acts most near 0"
+    assert said in marked.locator(".mark", has_text="~").get_attribute("title")
+    assert f"~ chair: alpha: {said}" in page.page.locator("#notes").inner_text()
+    page.click(11, 1)
+    assert f"~ chair: alpha: {said}" in page.page.locator("#detail").inner_text()
+    page.check(path)
+
+
 def test_parameters_left_out_for_their_values_are_named(report):
     notes = report.page.locator("#notes").inner_text()
     assert "! knob.eta is left out: it is -0.0485 <i>" in notes

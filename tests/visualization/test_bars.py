@@ -10,10 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from results import CASES, all_text, make, surfaces
+from results import CASES, all_text, make, outside, surfaces
 
-from scenecaptum import SceneCaptumError
-from scenecaptum.visualization import display_image, plot_bars, plot_heatmap, plot_overlay
+from scenecaptum import SceneAttribution, SceneCaptumError
+from scenecaptum.visualization import (
+    display_image,
+    plot_bars,
+    plot_heatmap,
+    plot_overlay,
+    plot_specificity,
+)
 
 
 def whiskers(axes: Any) -> list[float]:
@@ -62,6 +68,63 @@ def test_bars_of_doubtful_derivatives_are_hatched() -> None:
     assert hatched == [name == "rough" for name, *_ in CASES]
     assert "! desk: roughness" in all_text(figure)
     assert "its size is off" in all_text(figure)
+
+
+def overstated(*rows: tuple[str, float, float], errors: float = 0.01) -> SceneAttribution:
+    """A result with the effect and the value of each row; a roughness is overstated where its value is low."""
+    base = make()
+    return dataclasses.replace(
+        base,
+        attributions={name: torch.tensor(effect) for name, effect, _ in rows},
+        covariance={name: torch.tensor([[errors**2]]) for name, *_ in rows},
+        standard_error={name: torch.tensor(errors) for name, *_ in rows},
+        parameter_values={name: torch.tensor(value) for name, _, value in rows},
+        extents={name: torch.ones(1) for name, *_ in rows},
+        labels={},
+        surfaces=surfaces(rows[0][0], rows[-1][0]),
+    )
+
+
+METAL, DESK = ("metal.alpha", 3.0, 0.02), ("desk.reflectance", 1.0, 0.5)
+NOTE = "~ metal.alpha: a small roughness acts most near 0"
+
+
+@pytest.mark.parametrize("draw", [plot_bars, plot_heatmap, plot_overlay])
+def test_no_title_names_an_effect_that_is_overstated(draw: Any) -> None:
+    text = all_text(draw(overstated(METAL, DESK)))
+    joined = " ".join(text.split())
+    assert "Glare depends most on desk.reflectance, effects marked ~ aside" in joined
+    assert NOTE in joined
+    assert "overstated" in joined
+    rough = " ".join(all_text(draw(overstated(("metal.alpha", 3.0, 0.5), DESK))).split())
+    assert "Glare depends most on metal.alpha" in rough
+    assert "~" not in rough
+    smaller = " ".join(all_text(draw(overstated(METAL, ("desk.reflectance", 4.0, 0.5)))).split())
+    assert "Glare depends most on desk.reflectance" in smaller
+    assert "aside" not in smaller
+
+
+@pytest.mark.parametrize(
+    "rows", [[METAL], [METAL, ("desk.reflectance", 0.01, 0.5)], [("metal.alpha", 0.0, 0.0)]]
+)
+def test_a_title_names_nothing_where_every_clear_effect_has_a_note(rows: Any) -> None:
+    title = plot_bars(overstated(*rows)).axes[0].get_title(loc="left")
+    assert "depends" not in title
+    assert title.startswith("Glare: see the notes on the effects marked ~")
+
+
+def test_bars_with_a_note_have_its_mark_in_every_figure() -> None:
+    for figure in (plot_bars(overstated(METAL, DESK)), plot_specificity([overstated(METAL, DESK)])):
+        assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [
+            "~ metal.alpha",
+            "desk.reflectance",
+        ]
+        assert NOTE in " ".join(all_text(figure).split())
+        assert outside(figure) == []
+    both = overstated(METAL, DESK)
+    both = dataclasses.replace(both, info={**both.info, "cautions": {"metal.alpha": "its size is off"}})
+    assert "!~ metal.alpha" in all_text(plot_bars(both))
+    assert "~" not in all_text(plot_bars(both, scale="unit"))
 
 
 def test_bars_draw_into_given_axes_and_names_are_not_formulas() -> None:

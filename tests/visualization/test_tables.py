@@ -146,6 +146,37 @@ def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
     assert "overstated" not in text(0.02, 0.05), "the range is that of the user"
 
 
+def lowest(name: str, value: float, gradient: float = 0.0) -> SceneAttribution:
+    """A result with a roughness and a reflectance, which has a larger effect unless that is 0."""
+    return dataclasses.replace(
+        make(barred=False),
+        attributions={name: torch.tensor(gradient), "floor": torch.tensor(1.0)},
+        parameter_values={name: torch.tensor(value), "floor": torch.tensor(0.5)},
+        extents={name: torch.ones(1), "floor": torch.ones(1)},
+        labels={},
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "gradient", "has_note"),
+    [
+        ("metal.alpha.value", 0.0, 0.0, True),
+        ("metal.alpha_u.value", 5e-5, 0.0, True),
+        ("metal.alpha.value", 0.001, 0.0, False),
+        ("metal.alpha.value", 0.0, 0.01, False),
+        ("desk.roughness.value", 0.03, 0.0, True),
+        ("desk.roughness.value", 0.04, 0.0, False),
+        ("wall.reflectance.value", 0.0, 0.0, False),
+    ],
+)
+def test_table_says_that_a_derivative_at_the_lowest_roughness_says_nothing(
+    name: str, value: float, gradient: float, has_note: bool
+) -> None:
+    text = " ".join(table_text(lowest(name, value, gradient)).split())
+    assert (f"~ {name}: Mitsuba renders a roughness this low as its lowest" in text) == has_note
+    assert (f"{name} ~ " in text) == has_note
+
+
 def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alone() -> None:
     def text(error: float, noisy: Sequence[str] = ("metal.alpha.value", "not here"), **info: Any) -> str:
         name = "metal.alpha.value"

@@ -20,6 +20,7 @@ from ..visualization import (
     noise_notes,
     plain_number,
     pluralize,
+    range_marked,
     range_notes,
     rounded,
     terminal_width,
@@ -223,7 +224,7 @@ class Explanation:
             return [saturated]
         stated = clear[: self.count]
         notes = range_notes(self.attribution, among=[row.name for row in stated])
-        marked = {name for names in notes.values() for name in names}
+        marked = range_marked(notes)
         lines = [
             f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
             f"{self._along(row.name)}{' ~' if row.name in marked else ''}"

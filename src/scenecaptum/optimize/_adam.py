@@ -6,13 +6,12 @@ from collections.abc import Mapping
 
 import torch
 
-from ..attr import range_lengths, summarize
+from ..attr import range_lengths
 from ..errors import SceneCaptumError
 from ..estimation import channel_totals
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside
 from ._bounds import BOUND_MARGIN, design_bounds, lamps
-from ._result import Moved
 
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range or limits
 
@@ -109,27 +108,3 @@ class BoundedAdam:
     def colliding(self) -> set[str]:
         """Return the inputs that have moved an object into another."""
         return {name for name, _ in self._pairs(self.values()) - self._touching}
-
-    def summary(self, labels: Mapping[str, str]) -> tuple[Moved, ...]:
-        """Return the initial and current value of every parameter that has moved: others were at a bound."""
-        values = {name: value.detach() for name, value in self.values().items()}
-        before, after = summarize(self.start), summarize(values)
-        # Not of the offsets, which go on where a value or a texel has reached its bound.
-        changes = {name: (after[name] - before[name]).abs().max().item() for name in self.start}
-        return tuple(
-            Moved(
-                name,
-                labels[name],
-                before[name],
-                after[name],
-                changes[name] / self._longest(name),
-                is_dimmed=name in self._lamps,
-            )
-            for name in self.start
-            if not torch.equal(self.start[name], values[name])
-        )
-
-    def _longest(self, name: str) -> float:
-        """Return the change of a value, of a texture that of its mean, by an offset of 1."""
-        directions = summarize({name: self._directions[name]})[name]
-        return self._ranges[name] * (directions.abs().max().item() or 1.0)

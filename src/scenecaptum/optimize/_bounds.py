@@ -71,22 +71,30 @@ def design_bounds(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> dic
 
 
 def chosen_limits(
-    values: Mapping[str, torch.Tensor],
-    start: Mapping[str, torch.Tensor],
-    limits: Mapping[str, tuple[Limit, Limit]],
+    values: Mapping[str, torch.Tensor], limits: Mapping[str, tuple[Limit, Limit]]
 ) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Return the limits of the parameters in ``start`` that have some; names take precedence over globs."""
+    """Return the limits of the parameters that have some; names take precedence over globs."""
     chosen = {}
     for key, interval in sorted(limits.items(), key=lambda item: item[0] in values):
         names = [key] if key in values else [name for name in values if fnmatchcase(name, key)]
         if not names:
             raise SceneCaptumError(f"limits names {key!r}, which no input matches.{near_misses(key, values)}")
-        for name in start.keys() & set(names):
-            low, high = (torch.as_tensor(limit).to(start[name]) for limit in interval)
-            if not bool((low <= high).all()) or low.ndim > 1 or start[name].ndim > 1:
+        for name in names:
+            value = values[name]
+            low, high = (torch.as_tensor(limit).to(value) for limit in interval)
+            fits = value.ndim <= 1 and all(limit.shape in ((), value.shape) for limit in (low, high))
+            if not fits or not bool((low <= high).all()):
                 raise SceneCaptumError(
                     f"limits[{key!r}] must be (low, high) with low <= high, numbers or one for each channel of "
                     f"{name!r}, not {interval!r}; textures have none."
                 )
             chosen[name] = low, high
     return chosen
+
+
+def brought_inside(
+    values: Mapping[str, torch.Tensor], limits: Mapping[str, tuple[torch.Tensor, torch.Tensor]]
+) -> dict[str, torch.Tensor]:
+    """Return the nearest values within the limits, of the parameters that are outside theirs."""
+    nearest = {name: values[name].clamp(low, high) for name, (low, high) in limits.items()}
+    return {name: value for name, value in nearest.items() if not torch.equal(value, values[name])}

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from tqdm import tqdm
 
-from ..attr import Ranked, SceneAttribution, VanillaSceneGradient
+from ..attr import Ranked, SceneAttribution, VanillaSceneGradient, range_lengths, summarize
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     DEFAULT_REPLICATES,
@@ -33,8 +33,8 @@ from ..estimation import (
 )
 from ..protocols import Capabilities, Renderer
 from ._adam import BoundedAdam
-from ._bounds import Limit, chosen_limits, construction, first_of_each_light
-from ._result import Measured, Optimization
+from ._bounds import Limit, brought_inside, chosen_limits, construction, first_of_each_light, lamps
+from ._result import Measured, Moved, Optimization
 
 BISECTIONS = 3  # of the last step
 CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
@@ -82,7 +82,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     texture by one offset per channel for all texels; a lamp or a sky is dimmed, and keeps its colour; no
     reflectance is raised above 0.85, that of white paint. Every step renders with a new seed. The goal counts as
     reached once a measurement with independent samples confirms it; the last step is then shortened as far as the
-    goal allows. A scene that is below the goal already is kept.
+    goal allows. A scene that is below the goal already, and within its limits, is kept.
 
     Example
     -------
@@ -112,7 +112,9 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         Intervals ``(low, high)`` of values by name or glob, in place of ``change``; numbers, or one for each
         channel, within which a lamp may also change its colour:
         ``{"desk.pose.translation": ((-0.3, -0.5, 0), (0.3, 0, 0))}`` keeps a desk on the floor. Objects are not
-        moved into others whose bounds they did not overlap before.
+        moved into others whose bounds they did not overlap before. A value outside its limits begins at the
+        nearest one inside, whether or not it is among the top ones, and in a scene below the goal as well; that is
+        part of its change.
     steps
         Maximum number of steps.
     seed, show_progress
@@ -176,27 +178,30 @@ class Search:
 
     @gradients_enabled()
     def to(self, below: float, options: SearchOptions, *, show_progress: bool = False) -> Optimization:
-        """Search until the metric is below a goal; at once where it is already."""
+        """Search until the metric is below a goal; at once where it is already, within the limits."""
+        limits = chosen_limits(self._values, options.limits or {})
+        brought = brought_inside(self._values, limits)
         measure = {} if self._targeted.measure is None else self._targeted.measure.describe()
         name = str(measure.get("symbol") or self._targeted.label)
         unit = str(measure.get("unit") or "")
-        if self._before.is_below(below):
+        if self._before.is_below(below) and not brought:
             return Optimization(dict(self._values), (), self._before, self._before, (), below, name, unit)
         rows = self._movable(options.top)
         if not rows:
             raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
-        start = {row.name: self._values[row.name] for row in rows}
-        limits = chosen_limits(self._values, start, options.limits or {})
-        optimizer = BoundedAdam(self._renderer, start, options.change, limits)
+        inside = self._values | brought
+        start = {row.name: inside[row.name] for row in rows}
+        within = {name: limits[name] for name in start if name in limits}
+        optimizer = BoundedAdam(self._renderer, start, options.change, within)
 
         def optimized() -> dict[str, torch.Tensor]:
-            return self._values | {name: value.detach() for name, value in optimizer.values().items()}
+            return inside | {name: value.detach() for name, value in optimizer.values().items()}
 
         history: list[float] = []
         after = None
         _, _, *seeds = derived_seeds(self._seed, Stream.OPTIMIZATION, 2 + options.steps)
         for seed in tqdm(seeds, disable=not show_progress, desc=name, unit="step"):
-            current = {**self._values, **optimizer.values()}
+            current = {**inside, **optimizer.values()}
             image = self._renderer(current, seed=seed, spp=self._spp)
             metric = at_values(self._transformed, self._renderer, current)
             value, adjoint = metric.value_and_adjoint(image)
@@ -213,7 +218,7 @@ class Search:
         rates_picture = self._ranked.surfaces is not None and measure.get("limits")
         return Optimization(
             values=optimized(),
-            moved=optimizer.summary({row.name: row.label for row in rows}),
+            moved=self._moved(optimized(), {**start, **brought}, limits),
             before=self._before,
             after=after,
             history=tuple(history),
@@ -222,6 +227,26 @@ class Search:
             unit=unit,
             note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
         )
+
+    def _moved(
+        self, values: Mapping[str, torch.Tensor], names: Iterable[str], limits: Collection[str]
+    ) -> tuple[Moved, ...]:
+        """Return the initial and final value of each of these that has moved: others were at a bound."""
+        initial = {
+            name: self._values[name] for name in names if not torch.equal(self._values[name], values[name])
+        }
+        before, after = summarize(initial), summarize({name: values[name] for name in initial})
+        lengths, dimmed = range_lengths(self._renderer, initial), lamps(self._renderer) - set(limits)
+        labels = self._ranked.labels
+
+        def moved(name: str) -> Moved:
+            is_dimmed = name in dimmed
+            whole = before[name].abs().max() if is_dimmed and before[name].any() else lengths[name]
+            # Not of the offsets, which go on where a value or a texel has reached its bound.
+            fraction = (after[name] - before[name]).abs().max().item() / whole.item()
+            return Moved(name, labels.get(name, name), before[name], after[name], fraction, is_dimmed)
+
+        return tuple(map(moved, initial))
 
     @cached_property
     def _ranked(self) -> SceneAttribution:

@@ -75,8 +75,8 @@ class Moved:
     before, after
         Its values; for a texture, the mean over the texels.
     fraction
-        The change as a fraction of its range or limits, of a texture that of its mean; for a colour, that of the
-        channel that changed most.
+        The change as a fraction of its range, of a texture that of its mean; for a colour, that of the channel
+        that changed most.
     is_dimmed
         Whether it is the light of a lamp or sky, and the fraction one of its own value.
     """
@@ -106,8 +106,8 @@ class Optimization:
     values
         The optimized scene: ``renderer(values)`` renders it.
     moved
-        The parameters that were changed, most salient first; all others were kept constant, or were at a bound
-        and could not go on.
+        The parameters that were changed, most salient first, then those that were only brought inside their
+        limits; all others were kept constant, or were at a bound and could not go on.
     before, after
         The metric and the render of both scenes, from samples independent of the optimization steps.
     history

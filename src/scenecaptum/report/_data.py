@@ -186,6 +186,7 @@ def _result(
     caution_index = {name: index for index, names in enumerate(cautions.values()) for name in names}
     untrusted = untrusted_groups(attribution)
     untrusted_index = {name: index for index, names in enumerate(untrusted.values()) for name in names}
+    of_range = range_notes(attribution)
     row_index = {row.name: row.rank - 1 for row in ranking}
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
@@ -210,7 +211,7 @@ def _result(
         "sampling": sampling_notes(attribution),
         "convergence": convergence_notes(attribution),
         "cautions": list(cautions),
-        "rangeNotes": list(range_notes(attribution)),
+        "rangeNotes": list(of_range),
         "sceneCautions": scene_cautions(attribution),
         "doubts": list(untrusted),
         "rows": [
@@ -218,6 +219,7 @@ def _result(
                 **_row(attribution, row),
                 "caution": caution_index.get(row.name),
                 "doubt": untrusted_index.get(row.name),
+                "rangeNotes": [index for index, names in enumerate(of_range.values()) if row.name in names],
             }
             for row in ranking
         ],

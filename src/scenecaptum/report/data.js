@@ -138,13 +138,14 @@ function signMark(row, result) {
 
 /**
  * The signs that the table of the terminal has too: Σ for a texture's total, ! for a derivative known to be off,
- * ? for an error bar that cannot be trusted, unless that holds for all.
+ * ? for an error bar that cannot be trusted, unless that holds for all, ~ for an effect that may be read for something else.
  */
 function markOf(row, result) {
   const marks = [];
   if (row.texture) marks.push(make("abbr", { class: "mark", title: "totals over the texels, vertices or faces, and their mean value" }, "Σ"));
   if (row.caution !== null) marks.push(make("abbr", { class: "mark caution", title: result.cautions[row.caution] }, cautionMark(row.caution, result)));
   if (row.doubt !== null && !isShared(row.doubt, result)) marks.push(make("abbr", { class: "mark caution", title: result.doubts[row.doubt] }, "?"));
+  if (row.rangeNotes.length) marks.push(make("abbr", { class: "mark", title: row.rangeNotes.map((note) => result.rangeNotes[note]).join("; ") }, "~"));
   return marks;
 }
 

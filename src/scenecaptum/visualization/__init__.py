@@ -85,6 +85,7 @@ from ._text import metric_unit as metric_unit
 from ._text import noise_notes as noise_notes
 from ._text import pack as pack
 from ._text import pluralize as pluralize
+from ._text import range_marked as range_marked
 from ._text import range_notes as range_notes
 from ._text import sampling_notes as sampling_notes
 from ._text import scene_cautions as scene_cautions

@@ -37,6 +37,8 @@ from ._text import (
     method_name,
     pack,
     pluralize,
+    range_marked,
+    range_notes,
     sampling_notes,
     scene_cautions,
     sign_labels,
@@ -132,7 +134,12 @@ def draw_bars(
             style = {"va": "center", "ha": "left" if side > 0 else "right", "fontweight": "bold"}
             write_at(ax, sign, (end, position), (4 * side, 0), color=ink, **style)
     names = shorten([row.label for row in rows], name_width)
-    name_rows(ax, [f"! {name}" if mark else name for name, mark in zip(names, inaccurate, strict=True)], size)
+    noted = range_marked(bar_notes(attribution, rows, scale))
+    marks = [
+        f"{'!' if hatched else ''}{'~' if row.name in noted else ''}"
+        for row, hatched in zip(rows, inaccurate, strict=True)
+    ]
+    name_rows(ax, [f"{mark} {name}".lstrip() for mark, name in zip(marks, names, strict=True)], size)
     ax.margins(x=0.08)
     if not any(length < 0 for length in lengths):
         ax.set_xlim(left=0, right=None if any(lengths) else 1)
@@ -172,6 +179,13 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale:
     return entries
 
 
+def bar_notes(
+    attribution: Attribution, rows: Iterable[RankedParameter], scale: Scale | None
+) -> dict[str, list[str]]:
+    """Return what the mark ``~`` means, with the rows that have it."""
+    return range_notes(attribution, scale, among=[row.name for row in rows])
+
+
 def _footnotes(
     attribution: Attribution,
     rows: Sequence[RankedParameter],
@@ -194,5 +208,6 @@ def _footnotes(
         labels = shorten([attribution.labels.get(name, name) for name in names[:_MAX_NAMES]], _NAME_WIDTH)
         more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
         lines.append(f"! {text} ({', '.join([*labels, *more])})")
+    lines += [f"~ {text}" for text in bar_notes(attribution, rows, scale)]
     lines += [f"! {text}" for text in scene_cautions(attribution)]
     return [part for line in lines for part in wrapped_lines(line, width, 4)]

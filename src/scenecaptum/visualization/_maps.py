@@ -23,7 +23,16 @@ from ._figures import (
 )
 from ._layout import wrapped_lines
 from ._numbers import format_with_error, rounded, shorten
-from ._text import axis_label, color_meanings, method_name, metric_unit, noise_notes, pack, pluralize
+from ._text import (
+    axis_label,
+    color_meanings,
+    method_name,
+    metric_unit,
+    noise_notes,
+    pack,
+    pluralize,
+    range_notes,
+)
 from ._tonemap import display_image
 
 if TYPE_CHECKING:
@@ -275,7 +284,10 @@ def _panels(
         *noise_notes(attribution),
     ]
     line_length = characters_per_line(width - 0.2, SMALL)
-    packed = pack([note for note in notes if note], line_length)
+    packed = [
+        *pack([note for note in notes if note], line_length),
+        *(f"~ {note}" for note in range_notes(attribution, scale)),
+    ]
     caption = [line for note in packed for line in wrapped_lines(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
     top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines())

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
 from ..projection import DEFAULT_NORM, MapNorm, heatmap, objects_of_unclear_sign, shared_maximum
-from ..protocols import Attribution, Scale
-from ._bars import bar_legend, draw_bars
+from ..protocols import Attribution, RankedParameter, Scale
+from ._bars import bar_legend, bar_notes, draw_bars
 from ._figures import (
     DEFAULT_TOP,
     SMALL,
@@ -21,7 +21,7 @@ from ._figures import (
     new_figure,
     style_axes,
 )
-from ._layout import wrap
+from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
 from ._text import axis_label
 
@@ -75,6 +75,8 @@ def plot_specificity(
     bars = 1.5 + 0.19 * max(map(len, rows))
     maps = 0.1 + min(max(_COLUMN_WIDTH * heat.shape[0] / heat.shape[1] for heat in heats), _MAX_MAP_HEIGHT)
     columns = len(attributions)
+    marks = _marks(attributions, rows, scale)
+    maps += 1.4 * SMALL / 72 * len(marks)
     part: Any = figure or new_figure(_COLUMN_WIDTH * columns + 0.7, bars + maps)
     # Separate subfigures let the maps be as wide as bars and names together.
     upper, lower = part.subfigures(2, 1, height_ratios=[bars, maps])
@@ -96,12 +98,24 @@ def plot_specificity(
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
     axes = lower.subplots(1, columns, squeeze=False)[0]
+    if marks:
+        lower.supxlabel("\n".join(marks), fontsize=SMALL, x=0.02, ha="left", parse_math=False)
     mapped = [draw_map(ax, heat, signed=signed) for ax, heat in zip(axes, heats, strict=True)]
     bar = draw_colorbar(mapped[-1], signed, norm, ax=list(axes), aspect=18, pad=0.02)
     noisy = signed and any(objects_of_unclear_sign(one, scale=scale) for one in attributions)
     unclear = "; white:\nsign lost in the noise" if noisy else ""
     bar.set_label(f"relative to the largest\n{'of all' if shared else 'in each'}{unclear}", fontsize=SMALL)
     return figure_of(part)
+
+
+def _marks(
+    attributions: Sequence[Attribution], rows: Sequence[Sequence[RankedParameter]], scale: Scale | None
+) -> list[str]:
+    """Return what the mark ``~`` beside a name means, in lines as wide as the figure."""
+    width = characters_per_line(0.95 * _COLUMN_WIDTH * len(attributions), SMALL)
+    pairs = zip(attributions, rows, strict=True)
+    notes = {note: None for one, ranked in pairs for note in bar_notes(one, ranked, scale)}
+    return [part for note in notes for part in wrapped_lines(f"~ {note}", width, 2)]
 
 
 def _draw_titles(figure: Any, attributions: Sequence[Attribution], scale: Scale | None) -> None:

@@ -21,6 +21,7 @@ from ._text import (
     metric_line,
     pack,
     pluralize,
+    range_marked,
     range_notes,
     sampling_notes,
     scene_cautions,
@@ -141,7 +142,7 @@ def _table(
         if len(names) < len(attribution):  # no marks if all rows would have one
             marks |= {name: f"{marks.get(name, '')}?" for name in names}
     of_range = range_notes(attribution, scale)
-    marks |= {name: f"{marks.get(name, '')}~" for name in set().union(*of_range.values())}
+    marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(of_range)}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
     columns = (
         [str(row.rank) for row in shown],

@@ -14,6 +14,8 @@ _MAX_CAUTIONS = 5
 _OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
 _LARGE_ERROR = 0.3  # of the norm of all effects, or of a parameter's own
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
+# Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
+_LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
 _MAP_NDIM = 3
 _NOTABLE = 0.1  # of the largest effect
@@ -65,18 +67,28 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
     If the third may be the first as well, "and others" follows. If no effect exceeds two standard errors, it says
-    so.
+    so. It names no effect with a note (``~``), which may be overstated.
     """
-    metric, leaders = metric_name(attribution, FINDING_WIDTH), attribution.ranking(3, scale=scale)
-    if not leaders or not leaders[0].saliency:
+    metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    noted = range_marked(range_notes(attribution, scale))
+    if not noted and not any(row.saliency for row in ranking):
         return f"{metric} depends on none of these parameters"
-    if leaders[0].saliency <= 2 * (leaders[0].saliency_error or 0.0):
+    if ranking[0].saliency and not _is_clear(ranking[0]):
         return f"{metric}: the largest effect is within the noise"
+    leaders = [row for row in ranking if row.name not in noted][:3]
+    if not leaders or not _is_clear(leaders[0]):
+        return f"{metric}: see the notes on the effects marked ~"
     first, *others = leaders
     tied = [row for row in others if not _are_apart(first, row)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
-    return f"{metric} depends most on {listed}"
+    aside = "" if first is ranking[0] else ", effects marked ~ aside"
+    return f"{metric} depends most on {listed}{aside}"
+
+
+def _is_clear(row: RankedParameter) -> bool:
+    """Whether a saliency is not 0 and more than two standard errors from it."""
+    return not row.saliency <= 2 * (row.saliency_error or 0.0)
 
 
 def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
@@ -263,8 +275,17 @@ def range_notes(
     shown = [name for name in attribution if among is None or name in among]
     notes = _alone_notes(attribution, shown)
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
-        notes |= {**_sky_notes(attribution, shown), **_roughness_notes(attribution, scale, shown)}
+        notes |= {
+            **_sky_notes(attribution, shown),
+            **_roughness_notes(attribution, scale, shown),
+            **_least_roughness_notes(attribution, shown),
+        }
     return notes
+
+
+def range_marked(notes: Mapping[str, Collection[str]]) -> set[str]:
+    """Return the parameters that a mark, ``~``, refers to such notes."""
+    return {name for names in notes.values() for name in names}
 
 
 def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
@@ -327,6 +348,27 @@ def _roughness_notes(
         "range is overstated; give it a range, or use ablation"
     )
     return {note: small}
+
+
+def _least_roughness_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on roughnesses so low that Mitsuba uses its least one, whatever the value is."""
+    gradients = attribution.saliency("unit")
+    flat = [
+        name
+        for name, value in attribution.parameter_values.items()
+        if name in shown
+        and not gradients[name]
+        and any(
+            float(value.max()) < least for role, least in _LEAST_ROUGHNESS.items() if role in name.split(".")
+        )
+    ]
+    if not flat:
+        return {}
+    note = (
+        f"{_named(attribution, flat)}: Mitsuba renders a roughness this low as its lowest, so the derivative is 0 "
+        "and says nothing of the range; start from a higher one, or render the change"
+    )
+    return {note: flat}
 
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
