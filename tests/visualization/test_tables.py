@@ -228,15 +228,20 @@ def planned(**changes: Any) -> SceneAttribution:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "95 % half-widths ≤ 4.6 % (target: 5 %)"),
+        ({}, "95 % half-widths ≤ 4.63 % (target: 5 %)"),
         (
             {"reached": False, "stopped": "the time limit"},
-            "95 % half-widths ≤ 4.6 % (target: 5 %, stopped by the time limit)",
+            "95 % half-widths ≤ 4.63 % (target: 5 %, stopped by the time limit)",
         ),
         (
             {"tolerance": None, "time_limit": 10.0, "reached": None},
-            "95 % half-widths ≤ 4.6 % in 10 s",
+            "95 % half-widths ≤ 4.63 % in 10 s",
         ),
+        (
+            {"relative_half_width": 1.017, "reached": False, "stopped": "the time limit"},
+            "95 % half-widths ≤ 102 % (target: 5 %, stopped by the time limit)",
+        ),
+        ({"relative_half_width": 0.10001}, "95 % half-widths ≤ 10.1 % (target: 5 %)"),
         ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
         ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
         (

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import group_by_text
-from ._numbers import format_with_error, rounded, shorten, with_error
+from ._numbers import format_with_error, rounded, rounded_up, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
@@ -231,7 +231,7 @@ def goal_notes(attribution: Attribution) -> list[str]:
         ties = f" except {pluralize(tied, 'tie')}" if tied else ""
         outcome = f"resolved{ties}" if planner["reached"] else f"not resolved{stopped}"
         return [f"order of the top {top} {outcome}"]
-    achieved = "unknown" if half_width is None else f"{rounded(100 * half_width, 2)} %"
+    achieved = "unknown" if half_width is None else f"{rounded_up(100 * half_width, 3)} %"
     if tolerance is None:
         return [f"95 % half-widths ≤ {achieved} in {planner['time_limit']:g} s"]
     return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
