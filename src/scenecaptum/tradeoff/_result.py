@@ -189,13 +189,13 @@ class Tradeoff:
                 f"{_percent_of(bias)}, which more samples do not reduce."
             )
         return (
-            f"No setting is certainly within {_percent_of(tolerance)}: the best, {closest.setting}, has an error of "
-            f"{_percent(*closest.relative_error)}, so its upper limit, of one standard error, is "
+            f"No setting is certainly within {_percent_of(tolerance)}: the best, {closest.setting}, has an error "
+            f"of {_percent(*closest.relative_error)}, so its upper limit, of one standard error, is "
             f"{rounded_up(100 * limit, 2)} %; {self._remedy(closest, tolerance, bias)}."
         )
 
     def _remedy(self, closest: Measured, tolerance: float, bias: float) -> str:
-        """Return what brings the upper limit of the best setting below the tolerance: more samples, or more runs."""
+        """Return what brings the upper limit of the best setting below a tolerance: samples, or runs."""
         more_runs = f"measure with more than {self.runs} runs"
         if closest.relative_error.value <= tolerance:
             return f"{more_runs}, which bring it closer to the error"

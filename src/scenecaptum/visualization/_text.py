@@ -339,6 +339,19 @@ def pluralize(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
+def count_of(names: Collection[str], shown: Collection[str]) -> str:
+    """Return the number of parameters of a note, and how many of them have no row that could bear its mark."""
+    return ", ".join(filter(None, [pluralize(len(names), "parameter"), hidden_of(names, shown)]))
+
+
+def hidden_of(names: Collection[str], shown: Collection[str]) -> str:
+    """Return how many parameters of a note have no row; empty if all have one."""
+    hidden = len(set(names) - set(shown))
+    if hidden < len(names):
+        return f"{hidden} of them not shown" if hidden else ""
+    return "not shown" if hidden == 1 else "none of them shown"
+
+
 def pack(parts: Sequence[str], width: int) -> list[str]:
     """Join parts with dots into lines of at most ``width`` characters where possible."""
     lines = [parts[0]]
