@@ -45,6 +45,22 @@ def test_the_shares_of_points_are_of_the_render_whose_value_is_quoted(
         assert min(ratios) == pytest.approx(value, rel=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "written"),
+    [
+        ((7.862e-4, 7.028e-4, -8.34e-5, 2.4e-5), ("0.000786", "0.000703", "−0.000083 ± 0.000024")),
+        ((7.862e-6, 7.028e-6, -8.34e-7, 2.4e-7), ("7.86e−6", "7.03e−6", "−0.83e−6 ± 0.24e−6")),
+        ((0.5, 12.34, 11.84, 0.24), ("0.50", "12.34", "+11.84 ± 0.24")),
+        ((1.5, 2.0, 0.5, None), ("1.500", "2.000", "+0.500")),
+        ((0.0, 2.0, 2.0, 0.3), ("0", "2.00", "+2.00 ± 0.30")),
+    ],
+)
+def test_a_row_of_the_table_has_one_notation(
+    numbers: tuple[float, float, float, float | None], written: tuple[str, str, str]
+) -> None:
+    assert _compare.ChangedEffect("eta", "sphere: eta", *numbers).numbers() == written
+
+
 def test_settings_that_differ_are_named_as_a_part_of_the_change() -> None:
     office = "perspective, 66° wide, at 0 0 1.5, towards 0 1 0"
     ours = {"resolution": [32, 18], "sensor": office, "max_depth": 6}

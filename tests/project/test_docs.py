@@ -234,6 +234,24 @@ def test_every_parameter_is_described():
     assert not undescribed
 
 
+def test_pages_of_classes_show_the_parameters_of_their_constructors():
+    """Sphinx takes the first of these three, whatever Python's own ``inspect.signature`` finds."""
+    unnamed = {
+        name
+        for name, thing in public()
+        if inspect.isclass(thing)
+        for shown in [getattr(thing, "__signature__", None) or thing.__new__ or thing.__init__]
+        if isinstance(shown, inspect.Signature) or inspect.isfunction(shown)
+        for signature in [shown if isinstance(shown, inspect.Signature) else inspect.signature(shown)]
+        if any(parameter.strip("_") == "" for parameter in signature.parameters)
+    }
+    assert not unnamed
+    renderer = scenecaptum.SceneRenderer
+    assert str(renderer.__signature__).startswith(
+        "(scene: 'SceneLike', inputs: 'Selection' = 'materials', *, "
+    )
+
+
 def parameters(part: Any) -> list[str]:
     """Return what a docstring has to describe: a constructor's parameters, a tuple's fields, others from two on.
 

@@ -336,6 +336,37 @@ def test_a_metric_names_its_element_by_class_by_index_or_by_indices(run: Run, tm
     assert all("Select an element with target=" in error for error in result.failures.values())
 
 
+@pytest.mark.parametrize(
+    ("metric", "expected"),
+    [
+        ('{ metric = "shape-logit", target = "cubee" }', "no class called 'cubee'.*Did you mean 'cube'"),
+        ('{ metric = "mine.py:logits", target = "lihgt" }', "'lihgt'"),
+        ('{ metric = "mine.py:logits", target = "dark" }', ""),
+        ('{ metric = "mine.py:logit" }', "cannot be imported.*'logit'"),
+        ('{ metric = "mine.py:plain", target = "light" }', "have elements with names"),
+    ],
+)
+def test_a_misspelled_element_is_refused_before_the_first_cell(
+    metric: str, expected: str, tmp_path: Path, thread: Executor, mi: Any
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def plain(image):\n    return image.mean((0, 1))\n\n"
+        "def logits(image):\n    return image.mean((0, 1))\n\n"
+        "logits.target_index = ['dark', 'light'].index\n"
+    )
+    (tmp_path / "rooms.toml").write_text(
+        'scenes = ["cornell-box"]\nresolution = [8, 8]\nspp = 4\nmax_depth = 2\n'
+        f'methods = ["value"]\n[metrics]\nlight = "luminance"\nanswer = {metric}\n'
+    )
+    study, folder = Study.from_file(tmp_path / "rooms.toml"), tmp_path / "out"
+    if not expected:
+        assert len(study.run(folder, executor=thread, threads=None)) == 2
+        return
+    with pytest.raises(SceneCaptumError, match=f"The metric 'answer' of the study: .*{expected}"):
+        study.run(folder, executor=thread, threads=None)
+    assert not folder.exists(), "a corrected study would be another one"
+
+
 def test_names_are_as_written_and_numbers_say_what_they_are_of(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def channels(image):\n    return image.mean((0, 1))\n")
     (tmp_path / "place.epw").write_text("")

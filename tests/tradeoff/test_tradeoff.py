@@ -337,6 +337,38 @@ def test_the_cheapest_setting_within_a_tolerance_is_recommended(trade):
     assert "spp should suffice" in few.recommendation(0.01)
 
 
+def spp_row(row, spp, error, noise):
+    """Return a row with so many samples and such an error, and no significant bias."""
+    return dataclasses.replace(
+        row,
+        setting=row.setting.changed("spp", spp),
+        relative_error=statistics.Estimate(error, noise),
+        bias=statistics.Bias(0.0, 0.01, 0.0),
+    )
+
+
+def test_no_number_of_samples_is_advised_that_was_tried_without_success(trade):
+    own = trade.rows[0]
+
+    def advice(*rows):
+        rows = tuple(spp_row(own, *row) for row in rows)
+        return dataclasses.replace(trade, rows=rows, runs=3).recommendation(0.05)
+
+    # The best is below the tolerance, but its limit is not: 16 and 32 samples were no better.
+    unclear = advice((16, 0.055, 0.02), (8, 0.04, 0.02), (32, 0.05, 0.03))
+    assert "No setting is certainly within 5 %: the best, 8 spp" in unclear
+    assert "error of 4 ± 2 %" in unclear
+    assert "upper limit, of one standard error, is 6 %" in unclear
+    assert "more than 3 runs" in unclear
+    assert "suffice" not in unclear
+    # By the law of samples 13 would do, but 32 did not.
+    tried = advice((8, 0.06, 0.002), (32, 0.07, 0.01))
+    assert "about 13 spp should suffice, but 32 spp did not: measure with more than 3 runs" in tried
+    assert advice((8, 0.06, 0.002), (12, 0.07, 0.01)).endswith("; about 13 spp should suffice.")
+    # The limit is never rounded down to the tolerance itself.
+    assert "is 5.1 %" in advice((8, 0.04, 0.0101))
+
+
 def test_an_error_far_above_its_noise_that_is_no_significant_bias_has_a_note(trade):
     assert "measure more" not in str(trade)
     deviations = torch.tensor([[0.075], [0.076]])
@@ -363,6 +395,30 @@ def test_table_and_figure_show_every_setting(trade):
     texts = all_text(figure)
     for words in ("own: 16 spp, depth 4", "spp", "depth", "4096", "dashed", "mean"):
         assert words in texts
+
+
+def test_the_figure_names_a_line_only_if_it_has_one(trade):
+    assert "grey line: Pareto front" in all_text(trade.plot())
+    single = dataclasses.replace(trade, rows=trade.rows[:1])
+    assert "grey line" not in all_text(single.plot())
+
+
+def test_values_in_the_figure_are_clear_of_error_bars(trade):
+    figure = trade.plot()
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    values = [row.value_text for row in trade.rows[1:]]
+    boxes = [text.get_window_extent() for text in axes.texts if text.get_text() in values]
+    assert len(boxes) == len(values)
+    for row in trade.rows:
+        value, error = row.relative_error
+        ends = [
+            axes.transData.transform((row.seconds, y))
+            for y in (value - min(error, 0.9 * value), value + error)
+        ]
+        for box in boxes:
+            beside = ends[0][0] < box.x0 or ends[0][0] > box.x1
+            assert beside or box.y0 > ends[1][1] or box.y1 < ends[0][1]
 
 
 # ------------------------------------------------------------------------------------------------ bad input

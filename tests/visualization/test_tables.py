@@ -128,20 +128,25 @@ def test_table_says_whether_effects_are_extrapolated(quantity: str, note: str) -
 
 
 def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
-    def text(value: float, extent: float) -> str:
+    def text(value: float, extent: float, top: int | None = None, effect: float = -2.0) -> str:
         name = "metal.alpha.value"
         return table_text(
             dataclasses.replace(
                 make(barred=False),
-                attributions={name: torch.tensor(-2.0), "floor": torch.tensor(1.0)},
+                attributions={name: torch.tensor(effect), "floor": torch.tensor(1.0)},
                 parameter_values={name: torch.tensor(value), "floor": torch.tensor(0.01)},
                 extents={name: torch.tensor([extent]), "floor": torch.ones(1)},
-            )
+            ),
+            top=top,
         )
 
     note = "~  metal.alpha.value: a small roughness acts most near 0"
     assert note in text(0.02, 1.0)
     assert note in text(0.2, 1.0)
+    assert "overstated; give it a range, or use ablation (not shown)" in " ".join(
+        text(0.02, 1.0, 1, -0.9).split()
+    )
+    assert "not shown" not in text(0.02, 1.0, 1)
     assert "overstated" not in text(0.3, 1.0)
     assert "overstated" not in text(0.02, 0.05), "the range is that of the user"
 
@@ -259,15 +264,20 @@ def planned(**changes: Any) -> SceneAttribution:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "95 % half-widths ≤ 4.6 % (target: 5 %)"),
+        ({}, "95 % half-widths ≤ 4.63 % (target: 5 %)"),
         (
             {"reached": False, "stopped": "the time limit"},
-            "95 % half-widths ≤ 4.6 % (target: 5 %, stopped by the time limit)",
+            "95 % half-widths ≤ 4.63 % (target: 5 %, stopped by the time limit)",
         ),
         (
             {"tolerance": None, "time_limit": 10.0, "reached": None},
-            "95 % half-widths ≤ 4.6 % in 10 s",
+            "95 % half-widths ≤ 4.63 % in 10 s",
         ),
+        (
+            {"relative_half_width": 1.017, "reached": False, "stopped": "the time limit"},
+            "95 % half-widths ≤ 102 % (target: 5 %, stopped by the time limit)",
+        ),
+        ({"relative_half_width": 0.10001}, "95 % half-widths ≤ 10.1 % (target: 5 %)"),
         ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
         ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
         (
@@ -308,6 +318,27 @@ def test_cautions_are_grouped() -> None:
     assert " !1 " in row_of("lamp", text)
     assert "!" not in row_of("noisy", text)
     assert "! off" in " ".join(table_text(make(cautions={"rough": "off"})).split())
+
+
+@pytest.mark.parametrize(
+    ("names", "counted"),
+    [
+        (["lamp"], "1 parameter"),
+        (["lamp", "two_minds"], "2 parameters"),
+        (["lamp", "wall", "tiny"], "3 parameters, 2 of them not shown"),
+        (["wall", "tiny"], "2 parameters, none of them shown"),
+        (["tiny"], "1 parameter, not shown"),
+    ],
+)
+def test_notes_say_how_many_of_their_parameters_have_no_row(
+    names: list[str], counted: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: dict.fromkeys(names, "few"))
+    text = table_text(make(cautions=dict.fromkeys(names, "size is off")), top=2)
+    assert f"?  few ({counted})" in text
+    assert f"!  size is off ({counted})" in text
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
+    assert "?  few (all parameters)" in table_text(make(), top=2)
 
 
 @pytest.mark.parametrize("columns", [30, 50, 80, 120])

@@ -15,6 +15,7 @@ from ..visualization import (
     DEFAULT_TOP,
     align_decimals,
     align_with_errors,
+    count_of,
     grid,
     group_by_text,
     pluralize,
@@ -97,7 +98,11 @@ class MeanEffects:
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
         notes = [f"Mean and standard deviation of the effects in {self.count} results"]
         for reason, names in doubts.items():
-            whose = "all parameters" if len(names) == len(self.rows) else pluralize(len(names), "parameter")
+            whose = (
+                "all parameters"
+                if len(names) == len(self.rows)
+                else count_of(names, [row.name for row in rows])
+            )
             notes.append(f"?  {reason} ({whose})")
         return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", *notes])
 

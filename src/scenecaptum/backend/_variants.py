@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import inspect
 import os
 import sys
 import threading
@@ -129,6 +130,13 @@ _Owner = TypeVar("_Owner", bound="SceneOwner")
 
 class SceneOwner:
     """Base of objects that lead to a scene or to Dr.Jit's arrays; what they refer to is freed under the lock."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        # Sphinx shows the signature of __new__ where there is one, and that says nothing.
+        if "__init__" in vars(cls):
+            _, *others = inspect.signature(cls.__init__).parameters.values()
+            cls.__signature__ = inspect.Signature(others)  # type: ignore[attr-defined]
 
     def __new__(cls: type[_Owner], *_: Any, **__: Any) -> _Owner:
         self = super().__new__(cls)

@@ -22,6 +22,7 @@ from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
 from ..validation import Scenes, denoise_of
 from ..visualization import (
+    Format,
     format_with_error,
     grid,
     metric_name,
@@ -160,6 +161,12 @@ class ChangedEffect(NamedTuple):
     after: float
     change: float
     error: float | None
+
+    def numbers(self) -> tuple[str, str, str]:
+        """Return both effects and the change in one notation, with the digits that the error supports."""
+        style = Format.of(max(map(abs, (self.before, self.after, self.change))), self.error)
+        change = [style.write_signed(self.change), *([style.write(self.error)] if self.error else [])]
+        return style.write(self.before), style.write(self.after), " ± ".join(change)
 
 
 class Result(NamedTuple):
@@ -434,15 +441,7 @@ def _lines(found: Compared) -> list[str]:
         return [*text, "", f"{only} of one of the two only; effects are not compared."]
     changed = _changed_effects(before, after)
     shown = [one for one in changed if abs(one.change) >= SMALL * abs(changed[0].change)]
-    table = [
-        (
-            one.label,
-            format_with_error(one.before, None),
-            format_with_error(one.after, None),
-            signed_with_error(one.change, one.error),
-        )
-        for one in shown[:ROWS]
-    ]
+    table = [(one.label, *one.numbers()) for one in shown[:ROWS]]
     if table:
         text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
     if small := len(changed) - len(shown):

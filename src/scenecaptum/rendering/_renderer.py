@@ -90,9 +90,10 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     scene
         A path to a Mitsuba XML file, the name of a bundled scene, a Mitsuba dict, or an ``mi.Scene``.
     inputs
-        The parameters to differentiate: a kind (``"materials"``, ``"reflectance"``, ``"roughness"``, ``"ior"``,
-        ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"poses"``, ``"camera"``, or ``"all"`` but the
-        last two), a glob over parameter names, an exact name, or a list of these.
+        The parameters to differentiate, by default ``"materials"``: a kind (``"materials"``, ``"reflectance"``,
+        ``"roughness"``, ``"ior"``, ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"poses"``,
+        ``"camera"``, or ``"all"`` but the last two), a glob over parameter names, an exact name, or a list of
+        these.
     resolution
         ``(width, height)`` in pixels; the scene's own by default.
     spp

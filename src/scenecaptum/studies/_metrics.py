@@ -8,7 +8,7 @@ from typing import Any
 from .. import daylight, metrics
 from ..daylight import SkyPatches, Weather, synthetic_weather
 from ..errors import SceneCaptumError, near_misses
-from ..estimation import Metric, Target
+from ..estimation import Metric, Target, TargetedMetric
 from ..rendering import SceneRenderer
 
 # Options of metrics of daylight; those of others are parameters of their classes.
@@ -38,6 +38,33 @@ def check_metric(name: str, metric: Any, options: Mapping[str, Any]) -> None:
         )
     for option in options.keys() - set(known):
         raise SceneCaptumError(f"{option!r} has no effect on the metric {name!r}: remove it.")
+
+
+def check_element(name: str, metric: Any, options: Mapping[str, Any]) -> None:
+    """Create a metric that needs no renderer, and raise if that fails or its target has no element."""
+    try:
+        created = _create_alone(metric, options)
+        if created is not None:
+            TargetedMetric(created, target_of(metric, options))
+    except SceneCaptumError as error:
+        raise SceneCaptumError(f"The metric {name!r} of the study: {error}") from error
+    except Exception as error:  # whatever the user's class raises
+        raise SceneCaptumError(
+            f"The metric {name!r} of the study: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _create_alone(metric: Any, options: Mapping[str, Any]) -> Metric | None:
+    """Return a metric without a renderer; None if it needs one."""
+    if not isinstance(metric, str):
+        created: Metric = metric
+        return created
+    if metric in daylight.BY_NAME:
+        return None
+    if metric not in metrics.BY_NAME:
+        return metrics.import_metric(metric)
+    named = metrics.BY_NAME[metric]
+    return None if {"camera", "grid"} & set(named.parameters) else named.create(**options)
 
 
 def renderer_options_for(metric: Any, options: Mapping[str, Any]) -> dict[str, Any]:

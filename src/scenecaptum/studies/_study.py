@@ -24,7 +24,7 @@ from ..grid import SensorGrid
 from ..scene import portable
 from ._file import read_study
 from ._folder import StudyFolder
-from ._metrics import check_metric
+from ._metrics import check_element, check_metric
 from ._progress import Progress
 from ._recipe import AXES, Cell, Recipe, digest_of_scene
 from ._result import StudyResult
@@ -227,11 +227,15 @@ class Study:
         Raises
         ------
         SceneCaptumError
-            If the folder has another study or cannot be written, or the executor ends.
+            If a metric cannot be created or its target names no element, the folder has another study or cannot
+            be written, or the executor ends.
         """
         if executor is not None and workers is not None:
             raise SceneCaptumError("workers= is for the default executor: give executor= or workers=.")
         recipes = [self._recipe(cell) for cell in self.cells]
+        if not StudyFolder(Path(folder)).manifest_path.exists():  # later, a correction would be another study
+            for name in dict.fromkeys(cell.metric for cell in self.cells):
+                check_element(name, *self._axes["metric"][name])
         opened = StudyFolder.begin(Path(folder), self._manifest(recipes))
         done = opened.finished() | (set() if retry_failed else opened.failed())
         left = [recipe for recipe in recipes if recipe.key not in done]

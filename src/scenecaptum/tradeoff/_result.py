@@ -21,6 +21,7 @@ from ..visualization import (
     log_axis,
     pack,
     rounded,
+    rounded_up,
     style_axes,
     write_at,
     write_header,
@@ -38,14 +39,15 @@ _NOTE_WIDTH = 96
 _FAR = 3  # from this many times the noise, an error looks like a bias
 
 # Label, marker and colour (Okabe and Ito's) of each varied option in the figure, and the offset of its annotations
-# in points, chosen so that those of neighbouring settings do not overlap.
+# in points, chosen so that those of neighbouring settings do not overlap, and beside the point, whose error bar is
+# vertical.
 _STYLES = {
-    "spp": ("spp", "o", "#0072B2", (0, 6)),
+    "spp": ("spp", "o", "#0072B2", (6, 4)),
     "primal_spp": ("spp of the primal", "^", "#56B4E9", (-6, 4)),
     "gradient_spp": ("spp of the gradient", "v", "#009E73", (6, -9)),
-    "max_depth": ("depth", "s", "#D55E00", (6, 4)),
+    "max_depth": ("depth", "s", "#D55E00", (6, -9)),
     "resolution": ("resolution", "D", "#CC79A7", (-6, -10)),
-    "replicates": ("replicates", "P", "#E69F00", (0, -13)),
+    "replicates": ("replicates", "P", "#E69F00", (-6, -10)),
     "integrator": ("integrator", "X", "#000000", (-6, 5)),
     "smoothing": ("smoothing", "h", "#F0E442", (6, 5)),
 }
@@ -179,27 +181,48 @@ class Tradeoff:
                 f"For an error of {_percent_of(tolerance)}: {best.setting} ({rounded(best.seconds, 2)} s), "
                 f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct."
             )
-        closest = min(self.rows, key=lambda row: row.relative_error.value)
-        error, bias = closest.relative_error.value, closest.bias.value if closest.bias.significant else 0.0
-        start = f"No setting is within {_percent_of(tolerance)}: the best, {closest.setting},"
+        closest = min(self.rows, key=lambda row: sum(row.relative_error))
+        limit, bias = sum(closest.relative_error), closest.bias.value if closest.bias.significant else 0.0
         if bias >= tolerance:
-            return f"{start} has a bias of {_percent_of(bias)}, which more samples do not reduce."
+            return (
+                f"No setting is within {_percent_of(tolerance)}: the best, {closest.setting}, has a bias of "
+                f"{_percent_of(bias)}, which more samples do not reduce."
+            )
+        return (
+            f"No setting is certainly within {_percent_of(tolerance)}: the best, {closest.setting}, has an error "
+            f"of {_percent(*closest.relative_error)}, so its upper limit, of one standard error, is "
+            f"{rounded_up(100 * limit, 2)} %; {self._remedy(closest, tolerance, bias)}."
+        )
+
+    def _remedy(self, closest: Measured, tolerance: float, bias: float) -> str:
+        """Return what brings the upper limit of the best setting below a tolerance: samples, or runs."""
+        more_runs = f"measure with more than {self.runs} runs"
+        if closest.relative_error.value <= tolerance:
+            return f"{more_runs}, which bring it closer to the error"
         # The error without bias is proportional to 1/√spp.
-        factor = ((error + closest.relative_error.error) ** 2 - bias**2) / (tolerance**2 - bias**2)
+        factor = (sum(closest.relative_error) ** 2 - bias**2) / (tolerance**2 - bias**2)
         spp = math.ceil(factor * max(closest.setting.primal_spp, closest.setting.gradient_spp))
-        start += f" has an error of {_percent(*closest.relative_error)}"
-        return f"{start}; about {_round_up(spp)} spp should suffice."
+        # No row is within the tolerance, so none with as many samples is either.
+        tried = max(
+            min(row.setting.primal_spp, row.setting.gradient_spp)
+            for row in self.rows
+            if row.setting.changed("spp", spp) == closest.setting.changed("spp", spp)
+        )
+        if tried >= spp:
+            return f"about {_round_up(spp)} spp should suffice, but {tried} spp did not: {more_runs}"
+        return f"about {_round_up(spp)} spp should suffice"
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Plot the relative error over the time, into ``ax`` if given, with one marker style per varied option.
 
-        The grey line is the Pareto front; the dashed line is the error of the reference itself.
+        The grey line is the Pareto front, if it has more than one setting; the dashed line is the error of the
+        reference itself.
         """
         ax = axes_or_new(ax, WIDTH, 4.6)
         _draw(ax, self.rows, self.front, self.reference)
         write_header(ax, f"Cost and accuracy: {self.metric}", columns=5)
         notes = [
-            "grey line: Pareto front",
+            "grey line: Pareto front" if len(self.front) > 1 else "Pareto front: one setting",
             f"dashed: error of the reference ({self.reference.setting})",
             f"error bars: one standard error, from {self.runs} runs",
         ]
@@ -252,7 +275,7 @@ class Tradeoff:
                 _percent_of(row.spread),
                 _percent(row.bias.value, row.bias.error)
                 if row.bias.significant
-                else f"≤ {_percent_of(row.bias.upper_limit)}",
+                else f"≤ {rounded_up(100 * row.bias.upper_limit, 2)} %",
                 _correlation(row.spearman.value),
                 _correlation(row.kendall.value),
                 f"{100 * row.top.value:.0f} %",
@@ -322,7 +345,10 @@ def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], referen
     if reference.relative_error > 0:
         ax.axhline(reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
     ax.margins(x=0.12, y=0.1)
-    log_axis(ax, "x", *ax.get_xlim())
+    low, high = ax.get_xlim()
+    if high < 1.1 * low:  # a single setting, or all of one time
+        low, high = low / 1.5, 1.5 * high
+    log_axis(ax, "x", low, high)
     log_axis(ax, "y", *ax.get_ylim(), lambda error: f"{rounded(100 * error)} %")
     style_axes(ax, x="seconds", y="relative error of the gradient")
 

@@ -64,6 +64,7 @@ from ._numbers import format_with_error as format_with_error
 from ._numbers import minus as minus
 from ._numbers import plain_number as plain_number
 from ._numbers import rounded as rounded
+from ._numbers import rounded_up as rounded_up
 from ._numbers import shorten as shorten
 from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error
@@ -77,6 +78,7 @@ from ._table import table_text as table_text
 from ._text import axis_label as axis_label
 from ._text import caution_groups as caution_groups
 from ._text import convergence_notes as convergence_notes
+from ._text import count_of as count_of
 from ._text import method_name as method_name
 from ._text import metric_line as metric_line
 from ._text import metric_name as metric_name

@@ -6,6 +6,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, Decimal
 from functools import partial
 from itertools import zip_longest
 from typing import NamedTuple
@@ -81,6 +82,21 @@ def rounded(number: float, digits: int = 3) -> str:
     style = Format.of(number, None).at_most(digits, abs(number))
     text, e, exponent = style.write(number).partition("e")
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{e}{exponent}"
+
+
+def rounded_up(number: float, digits: int) -> str:
+    """Return a positive upper limit with at most so many significant digits, never below it.
+
+    Example
+    -------
+    >>> rounded_up(101.7, 2), rounded_up(6.01, 2), rounded_up(6.0, 2)
+    ('110', '6.1', '6')
+    """
+    if number <= 0 or not math.isfinite(number):
+        return rounded(number, digits)
+    exact = Decimal(f"{number:.12g}")  # 0.07 in percent is 7, not 7.000000000000001
+    unit = Decimal(1).scaleb(exact.adjusted() - digits + 1)
+    return rounded(float(exact.quantize(unit, ROUND_CEILING)), digits)
 
 
 def plain_number(number: float, unit: str) -> str:

@@ -16,11 +16,12 @@ from ._text import (
     axis_label,
     caution_groups,
     convergence_notes,
+    count_of,
+    hidden_of,
     jump_notes,
     method_name,
     metric_line,
     pack,
-    pluralize,
     range_marked,
     range_notes,
     sampling_notes,
@@ -134,6 +135,7 @@ def _table(
     ranking = attribution.ranking(scale=scale)
     is_norm = attribution.ranks_by_norm(scale)
     shown = ranking if top is None else ranking[:top]
+    with_rows = {row.name for row in shown}
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
     marks = {name: markers[text] for text, names in groups.items() for name in names}
@@ -179,14 +181,14 @@ def _table(
             'of a colour, the sum of the losses of its channels, each alone: groups="object" ablates together'
         )
     for text, names in groups.items():
-        notes.append(f"{markers[text].ljust(2)} {text} ({pluralize(len(names), 'parameter')})")
+        notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")
     for reason, names in untrusted.items():
         all_of_them = len(names) == len(attribution)
-        notes.append(
-            f"?  {reason} ({'all parameters' if all_of_them else pluralize(len(names), 'parameter')})"
-        )
+        notes.append(f"?  {reason} ({'all parameters' if all_of_them else count_of(names, with_rows)})")
     notes += jump_notes(attribution)
-    notes += [f"~  {text}" for text in of_range]
+    for text, names in of_range.items():
+        hidden = hidden_of(names, with_rows)
+        notes.append(f"~  {text} ({hidden})" if hidden else f"~  {text}")
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
         heading=[*filter(None, heading), *sampling_notes(attribution), *convergence_notes(attribution)],

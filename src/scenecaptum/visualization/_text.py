@@ -8,7 +8,7 @@ from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import group_by_text
-from ._numbers import format_with_error, rounded, shorten, with_error
+from ._numbers import format_with_error, rounded, rounded_up, shorten, with_error
 
 _MAX_CAUTIONS = 5
 _OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
@@ -243,7 +243,7 @@ def goal_notes(attribution: Attribution) -> list[str]:
         ties = f" except {pluralize(tied, 'tie')}" if tied else ""
         outcome = f"resolved{ties}" if planner["reached"] else f"not resolved{stopped}"
         return [f"order of the top {top} {outcome}"]
-    achieved = "unknown" if half_width is None else f"{rounded(100 * half_width, 2)} %"
+    achieved = "unknown" if half_width is None else f"{rounded_up(100 * half_width, 3)} %"
     if tolerance is None:
         return [f"95 % half-widths ≤ {achieved} in {planner['time_limit']:g} s"]
     return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
@@ -379,6 +379,19 @@ def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
 def pluralize(count: int, noun: str) -> str:
     """Return ``'1 parameter'`` or ``'3 parameters'``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def count_of(names: Collection[str], shown: Collection[str]) -> str:
+    """Return the number of parameters of a note, and how many of them have no row that could bear its mark."""
+    return ", ".join(filter(None, [pluralize(len(names), "parameter"), hidden_of(names, shown)]))
+
+
+def hidden_of(names: Collection[str], shown: Collection[str]) -> str:
+    """Return how many parameters of a note have no row; empty if all have one."""
+    hidden = len(set(names) - set(shown))
+    if hidden < len(names):
+        return f"{hidden} of them not shown" if hidden else ""
+    return "not shown" if hidden == 1 else "none of them shown"
 
 
 def pack(parts: Sequence[str], width: int) -> list[str]:
