@@ -97,9 +97,7 @@ class GroupEffect(Combined):
             )
         elif count < MIN_ROOMS_FOR_NEW_ROOM:
             if self.low is None:
-                notes.append(
-                    "one of two rooms has nearly all the weight: no interval of the mean"
-                )
+                notes.append("one of two rooms has nearly all the weight: no interval of the mean")
             notes.append(f"{count} rooms: an interval for a new room takes {MIN_ROOMS_FOR_NEW_ROOM}")
         if self.within is None:
             notes.append(
