@@ -264,6 +264,7 @@ def range_notes(
     notes = _alone_notes(attribution, shown)
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
         notes |= {**_sky_notes(attribution, shown), **_roughness_notes(attribution, scale, shown)}
+        notes |= _off_notes(attribution, shown)
     return notes
 
 
@@ -303,6 +304,12 @@ def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
             of_light = f"{labels.get(scale, scale)} is of its light"
             notes[f"{labels.get(name, name)}: of the same change in all texels; {of_light}"] = [name]
     return notes
+
+
+def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on what is 0 in the scene, as a lamp that is off: its range is one unit."""
+    off = [name for name in attribution.info.get("unit_ranges", ()) if name in shown]
+    return {f"off, or 0, in the scene: per unit of 1: {_named(attribution, off)}": off} if off else {}
 
 
 def _roughness_notes(
