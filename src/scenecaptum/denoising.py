@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 
 from .errors import SceneCaptumError
+from .protocols import Capabilities, Renderer
 
 CHANNELS = 3
 
@@ -26,6 +28,13 @@ class Guides:
 
     albedo: torch.Tensor
     normal: torch.Tensor
+
+
+def guides_of(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> Guides | None:
+    """Return a renderer's guides, if it has them, where objects and the camera are as in ``values``."""
+    moved = Capabilities(renderer).guides_of
+    guides: Guides | None = Capabilities(renderer).guides if moved is None else moved(values)
+    return guides
 
 
 def straight_through(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:

@@ -17,6 +17,7 @@ from scenecaptum import (
     VanillaSceneGradient,
     metrics,
 )
+from scenecaptum.attr import range_lengths
 
 
 def attribution(**other: object) -> SceneAttribution:
@@ -134,9 +135,27 @@ def test_the_range_of_what_is_zero_is_one_unit(mi):
     assert found.extents[eta].tolist() == [1]
     assert found.extents[lamp].tolist() == [1, 1, 1]
     assert found.effects()[eta] == pytest.approx(found[eta].item())
+    assert found.info["unit_ranges"] == [lamp, eta]
+    labels = "; ".join(found.labels[name] for name in (lamp, eta))
+    assert f"~  off, or 0, in the scene: per unit of 1: {labels}" in str(found)
     on = {lamp: torch.ones(3)}
     rise = metric(renderer(on, seed=shifted(2), spp=1024)) - metric(renderer(seed=shifted(2), spp=1024))
     assert found.effects()[lamp] == pytest.approx(rise.item(), abs=6 * found.effects_error()[lamp])
+
+
+def test_a_light_that_is_switched_off_keeps_the_range_of_the_scene(mi):
+    """Its effect is what it would contribute, so it can be compared with that of the light as it is."""
+    lamp = "light.emitter.radiance.value"
+    renderer = SceneRenderer("cornell-box", [lamp], resolution=(8, 8), spp=16, max_depth=3)
+    off = {lamp: torch.zeros(3)}
+    on, without = (
+        VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(values, seed=shifted(1))
+        for values in (None, off)
+    )
+    assert torch.equal(without.extents[lamp], on.extents[lamp])
+    assert without.effects()[lamp] == pytest.approx(on.effects()[lamp], rel=1e-3)
+    assert without.info["unit_ranges"] == []
+    assert range_lengths(renderer, off)[lamp] == renderer.inputs[lamp].max()
 
 
 def test_groups_add_effects_not_gradients_of_different_units():

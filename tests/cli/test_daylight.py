@@ -271,6 +271,28 @@ def test_the_table_of_a_comparison_leaves_out_what_is_far_below_the_largest_chan
     assert text[-1] == "  left out: 1 effect that changed by less than 1 % of the largest change"
 
 
+def test_effects_over_different_ranges_are_not_subtracted() -> None:
+    """The gradient of a lamp that is dimmed to a tenth is the same: a tenth of the effect is no change of it."""
+    before = results.make()
+    before = dataclasses.replace(
+        before, extents={name: torch.ones_like(totals) for name, totals in before.weights("unit").items()}
+    )
+    dimmed = dataclasses.replace(
+        before,
+        extents={**before.extents, "lamp": 0.1 * before.extents["lamp"]},
+        attributions={**before.attributions, "rough": 1.5 * before["rough"]},
+    )
+    assert [one.name for one in _compare._changed_effects(before, dimmed)] == ["rough"]
+    brighter = dataclasses.replace(dimmed, attributions={**before.attributions, "lamp": 2 * before["lamp"]})
+    for pair, sign in (((before, brighter), 1), ((brighter, before), -1)):
+        (change,) = _compare._changed_effects(*pair)
+        assert change.change == pytest.approx(sign * before.effects("unit")["lamp"])
+        assert change.change == pytest.approx(change.after - change.before)
+        sides = [_compare.Side(), _compare.Side()]
+        text = _compare._lines(_compare.Compared(*pair, ["A", "B"], 0.0, None, sides))
+        assert text[-1] == "  over the longer of the two ranges: lamp"
+
+
 def page(folder: Path) -> str:
     return (folder / "comparison.html").read_text()
 

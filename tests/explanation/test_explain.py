@@ -148,6 +148,19 @@ def test_a_picture_without_a_glare_source_says_so_with_its_brightest_pixel():
     assert note.endswith("a threshold factor of 5")
 
 
+def test_the_illuminance_from_within_a_narrow_view_says_so():
+    def said(camera: Camera) -> list[str]:
+        metric = metrics.VerticalIlluminance(camera)
+        return [
+            one for one in photometric_premises(metric, torch.ones(8, 8, 3), 1.0) if "field of view" in one
+        ]
+
+    (note,) = said(Camera.perspective(8, 8, fov_x=66.2))
+    assert note.startswith("only light from within the camera's field of view of 66° counts; ")
+    assert "fisheye camera" in note
+    assert said(Camera.fisheye(8, 8)) == []
+
+
 def test_only_a_source_that_is_close_to_an_absolute_threshold_has_a_note():
     camera = Camera.perspective(16, 16, fov_x=60)
 

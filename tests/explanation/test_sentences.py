@@ -42,6 +42,14 @@ def test_the_verdict_names_its_source_and_a_limit_that_is_too_close():
     assert "too close to 19 to be sure" in close
 
 
+def test_only_the_quoted_value_is_too_close_to_a_limit():
+    """The relaxed value is near 19, and the value by the definition many errors from it."""
+    far = Explanation(rated(19.05, 0.1), definition=Definition(20.0, "within 22", error=0.04))
+    assert far.rating() == "within 22 (EN 12464-1)"
+    near = Explanation(rated(20.0, 0.04), definition=Definition(19.05, "within 22", error=0.1))
+    assert near.rating().endswith("too close to 19 to be sure")
+
+
 def test_the_rating_of_a_picture_names_its_resolution():
     rating = rated(17.5, 0.1)
     assert Explanation(rating).headline() == "unified glare rating = 17.50 ± 0.10 at 6×4 pixels"

@@ -190,6 +190,15 @@ def test_table_and_figure_show_the_steps():
     assert "not below the goal of 0" in str(missed)
 
 
+def test_the_points_of_a_sensor_grid_are_not_drawn_as_pictures():
+    class Points(Lamps):
+        shows_a_view = False
+
+    (history,) = optimize.minimize(Points(), torch.mean, 0.6, top=2).plot().axes
+    assert not history.images
+    assert history.get_xlabel() == "step"
+
+
 def test_glare_of_the_office_falls(mi):
     renderer = SceneRenderer("office", ["reflectance", "emitters"], resolution=(32, 18), spp=64, max_depth=3)
     glare = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5.0)

@@ -90,3 +90,16 @@ def test_guides_and_maps_are_those_of_the_poses(mi: Any) -> None:
         {name: values}, seed=shifted(), replicates=2
     )
     assert result.surfaces.mask("tall_box_shape").tolist() == after.tolist()
+
+
+def test_the_captum_bridge_denoises_with_the_guides_of_the_poses() -> None:
+    name = "tall_box_shape.pose.translation"
+    renderer = SceneRenderer("cornell-box", [name], resolution=(16, 16), spp=4)
+    forward, _ = renderer.as_captum(lambda image: image.flatten(), seed=shifted(1), denoise=True)
+    values = {name: torch.tensor([0.4, 0.0, 0.0])}
+    with torch.no_grad():
+        image = renderer(values, seed=shifted(1))
+        (found,) = forward(values[name][None])
+    expected = denoise(image, renderer.guides_of(values))
+    assert not torch.allclose(expected, denoise(image, renderer.guides), rtol=0.02)
+    torch.testing.assert_close(found.reshape(image.shape), expected, rtol=1e-4, atol=1e-5)

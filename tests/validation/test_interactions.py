@@ -13,7 +13,7 @@ from seeds import seeds, shifted
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.estimation import channel_totals, mean_and_error
-from scenecaptum.validation import Interactions, hessian_vector_product, interactions
+from scenecaptum.validation import Interactions, _hessian, hessian_vector_product, interactions
 from scenecaptum.validation._hessian import CENTRAL, ONE_SIDED
 from scenecaptum.validation._scenes import Scenes, unit_gradient
 
@@ -271,3 +271,17 @@ def test_table_and_figure_mark_insignificant_elements(by_hand):
     axes = by_hand.plot().axes[0]
     assert [text.get_text() for text in axes.texts][:4] == ["2.000", "0.1(4)", "0.1(4)", "0"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["lamp  1", "wall: reflectance  2"]
+
+
+def test_the_scenes_of_a_stencil_have_their_own_guides(mi):
+    """A picture of a moved object is not denoised with the outlines of the old one."""
+    name, offsets = "tall_box_shape.pose.translation", (0.0, 1.0)
+    direction = {name: torch.tensor([0.3, 0.0, 0.0])}
+    renderer = SceneRenderer("cornell-box", [name], resolution=(16, 16), spp=4)
+    scenes = Scenes(renderer, metrics.MeanLuminance(), None, seed=0, spp=4, replicates=2)
+    found = _hessian._StencilRenderer(scenes, direction, offsets).guides_of({})
+    for number, offset in enumerate(offsets):
+        expected = renderer.guides_of({name: offset * direction[name]})
+        assert torch.equal(found.normal[number], expected.normal)
+        assert torch.equal(found.albedo[number], expected.albedo)
+    assert not torch.equal(found.normal[0], found.normal[1])

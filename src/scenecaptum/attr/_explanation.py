@@ -159,7 +159,9 @@ class Explanation:
         measure = self.attribution.info.get("measure") or {}
         means = verdict(self.attribution)
         if self.definition is not None:
-            numbers.append((self.definition.value, self.definition.error or 0.0))
+            # Only where the error of the quoted value is not known does the relaxed one say how sure it is.
+            relaxed = [] if self.definition.error else numbers
+            numbers = [*relaxed, (self.definition.value, self.definition.error or 0.0)]
             means = self.definition.verdict
         low = min(value - SIGNIFICANT * error for value, error in numbers)
         high = max(value + SIGNIFICANT * error for value, error in numbers)

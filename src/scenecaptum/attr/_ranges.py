@@ -23,19 +23,33 @@ def extents(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the change of each parameter over its range, a ``(C,)`` tensor by channel; none without ranges.
 
     For an infinite range (the radiance of an emitter, the index of refraction of a metal) this is the value, for a
-    texture the mean of its texels: the change from off to its value. If all channels are 0, it is 1.
+    texture the mean of its texels: the change from off to its value. If all channels are 0, it is that of the
+    scene's own value, and 1 if that is 0, too.
     """
     ranges = _ranges(renderer)
     if ranges is None:
         return {}
-    return {name: _extent(value, *ranges.get(name, (-math.inf, math.inf))) for name, value in values.items()}
+    return {
+        name: _extent(value, *ranges.get(name, (-math.inf, math.inf)))
+        for name, value in _not_off(renderer, values).items()
+    }
+
+
+def unit_ranges(renderer: Renderer, values: Tensors) -> list[str]:
+    """Return the parameters whose range is one unit because they are 0 in the scene, as a lamp that is off."""
+    ranges = _ranges(renderer)
+    if ranges is None:
+        return []
+    own = _not_off(renderer, values)
+    finite = {name for name, (low, high) in ranges.items() if math.isfinite(high - low)}
+    return [name for name, value in own.items() if name not in finite and not value.any()]
 
 
 def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     """Return the length of each parameter's range, a 0-d tensor.
 
-    For an infinite range this is the largest magnitude of its value, or 1 if that is 0. Raises if the renderer has
-    neither ``ranges`` nor ``bounds``.
+    For an infinite range this is the largest magnitude of its value; if that is 0, of the scene's own value, or 1.
+    Raises if the renderer has neither ``ranges`` nor ``bounds``.
     """
     ranges = _ranges(renderer)
     if ranges is None:
@@ -43,7 +57,10 @@ def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor
             "Ranges require physical bounds: give the renderer an attribute `bounds`, a dict from parameter name "
             "to (low, high)."
         )
-    return {name: _length(value, *ranges.get(name, (-math.inf, math.inf))) for name, value in values.items()}
+    return {
+        name: _length(value, *ranges.get(name, (-math.inf, math.inf)))
+        for name, value in _not_off(renderer, values).items()
+    }
 
 
 class Noise:
@@ -81,6 +98,14 @@ class Noise:
 def _ranges(renderer: Renderer) -> Mapping[str, tuple[float, float]] | None:
     offered = Capabilities(renderer)
     return offered.bounds if offered.ranges is None else offered.ranges
+
+
+def _not_off(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
+    """Return the values, and in place of 0 the scene's own: what was switched off has the range that it has on."""
+    own = Capabilities(renderer).inputs or {}
+    return {
+        name: value if bool(value.any()) else own.get(name, value).to(value) for name, value in values.items()
+    }
 
 
 def _extent(value: torch.Tensor, low: float, high: float) -> torch.Tensor:

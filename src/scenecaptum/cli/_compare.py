@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -444,6 +445,9 @@ def _lines(found: Compared) -> list[str]:
     table = [(one.label, *one.numbers()) for one in shown[:ROWS]]
     if table:
         text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
+    longer = _with_different_ranges(before, after)
+    if of_longer := [one.label for one in shown if one.name in longer]:
+        text += _note(f"over the longer of the two ranges: {'; '.join(of_longer)}")
     if small := len(changed) - len(shown):
         effects = (
             f"{pluralize(small, 'effect')} that changed by less than {100 * SMALL:g} % of the largest change"
@@ -542,19 +546,41 @@ def _numbers(found: Compared) -> dict[str, Any]:
 
 def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[ChangedEffect]:
     """Return the changes of effects that are clear of the noise, the largest first."""
+    before, after = _over_equal_ranges(before, after)
     rows, differences = ({row.name: row for row in one.ranking()} for one in (before, after - before))
-    spans, others = before.weights(), after.weights()
     found = []
     for row in after.ranking():
         own, difference = rows[row.name], differences[row.name]
         change, error = difference.effect, difference.effect_error
-        if not torch.equal(spans[row.name], others[row.name]):
-            # Each effect is over a range of its own, as of a lamp from off to its value.
+        if row.name in after.vectors:
+            # Each effect is in a direction of its own.
             change = row.effect - own.effect
             error = math.hypot(row.effect_error or math.inf, own.effect_error or math.inf)
         if abs(change) > SIGNIFICANT * (error or math.inf):
             found.append(ChangedEffect(row.name, row.label, own.effect, row.effect, change, error))
     return sorted(found, key=lambda one: -abs(one.change))
+
+
+def _over_equal_ranges(
+    before: SceneAttribution, after: SceneAttribution
+) -> tuple[SceneAttribution, SceneAttribution]:
+    """Return both results with effects over the longer of their two ranges, so that they can be subtracted.
+
+    The range of a lamp is from off to its value.
+    """
+    if not (before.extents and after.extents):
+        return before, after
+    longer = {name: torch.maximum(length, after.extents[name]) for name, length in before.extents.items()}
+    return dataclasses.replace(before, extents=longer), dataclasses.replace(after, extents=longer)
+
+
+def _with_different_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
+    """Return the parameters whose own ranges differ."""
+    return [
+        name
+        for name, length in before.extents.items()
+        if name in after.extents and not torch.equal(length, after.extents[name])
+    ]
 
 
 def _values(value: torch.Tensor) -> str:

@@ -107,5 +107,9 @@ def design_format(
 def _formats(renderer: SceneRenderer) -> list[OutputFormat[Optimization]]:
     return [
         design_format(renderer, lambda found: found, "the changed values"),
-        OutputFormat("optimization.png", "both pictures and every step", figure_writer(Optimization.plot)),
+        OutputFormat(
+            "optimization.png",
+            "every step" if renderer.has_grid else "both pictures and every step",
+            figure_writer(Optimization.plot),
+        ),
     ]

@@ -49,9 +49,10 @@ def run(options: argparse.Namespace) -> int:
             "--metric mean-illuminance writes plan.png, a map with a scale; an .exr file has the irradiances."
         )
     with torch.no_grad():
-        image = renderer(designed_values(options, renderer) or {}, seed=options.seed)
+        values = designed_values(options, renderer) or {}
+        image = renderer(values, seed=options.seed)
     if options.denoise:
-        image = denoise(image, renderer.guides)
+        image = denoise(image, renderer.guides_of(values))
     try:
         options.to.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

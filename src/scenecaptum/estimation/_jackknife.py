@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
+from ..denoising import guides_of
 from ..protocols import Renderer
 from ._adjoints import Adjoints
 from ._jackknife_of_draws import jackknife_of_draws
 from ._linearity import is_linear, is_rounding
 from ._metric import Draws, TargetedMetric
-from ._metric_image import IDENTITY, TransformSelector, guides_of
+from ._metric_image import IDENTITY, TransformSelector
 from ._transform_errors import transform_errors
 from ._weighted_means import evaluate_at_means, second_order, steps, weighted_mean
 

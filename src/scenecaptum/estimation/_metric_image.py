@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import torch
 
-from ..denoising import Guides, denoise, is_picture
+from ..denoising import Guides, denoise, guides_of, is_picture
 from ..errors import SceneCaptumError
 from ..protocols import Capabilities, Renderer
 
@@ -97,13 +97,6 @@ def _halves(
         for part, total in zip(parts, totals, strict=True)
     )
     return first, second
-
-
-def guides_of(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> Guides | None:
-    """Return a renderer's guides, if it has them, where objects and the camera are as in ``values``."""
-    moved = Capabilities(renderer).guides_of
-    guides: Guides | None = Capabilities(renderer).guides if moved is None else moved(values)
-    return guides
 
 
 class TransformSelector:

@@ -198,6 +198,11 @@ def photometric_premises(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
     premises += threshold_notes(metric, image if shown is None else shown)
+    if isinstance(metric, VerticalIlluminance) and not metric.camera.sees_hemisphere:
+        premises.append(
+            f"only light from within the camera's field of view of {metric.camera.fov:.0f}° counts; for all light "
+            "that reaches the eye, use a fisheye camera"
+        )
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

@@ -226,6 +226,7 @@ class Search:
             metric=name,
             unit=unit,
             note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
+            shows_a_view=Capabilities(self._renderer).shows_a_view is not False,
         )
 
     def _moved(

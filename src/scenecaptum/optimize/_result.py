@@ -30,6 +30,7 @@ from ..visualization import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
@@ -118,6 +119,8 @@ class Optimization:
         Name and unit of the metric.
     note
         What the errors of a goal that was reached leave out: for a rating of a picture, the resolution.
+    shows_a_view
+        Whether the images are pictures, and not the points of a sensor grid.
     """
 
     values: Mapping[str, torch.Tensor]
@@ -129,6 +132,7 @@ class Optimization:
     metric: str
     unit: str = ""
     note: str = ""
+    shows_a_view: bool = True
 
     @property
     def was_below(self) -> bool:
@@ -143,19 +147,19 @@ class Optimization:
     def plot(self, *, figure: Figure | SubFigure | None = None) -> Figure:
         """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given.
 
+        The points of a sensor grid are no picture, and only the steps are plotted.
         The last point is the value that was measured apart from the steps, of a relaxed metric by its definition.
         """
         height, width, _ = self.before.image.shape
-        renders, curve = WIDTH / 2 * height / width, 1.6
+        renders, curve = WIDTH / 2 * height / width if self.shows_a_view else 0.0, 1.6
         title = wrapped_lines(self.outcome, characters_per_line(WIDTH, TITLE))
         part: Any = figure or new_figure(WIDTH, renders + curve + 1 + (len(title) - 1) * 1.3 * TITLE / 72)
-        axes = part.subplot_mosaic([["before", "after"], ["history"] * 2], height_ratios=[renders, curve])
-        before, after, history = axes.values()
-        exposure = automatic_exposure(self.before.image)
-        for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
-            ax.imshow(display_image(denoise(measured.image), exposure).numpy(force=True))
-            ax.set_title(f"{name}: {self._format(measured)}", fontsize=TEXT, loc="left", parse_math=False)
-            ax.set_axis_off()
+        if self.shows_a_view:
+            axes = part.subplot_mosaic([["before", "after"], ["history"] * 2], height_ratios=[renders, curve])
+            self._draw_renders(axes["before"], axes["after"])
+            history = axes["history"]
+        else:
+            history = part.add_subplot()
         steps = max(1, len(self.history))
         history.plot(range(len(self.history)), self.history, color=RAISES, linewidth=1.2)
         history.axhline(self.below, color="0.4", linestyle="--", linewidth=1)
@@ -178,6 +182,13 @@ class Optimization:
         history.locator_params(axis="x", integer=True)
         part.suptitle("\n".join(title), fontsize=TITLE, x=0.01, ha="left", parse_math=False)
         return figure_of(part)
+
+    def _draw_renders(self, before: Axes, after: Axes) -> None:
+        exposure = automatic_exposure(self.before.image)
+        for ax, name, measured in ((before, "before", self.before), (after, "after", self.after)):
+            ax.imshow(display_image(denoise(measured.image), exposure).numpy(force=True))
+            ax.set_title(f"{name}: {self._format(measured)}", fontsize=TEXT, loc="left", parse_math=False)
+            ax.set_axis_off()
 
     def __str__(self) -> str:
         """Return a text table: the value of every changed parameter before and after, and the metric."""

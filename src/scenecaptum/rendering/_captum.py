@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import torch
 
-from ..denoising import straight_through
+from ..denoising import guides_of, straight_through
 from ..errors import SceneCaptumError, check_seed
 from ..protocols import Capabilities, Renderer
 from ..scene import reflect
@@ -39,15 +39,15 @@ def as_captum(
         )
     bound = _bounding(renderer, own, bounds)
     spp = Capabilities(renderer).spp
-    guides = Capabilities(renderer).guides if denoise else None
 
     def forward(*tensors: torch.Tensor) -> torch.Tensor:
         """Evaluate the metric on the render of each row: ``(B,)``, or ``(B, K)`` for a metric with K elements."""
         outputs = []
         for row in _rows(tuple(own), tensors):
             row_seed = int(torch.randint(2**32, ())) if seed is None else seed
-            image = renderer(bound(row), seed=row_seed, spp=spp)
-            image = straight_through(image, guides) if denoise else image
+            values = bound(row)
+            image = renderer(values, seed=row_seed, spp=spp)
+            image = straight_through(image, guides_of(renderer, values)) if denoise else image
             outputs.append(_evaluate(metric, image))
         return torch.stack(outputs)
 

@@ -225,7 +225,7 @@ class SplitSamples:
         assert offered.with_spp_grad is not None
         self._render = offered.with_spp_grad
         self.info = offered.info or {}
-        self.guides = offered.guides
+        self.guides, self.guides_of = offered.guides, offered.guides_of
         self.checkpoint = offered.checkpoint
 
     def __call__(

@@ -12,7 +12,7 @@ import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient, range_lengths
 from ..checkpoint import Folder, with_checkpoint
-from ..denoising import Guides
+from ..denoising import Guides, guides_of
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, TargetedMetric, mean_and_error
 from ..protocols import Capabilities, Renderer, accepted_keywords
@@ -147,14 +147,23 @@ class _StencilRenderer:
         self.spp = offered.spp
         self.labels = offered.labels or {}
         self.info = offered.info or {}
-        guides, count = offered.guides, len(offsets)
-        self.guides = guides and Guides(*(g.expand(count, *g.shape) for g in (guides.albedo, guides.normal)))
         self.accepted_keywords = accepted_keywords(renderer)
 
     def __call__(self, inputs: Mapping[str, torch.Tensor], **options: Any) -> torch.Tensor:
+        return torch.stack([self.renderer(scene, **options) for scene in self._scenes(inputs)])
+
+    def guides_of(self, inputs: Mapping[str, torch.Tensor]) -> Guides | None:
+        """Return the guides of each scene of the stencil, as one stack; None if the renderer has none."""
+        guides = [found for scene in self._scenes(inputs) if (found := guides_of(self.renderer, scene))]
+        if not guides:
+            return None
+        return Guides(
+            torch.stack([one.albedo for one in guides]), torch.stack([one.normal for one in guides])
+        )
+
+    def _scenes(self, inputs: Mapping[str, torch.Tensor]) -> list[dict[str, torch.Tensor]]:
         values = {**self.values, **inputs}
-        scenes = [{**values, **_moved(values, self.direction, offset)} for offset in self.offsets]
-        return torch.stack([self.renderer(scene, **options) for scene in scenes])
+        return [{**values, **_moved(values, self.direction, offset)} for offset in self.offsets]
 
 
 def _slope(metric: TargetedMetric, stencil: Stencil) -> Metric:

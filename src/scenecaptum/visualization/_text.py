@@ -279,6 +279,7 @@ def range_notes(
             **_sky_notes(attribution, shown),
             **_roughness_notes(attribution, scale, shown),
             **_least_roughness_notes(attribution, shown),
+            **_off_notes(attribution, shown),
         }
     return notes
 
@@ -324,6 +325,12 @@ def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
             of_light = f"{labels.get(scale, scale)} is of its light"
             notes[f"{labels.get(name, name)}: of the same change in all texels; {of_light}"] = [name]
     return notes
+
+
+def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on what is 0 in the scene, as a lamp that is off: its range is one unit."""
+    off = [name for name in attribution.info.get("unit_ranges", ()) if name in shown]
+    return {f"off, or 0, in the scene: per unit of 1: {_named(attribution, off)}": off} if off else {}
 
 
 def _roughness_notes(
