@@ -10,6 +10,7 @@ import torch
 from ..estimation import TargetedMetric
 from ..explanation import photometric_premises, states_definition
 from ..metrics import GlareRating
+from ..rendering import SceneRenderer
 from ..visualization import group_by_text, pluralize
 from ._cell_effects import CellResults
 from ._recipe import Cell
@@ -22,7 +23,11 @@ MOST_NOTES = 8  # of a study: some have a number of their own in each cell
 
 
 def described(
-    metric: TargetedMetric, image: torch.Tensor, value: float, info: Mapping[str, Any]
+    metric: TargetedMetric,
+    image: torch.Tensor,
+    value: float,
+    info: Mapping[str, Any],
+    renderer: SceneRenderer,
 ) -> dict[str, Any]:
     """Return measure, verdict and notes of a cell; ``info`` has what the metric says of the value itself.
 
@@ -30,7 +35,7 @@ def described(
     the definition may be another one.
     """
     measure, verdict = info["measure"], info["verdict"] or ""
-    notes = photometric_premises(metric.metric, image, value)
+    notes = photometric_premises(metric.metric, image, value, renderer=renderer)
     if isinstance(metric.metric, GlareRating) and states_definition(metric, image):
         measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
         notes = (RELAXED, *notes)

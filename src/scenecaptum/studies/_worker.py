@@ -70,7 +70,7 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     attribution = METHODS[recipe.method].create(renderer, metric).attribute(values, **options)
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
     targeted = TargetedMetric(metric, options.get("target"))
-    said = described(targeted, attribution.image, attribution.metric_value, attribution.info)
+    said = described(targeted, attribution.image, attribution.metric_value, attribution.info, renderer)
     info = {**attribution.info, "measure": said["measure"], "verdict": said["verdict"]}
     attribution = dataclasses.replace(attribution, info=info)
     table = renderer.parameters_table()
@@ -112,7 +112,8 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
     found = metric_value(
         renderer, targeted, input_values(renderer, values), sampling, options.get("denoise", "auto")
     )
-    said = described(found.metric, found.image, found.value, found.metric.describe(found.value, found.image))
+    info = found.metric.describe(found.value, found.image)
+    said = described(found.metric, found.image, found.value, info, renderer)
     measure = said["measure"] or {}
     return {
         "measure": measure.get("name", found.metric.name),
