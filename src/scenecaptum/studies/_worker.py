@@ -36,6 +36,7 @@ class Outcome:
     key: str
     seconds: float
     error: str = ""
+    host: str = ""  # the name of the worker's machine
 
 
 def compute_cell(recipe: Recipe, folder: str, study: str, threads: int | None) -> Outcome:
@@ -54,7 +55,7 @@ def compute_cell(recipe: Recipe, folder: str, study: str, threads: int | None) -
     except Exception as problem:  # whatever the user's metric raises is the error of its cell
         *_, place = traceback.extract_tb(problem.__traceback__)
         error = f"{type(problem).__name__}: {problem} ({Path(place.filename).name}:{place.lineno})"
-    return Outcome(recipe.key, time.perf_counter() - started, f"{error} [on {_host()}]" if error else "")
+    return Outcome(recipe.key, time.perf_counter() - started, error, host_name())
 
 
 def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
@@ -94,7 +95,7 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
         "standard_error": attribution.metric_standard_error,
         "verdict": said["verdict"],
         "notes": said["notes"],
-        "host": _host(),
+        "host": host_name(),
         "rows": rows,
     }
     return numbers, attribution
@@ -122,7 +123,7 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
         "standard_error": found.error,
         "verdict": said["verdict"],
         "notes": said["notes"],
-        "host": _host(),
+        "host": host_name(),
         "rows": [],
     }
 
@@ -151,5 +152,5 @@ def _make(scene: Any, options: dict[str, Any]) -> SceneRenderer:
     return SceneRenderer(restored(scene), **options)
 
 
-def _host() -> str:
+def host_name() -> str:
     return platform.node() or "unknown host"
