@@ -110,6 +110,15 @@ class BoundedAdam:
         """Return the inputs that have moved an object into another."""
         return {name for name, _ in self._pairs(self.values()) - self._touching}
 
+    def at_limits(self) -> list[str]:
+        """Return the parameters that have gone as far as their change or limits let them, with all channels."""
+        found = []
+        for name, offset in self._offsets.items():
+            low, high = (limit.reshape(-1).expand_as(offset) for limit in self._limits[name])
+            if bool(((offset <= low) | (offset >= high)).all()):
+                found.append(name)
+        return found
+
     def summary(self, labels: Mapping[str, str]) -> tuple[Moved, ...]:
         """Return the initial and current value of every parameter that has moved: others were at a bound."""
         values = {name: value.detach() for name, value in self.values().items()}

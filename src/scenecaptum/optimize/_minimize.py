@@ -211,16 +211,20 @@ class Search:
         if after is None:
             after = self._measure(optimized())
         rates_picture = self._ranked.surfaces is not None and measure.get("limits")
+        labels = {row.name: row.label for row in rows}
+        note = NOISE_ONLY if rates_picture and after.is_below(below) else ""
+        if not after.is_below(below) and (stopped := optimizer.at_limits()):
+            note = f"at the limit of their change: {', '.join(labels[one] for one in stopped)}"
         return Optimization(
             values=optimized(),
-            moved=optimizer.summary({row.name: row.label for row in rows}),
+            moved=optimizer.summary(labels),
             before=self._before,
             after=after,
             history=tuple(history),
             below=below,
             metric=name,
             unit=unit,
-            note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
+            note=note,
         )
 
     @cached_property
