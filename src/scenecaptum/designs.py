@@ -54,7 +54,7 @@ def design_of(renderer: Adjustable, settings: Mapping[str, Any]) -> dict[str, to
     for key, value in settings.items():
         change = None if key in values else CHANGES.get(key[-1:])
         pattern = key if change is None else key[:-1]
-        for name in _matching(pattern, key, values):
+        for name in _matching(pattern, key, values, getattr(renderer, "parameters", {})):
             given = _like(name, value, values[name])
             values[name] = given if change is None else change(values[name], given)
             if change is not None:
@@ -62,13 +62,18 @@ def design_of(renderer: Adjustable, settings: Mapping[str, Any]) -> dict[str, to
     return values
 
 
-def _matching(pattern: str, key: str, values: Mapping[str, Any]) -> list[str]:
-    """Return the names that are or match a pattern."""
+def _matching(pattern: str, key: str, values: Mapping[str, Any], parameters: Mapping[str, Any]) -> list[str]:
+    """Return the names that are or match a pattern; ``parameters`` of the scene may not be selected as inputs."""
     if pattern in values:
         return [pattern]
     found = [name for name in values if fnmatchcase(name, pattern)]
     if not found:
         change = "" if pattern == key else f" (its last {key[-1]} is an operator)"
+        if unselected := next((name for name in parameters if fnmatchcase(name, pattern)), None):
+            raise SceneCaptumError(
+                f"The design sets {key!r}{change}, which matches {unselected!r}, but that is not selected as an "
+                f'input: inputs = "{parameters[unselected].kind}" selects it.'
+            )
         raise SceneCaptumError(
             f"The design sets {key!r}{change}, which is not an input.{near_misses(pattern, values)} "
             "`scenecaptum parameters SCENE` lists them."

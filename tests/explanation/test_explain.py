@@ -202,3 +202,31 @@ def test_the_notes_on_a_rating_are_of_the_picture_of_its_value():
     lit.inputs = {"paint": torch.tensor(50.0)}
     notes = explain(lit, metrics.DaylightGlareProbability(camera), changes=0, denoise=False).notes()
     assert not any("single samples" in note for note in notes)
+
+
+@pytest.mark.parametrize("lamp", ["point", "spot"])
+def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, lamp: str):
+    """A rating of 0 is no finding that there is little glare: its lamps have no area, and are not rated."""
+    dark = {name: stage_dict[name] for name in ("type", "camera", "ball", "ground")}
+    above = mi.ScalarTransform4f().look_at(origin=[0, 0, 4], target=[0, 0, 0], up=[0, 1, 0])
+    lit = {**dark, "bulb": {"type": lamp, "intensity": {"type": "rgb", "value": 1.0}, "to_world": above}}
+    renderer = SceneRenderer(lit, "reflectance", resolution=(8, 8), spp=8, max_depth=3)
+    for metric in (metrics.UnifiedGlareRating(renderer.camera), metrics.DaylightGlareIndex(renderer.camera)):
+        said = explain(renderer, metric, changes=0, seed=shifted())
+        assert said.attribution.metric_value == 0
+        assert said.rating() == "no glare source found"
+        assert sum("point, spot and IES lamps have no area" in note for note in said.notes()) == 1
+        assert sum("check the scene's units" in note for note in said.notes()) == 1
+    box = SceneRenderer("cornell-box", "reflectance", resolution=(8, 8), spp=8, max_depth=3)
+    said = explain(box, metrics.UnifiedGlareRating(box.camera, threshold=1.0), changes=0, seed=shifted())
+    assert said.rating() != "no glare source found"
+    assert not any("IES lamps" in note for note in said.notes())
+
+
+def test_without_a_source_a_daylight_glare_probability_keeps_its_class():
+    """It is that of the illuminance at the eye."""
+    camera = Camera.fisheye(16, 16)
+    image = torch.full((16, 16, 3), 0.5)
+    probability, index = metrics.DaylightGlareProbability(camera), metrics.DaylightGlareIndex(camera)
+    assert not probability.unrated(image)
+    assert index.unrated(image) == "no glare source found"

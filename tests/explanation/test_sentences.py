@@ -199,6 +199,20 @@ def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_
     )
 
 
+def test_the_largest_of_several_unclear_effects_are_named_with_the_samples_that_would_tell():
+    """Also where another one has an error that no number of samples brings down."""
+    errors = {"pane": 0.4, "door": 0.3, "cloth": 0.01, "sky": 90.0, "desk": 0.2, "book": 0.05}
+    effects = {"pane": 1.2, "door": -0.8, "cloth": 0.1, "sky": 0.05, "desk": 0.4, "book": 0.15}
+    found = of_range(**{name: (torch.tensor(value), torch.tensor(0.5)) for name, value in effects.items()})
+    covariance = {name: torch.full((1, 1), error**2) for name, error in errors.items()}
+    found = dataclasses.replace(found, covariance={**found.covariance, **covariance})
+    (line,) = lines(Explanation(found))["Too noisy to say"]
+    assert line == (
+        "5 parameters may have an effect of 0.1 or more within the error; the largest: pane (+1.2 ± 0.4), "
+        "door (−0.80 ± 0.30), desk (+0.40 ± 0.20); 2 times the samples would tell of pane"
+    )
+
+
 def test_markdown_has_the_same_sentences():
     explanation = Explanation(rated(24.8, 0.05), changes=(change(-0.68),))
     markdown = explanation.markdown()

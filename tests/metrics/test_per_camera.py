@@ -39,7 +39,10 @@ def test_names_and_verdicts_are_those_of_the_metric():
     images, camera = stack(2), Camera.perspective(20, 16, 60)
     metric = PerCamera([metrics.UnifiedGlareRating(camera), metrics.UnifiedGlareRating(camera)])
     assert metric.measure_of(1).name == "unified glare rating of camera 1"
-    assert metric.verdict(images, 0) == "hardly perceptible"
+    assert metric.verdict(images, 0) == "no glare source found"
+    lit = torch.full_like(images, 0.5)
+    lit[:, 4:6, 8:11] = 100.0
+    assert metric.verdict(lit, 0) == metrics.UnifiedGlareRating.measure.verdict(metric(lit)[0].item())
     assert PerCamera(torch.mean).measure_of(0) is None
     assert PerCamera(torch.mean).verdict(images, 0) == ""
     assert metric.verdict(images) == ""

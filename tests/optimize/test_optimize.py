@@ -88,6 +88,11 @@ def test_no_parameter_moves_farther_than_its_limit():
             start[name] - found.values[name], torch.full_like(start[name], 0.2 * length)
         )
     assert {moved.name: round(moved.fraction, 6) for moved in found.moved} == dict.fromkeys(start, 0.2)
+    where, names = found.note.split(": ")
+    assert where == "at the limit of their change"
+    assert set(names.split(", ")) == {"the strong lamp", "weak", "faint"}
+    assert found.note in str(found)
+    assert optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=2).note == ""
 
 
 def test_physical_bounds_are_kept_with_a_margin():

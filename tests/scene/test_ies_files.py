@@ -11,6 +11,7 @@ from luminaires import HORIZONTAL, VERTICAL, ies_text, write_asymmetric, write_i
 from refusals import message
 from seeds import shifted
 
+from scenecaptum.errors import SceneCaptumError
 from scenecaptum.scene import Photometry, read_ies
 
 DEGREES = [*range(0, 181, 5)]
@@ -158,6 +159,15 @@ def test_numbers_may_break_over_lines_and_be_separated_by_commas(tmp_path):
 def test_a_tilt_table_without_effect_is_read(tmp_path):
     file = write_ies(tmp_path / "a.ies", [0, 90], [0], 5, tilt="TILT=INCLUDE\n1\n3\n0 45 90\n1 1 1")
     assert read_ies(file).candela(direction(10, 0)).item() == pytest.approx(5)
+
+
+def test_an_eulumdat_file_is_named_as_such(tmp_path):
+    path = tmp_path / "lamp.LDT"
+    path.write_text("Maker\n1\n1\n24\n15\n")
+    with pytest.raises(
+        SceneCaptumError, match="is an EULUMDAT file, which is not read: export the lamp as IES"
+    ):
+        read_ies(path)
 
 
 GOOD = ies_text([0, 90, 180], [0, 180], [[1, 2, 3], [4, 5, 6]])

@@ -435,3 +435,12 @@ def test_nothing_is_lost_when_processes_are_killed() -> None:
     import studies
 
     assert studies.main(["kill", "--seed", str(shifted())]) == 0
+
+
+def test_a_design_of_what_is_not_selected_says_which_inputs_select_it(
+    run: Callable[..., StudyResult], tmp_path: Path
+) -> None:
+    result = run(value_study(designs={"dim": {"light*radiance.value*": 0.5}}, inputs="reflectance"), tmp_path)
+    (error,) = result.failures.values()
+    assert "'light.emitter.radiance.value', but that is not selected" in error
+    assert error.endswith('inputs = "emitters" selects it.')  # without the name of this machine

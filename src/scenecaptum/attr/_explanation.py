@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +37,7 @@ SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 FALSE_ALARMS = 0.05  # allowed for all effects together
 MOST_SAMPLES = 100  # times those of a result: more are no advice
+MOST_NAMED = 3  # of the effects that may be large
 DEFAULT_EFFECTS = 5
 FOUR_DIGITS = 5e-4  # of a value
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
@@ -381,23 +383,34 @@ class Explanation:
         ]
         if not hiding:
             return lines
-        largest = max(row.effect_error or 0.0 for row in hiding)
-        factor = math.ceil((self._allowed_errors() * largest / smallest) ** 2)
-        remedy = (
-            f"{factor} times the samples would tell"
-            if factor <= MOST_SAMPLES
-            else "this cannot be resolved with a reasonable number of samples"
-        )
-        which = (
-            f"{in_words(hiding[0].label)} ({signed(hiding[0].effect, hiding[0].effect_error)})"
-            if len(hiding) == 1
-            else pluralize(len(hiding), "parameter")
-        )
-        return [
-            *lines,
-            f"{which} may have an effect of "
-            f"{self._in_unit(rounded(smallest, 2))} or more within the error; {remedy}",
-        ]
+        return [*lines, self._hiding_line(hiding, smallest)]
+
+    def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
+        """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""
+        leading = sorted(hiding, key=lambda row: -abs(row.effect))[:MOST_NAMED]
+        if len(hiding) > 1:  # a small effect in the noise says nothing
+            leading = [row for row in leading if abs(row.effect) > smallest]
+        named = [f"{in_words(row.label)} ({signed(row.effect, row.effect_error)})" for row in leading]
+        which = named[0] if len(hiding) == 1 else pluralize(len(hiding), "parameter")
+        listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
+        all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
+        # One with a large error does not decide for the others.
+        first_told = math.inf
+        if leading and leading[0].effect:
+            first_told = self._more_samples(leading[0].effect_error or 0.0, abs(leading[0].effect))
+        if all_told <= MOST_SAMPLES:
+            remedy = f"{all_told:.0f} times the samples would tell"
+        elif first_told <= MOST_SAMPLES:
+            whom = in_words(leading[0].label)
+            remedy = f"{first_told:.0f} times the samples would tell of {whom}"
+        else:
+            remedy = "this cannot be resolved with a reasonable number of samples"
+        size = self._in_unit(rounded(smallest, 2))
+        return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
+
+    def _more_samples(self, error: float, effect: float) -> float:
+        """Return how many times the samples would take an effect clear of its error."""
+        return math.ceil((self._allowed_errors() * error / effect) ** 2)
 
     def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
         """Return the effects that are clear of the noise, and the others that are not 0.

@@ -219,7 +219,7 @@ def _write_result(
     metric: Metric,
 ) -> None:
     """Write the files of a result and print it."""
-    said = _explained(attribution, metric)
+    said = _explained(attribution, metric, renderer)
     attribution = attribution if said is None else _named_relaxed(said)
     view = renderer.shows_a_view
     formats = selected_formats(
@@ -248,7 +248,9 @@ def _complete_table(formats: Sequence[OutputFormat[SceneAttribution]]) -> str:
     return next((file for file in of_numbers if file in written), "--format csv")
 
 
-def _explained(attribution: SceneAttribution, metric: Metric, more: Sequence[str] = ()) -> Explanation | None:
+def _explained(
+    attribution: SceneAttribution, metric: Metric, renderer: SceneRenderer, more: Sequence[str] = ()
+) -> Explanation | None:
     """Return a result with what belongs to its value; None if nothing does.
 
     That is what a photometric metric takes for granted, and of a metric of daylight the value by the definition.
@@ -256,7 +258,7 @@ def _explained(attribution: SceneAttribution, metric: Metric, more: Sequence[str
     image, definition = attribution.image, by_definition(attribution, metric)
     if image is None or (attribution.surfaces is None and not isinstance(metric, DaylightMetric)):
         return None
-    notes = photometric_premises(metric, image, attribution.metric_value)
+    notes = photometric_premises(metric, image, attribution.metric_value, renderer=renderer)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), image):
         notes += (BY_EXPLANATION,)
     if not notes and definition is None:
@@ -285,7 +287,7 @@ def _write_report(
     plans = [plan_of(one.image, renderer, metric) for one, metric in finished]
     shown: list[SceneAttribution | Explanation] = []
     for one, metric in finished:
-        shown.append(_explained(one, metric, premises(metric, options)) or one)
+        shown.append(_explained(one, metric, renderer, premises(metric, options)) or one)
     write_report(shown, path, title=options.title, plans=plans)
     if not options.json:
         print(f"{path}  interactive page with all results")

@@ -297,7 +297,7 @@ def _side(
         definition, of_value = definition_of(targeted, images), images.mean(0)
         shown = targeted.transform(of_value)
     value = attribution.metric_value if definition is None else definition.value
-    of_picture = photometric_premises(metric, of_value, value, shown)
+    of_picture = photometric_premises(metric, of_value, value, shown, renderer)
     return Side(
         plan_of(of_value, renderer, metric),
         definition,

@@ -108,7 +108,8 @@ def _numbers(result: StudyResult) -> dict[str, Any]:
     finished = [(cell, result.numbers(cell)) for cell in result.cells]
     return {
         "finished": [
-            {**cell._asdict(), **{name: numbers[name] for name in NUMBERS}} for cell, numbers in finished
+            {**cell._asdict(), **{name: numbers[name] for name in NUMBERS}, "notes": numbers.get("notes", [])}
+            for cell, numbers in finished
         ],
         "failed": [{**cell._asdict(), "error": error} for cell, error in result.failures.items()],
     }

@@ -66,3 +66,4 @@ from ._seeds import random_generator as random_generator
 from ._simultaneous import Quantity as Quantity
 from ._simultaneous import simultaneous_quantile as simultaneous_quantile
 from ._student import student_t as student_t
+from ._value import metric_value as metric_value

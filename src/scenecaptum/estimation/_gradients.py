@@ -303,6 +303,18 @@ class GradientEstimator:
             return results, True
         return results, False
 
+    def pictures(self, index: int, point: Point) -> tuple[list[torch.Tensor], list[TargetedMetric]]:
+        """Return the images from which ``estimate`` evaluates the metrics at a single point, without gradients.
+
+        Also return the metrics with the transform of these images.
+        """
+        values, spp = self._held(point), self.budget.spp[index]
+        seeds = self.budget.seeds[index]
+        images = self._add_image_samples(
+            index, point.values, render_images(self.renderer, values, seeds, spp)
+        )
+        return images, self._transformed_metrics(images)
+
     def _begin_backward(
         self,
         index: int,

@@ -129,13 +129,21 @@ class TargetedMetric:
         if own is not None:
             text: str = own(self.transform(image.detach()), self.target)
             return text
-        return "" if self.measure is None else self.measure.verdict(value)
+        return self._unrated(image) or ("" if self.measure is None else self.measure.verdict(value))
+
+    def _unrated(self, image: torch.Tensor) -> str:
+        """Return why a rating of this image has no class; empty if it has one."""
+        unrated = getattr(self.metric, "unrated", None)
+        return "" if unrated is None else str(unrated(self.transform(image.detach())))
 
     def describe(self, value: float, image: torch.Tensor) -> dict[str, Any]:
         """Return name, measure and meaning of a value, for the ``info`` of a result."""
+        measure = None if self.measure is None else self.measure.describe()
+        if measure is not None and self._unrated(image):
+            measure["source"] = ""  # that of the classes
         return {
             "metric": self.name,
-            "measure": None if self.measure is None else self.measure.describe(),
+            "measure": measure,
             "verdict": self.verdict(value, image),
             "gradient_note": getattr(self.metric, "gradient_note", None),
             "advice": getattr(self.metric, "advice", OWN_ADVICE if self.measure is None else None),

@@ -38,7 +38,10 @@ def definition_of(metric: TargetedMetric, images: torch.Tensor) -> Definition | 
     error = half_sample_error(lambda kept: exact.value(images[kept].mean(0)), len(images))
     relaxed: Any = metric.metric
     counts = isinstance(relaxed, DaylightMetric) and relaxed.counts_points
-    return Definition(value, relaxed.measure.verdict(value), images.shape[1] if counts else None, error)
+    verdict = relaxed.measure.verdict(value)
+    if isinstance(relaxed, GlareRating):
+        verdict = relaxed.unrated(metric.transform(images.mean(0)), hard=True) or verdict
+    return Definition(value, verdict, images.shape[1] if counts else None, error)
 
 
 def difference_by_definition(

@@ -38,6 +38,7 @@ from ._threshold import is_near_threshold, relative_rating, single_sample_notes,
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
 # Irradiance under a sky of radiance 1, relative to that in the open: 10 lx of an overcast 10 000 lx.
 DARK = 1e-3
+POINT_LAMPS = "the scene's point, spot and IES lamps have no area: they are not visible and not rated"
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
@@ -139,7 +140,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     if definition is not None:
         value, of_value, other = definition.value, picture, attribution.image
     shown = scenes.metric.transform(of_value)
-    premises = photometric_premises(metric, of_value, value, shown)
+    premises = photometric_premises(metric, of_value, value, shown, renderer)
     if isinstance(metric, GlareRating):
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and not goal.was_below:
@@ -176,11 +177,15 @@ def _threshold_at(
 
 
 def photometric_premises(
-    metric: Metric, image: torch.Tensor, value: float, shown: torch.Tensor | None = None
+    metric: Metric,
+    image: torch.Tensor,
+    value: float,
+    shown: torch.Tensor | None = None,
+    renderer: Renderer | None = None,
 ) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene.
 
-    ``shown`` is the picture that is rated, if that is denoised.
+    ``shown`` is the picture that is rated, if that is denoised; ``renderer`` knows the lamps of the scene.
     """
     premises = []
     efficacy = getattr(metric, "efficacy", 1)
@@ -203,6 +208,8 @@ def photometric_premises(
             f"only light from within the camera's field of view of {metric.camera.fov:.0f}° counts; for all light "
             "that reaches the eye, use a fisheye camera"
         )
+    if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer) and renderer.has_point_lamps:
+        premises.append(POINT_LAMPS)
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

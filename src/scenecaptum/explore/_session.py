@@ -297,7 +297,11 @@ class Exploration:
                 "relaxed": _relaxed(metric, measured.image),
                 "premises": list(
                     photometric_premises(
-                        metric.metric, measured.image, value, metric.transform(measured.image)
+                        metric.metric,
+                        measured.image,
+                        value,
+                        metric.transform(measured.image),
+                        self.designs.renderer,
                     )
                 ),
             }

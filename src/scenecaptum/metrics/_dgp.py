@@ -49,6 +49,7 @@ class DaylightGlareProbability(GlareRating):
     """
 
     measure = DGP
+    rates_sources_alone = False  # the illuminance at the eye counts as well
 
     def __init__(  # noqa: PLR0913 -- options shared by all ratings, plus two of its own
         self,

@@ -21,6 +21,8 @@ from ._sources import GlareSource, PixelGeometry, Sources, find_sources, to_glar
 Grouping = Literal["evalglare", "pixel"]
 Background = Literal["auto", "hemisphere", "mean"]
 
+NO_SOURCE = "no glare source found"
+
 # Linear RGB colours of the sources in the check image, before normalization to luminance 1.
 _COLORS = (
     (0.0, 1.0, 0.0),
@@ -80,6 +82,7 @@ class GlareRating(torch.nn.Module):
 
     task: torch.Tensor | None
     measure: Measure
+    rates_sources_alone = True  # so that the rating is 0 without one
 
     def __init__(
         self,
@@ -132,6 +135,17 @@ class GlareRating(torch.nn.Module):
         """
         values = photometric_luminance(image, self.efficacy, self.camera)
         return cast_like(self._rate(values, self._find_sources(values, relaxation=0.0)), image)
+
+    def unrated(self, image: torch.Tensor, *, hard: bool = False) -> str:
+        """Return why the rating of an ``(H, W, 3)`` image has no class, or nothing; ``hard`` is as in ``hard``.
+
+        Without a glare source a rating of sources alone is 0, which is no finding that there is little glare.
+        """
+        if not self.rates_sources_alone:
+            return ""
+        values = photometric_luminance(image.detach(), self.efficacy, self.camera)
+        found = self._find_sources(values, relaxation=0.0 if hard else None)
+        return NO_SOURCE if found is None else ""
 
     def sources(self, image: torch.Tensor) -> list[GlareSource]:
         """Return the sources of an ``(H, W, 3)`` image, the brightest first; raises like ``forward``."""

@@ -117,6 +117,9 @@ class PerCamera(torch.nn.Module):
             return str(own(images[camera], element))
         if measure is None:
             return ""
+        unrated = getattr(metric, "unrated", None)
+        if unrated is not None and (reason := unrated(images[camera])):
+            return str(reason)
         with torch.no_grad():
             return str(measure.verdict(metric(images[camera]).item()))
 

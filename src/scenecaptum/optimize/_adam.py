@@ -108,3 +108,12 @@ class BoundedAdam:
     def colliding(self) -> set[str]:
         """Return the inputs that have moved an object into another."""
         return {name for name, _ in self._pairs(self.values()) - self._touching}
+
+    def at_limits(self) -> list[str]:
+        """Return the parameters that have gone as far as their change or limits let them, with all channels."""
+        found = []
+        for name, offset in self._offsets.items():
+            low, high = (limit.reshape(-1).expand_as(offset) for limit in self._limits[name])
+            if bool(((offset <= low) | (offset >= high)).all()):
+                found.append(name)
+        return found

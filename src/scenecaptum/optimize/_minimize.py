@@ -216,6 +216,10 @@ class Search:
         if after is None:
             after = self._measure(optimized())
         rates_picture = self._ranked.surfaces is not None and measure.get("limits")
+        labels = {row.name: row.label for row in rows}
+        note = NOISE_ONLY if rates_picture and after.is_below(below) else ""
+        if not after.is_below(below) and (stopped := optimizer.at_limits()):
+            note = f"at the limit of their change: {', '.join(labels[one] for one in stopped)}"
         return Optimization(
             values=optimized(),
             moved=self._moved(optimized(), {**start, **brought}, limits),
@@ -225,7 +229,7 @@ class Search:
             below=below,
             metric=name,
             unit=unit,
-            note=NOISE_ONLY if rates_picture and after.is_below(below) else "",
+            note=note,
             shows_a_view=Capabilities(self._renderer).shows_a_view is not False,
         )
 

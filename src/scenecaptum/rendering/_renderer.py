@@ -37,6 +37,7 @@ from ..scene import (
     discover,
     find_objects,
     format_parameters,
+    has_point_lamps,
     hashable_source,
     load_scene,
     moved_pivot,
@@ -610,6 +611,12 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         Those of a sensor grid and of an irradiance meter do not.
         """
         return all(shows_a_view(sensor) for sensor in self._sensors)
+
+    @property
+    def has_point_lamps(self) -> bool:
+        """Whether the scene has point, spot or IES lamps, which light it and which no camera sees."""
+        with exclusively(self._variant):
+            return has_point_lamps(self._graph.scene)
 
     @property
     def has_grid(self) -> bool:

@@ -29,6 +29,7 @@ from ._objects import Objects as Objects
 from ._objects import SceneObject as SceneObject
 from ._objects import camera_object as camera_object
 from ._objects import find_objects as find_objects
+from ._objects import has_point_lamps as has_point_lamps
 from ._objects import touching as touching
 from ._parameter_table import Parameter as Parameter
 from ._parameter_table import SceneParameters as SceneParameters

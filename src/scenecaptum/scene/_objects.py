@@ -30,6 +30,8 @@ _LIGHTS = {
     "EnvironmentMapEmitter": ("rotation",),
 }
 
+_POINT_LAMPS = ("PointLight", "SpotLight", "IesLamp")
+
 
 @dataclass(frozen=True)
 class SceneObject:
@@ -91,6 +93,11 @@ def find_objects(graph: SceneGraph, objects: Objects | None = None) -> list[Scen
     mi = activate()
     lights = [one for one in graph.scene.emitters() if not mi.has_flag(one.flags(), mi.EmitterFlags.Surface)]
     return found + [_light(graph, node, keys, taken) for node in lights]
+
+
+def has_point_lamps(scene: Any) -> bool:
+    """Whether a scene has lamps without an area: no camera sees them."""
+    return any(one.class_name() in _POINT_LAMPS for one in scene.emitters())
 
 
 def camera_object(sensor: Any) -> SceneObject:

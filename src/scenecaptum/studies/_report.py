@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Protocol
 
 from tqdm import tqdm
 
-from ..attr import SceneAttribution, versions
+from ..attr import Explanation, SceneAttribution, versions
 from ..errors import SceneCaptumError
 from ..files import atomic_write, write_error
 from ..report import encode_figure, fill_template, write_report
 from ..visualization import format_with_error, pluralize, rounded
 from ._cell_effects import CellResults, Group
 from ._figures import MIN_GROUPS, plot_effect_by_room, plot_gallery, plot_rank_stability
+from ._notes import notes_of
 from ._recipe import Cell
 from ._summary import GroupEffect, Summary, heading, summarize_effects, table_columns
 
@@ -80,7 +81,9 @@ def _write_page(result: Reported, cell: Cell, path: Path) -> None:
         return
     attribution = result.attribution(cell)
     if _has_picture(attribution):
-        write_report(attribution, path, titles=[str(cell)])
+        notes = tuple(result.numbers(cell).get("notes", ()))
+        shown = Explanation(attribution, premises=notes, count=0) if notes else attribution
+        write_report(shown, path, titles=[str(cell)])
 
 
 def _has_picture(attribution: SceneAttribution) -> bool:
@@ -108,6 +111,7 @@ def _index(result: Reported, index: Path, group: Group) -> str:
             f'<th scope="col"{_class("number" if name in numeric else "")}>{name}</th>' for name in columns
         ),
         "rows": "\n".join(rows),
+        "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes_of(result, result.cells)),
         "cell_count": str(len(rows)),
         "facts": html.escape(", ".join(f"{name} {version}" for name, version in versions().items())),
         "script": script,

@@ -15,6 +15,7 @@ from . import _extras as extras
 from ._cell_effects import Group
 from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._folder import StudyFolder
+from ._notes import notes_of
 from ._recipe import AXES, Cell
 from ._report import write_study_report
 from ._summary import Summary, summarize_effects
@@ -304,7 +305,8 @@ class StudyResult:
         failed = group_by_text((str(cell), error) for cell, error in self.failures.items())
         errors = [f"failed: {_first(cells)}: {error}" for error, cells in failed.items()]
         over = f" ({', '.join(axes)})" if axes else ""
-        return "\n".join([f"{', '.join(counts)} in {self.folder}{over}", *errors])
+        notes = notes_of(self, self.cells)
+        return "\n".join([f"{', '.join(counts)} in {self.folder}{over}", *errors, *notes])
 
     __repr__ = __str__
 

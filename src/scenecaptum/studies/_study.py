@@ -29,7 +29,7 @@ from ._progress import Progress
 from ._recipe import AXES, Cell, Recipe, digest_of_scene
 from ._result import StudyResult
 from ._run import on_executor, on_workers
-from ._worker import VALUE, compute_cell
+from ._worker import VALUE, compute_cell, host_name
 
 # The entries of an axis by name, or a list of entries that have names of their own.
 Axis: TypeAlias = "Mapping[str, Any] | Sequence[Any]"
@@ -247,7 +247,10 @@ class Study:
             for outcome in outcomes:
                 if outcome.error:
                     failures += 1
-                    _write_failure(opened, names[outcome.key], outcome.error)
+                    # On one machine its name says nothing.
+                    elsewhere = outcome.host not in ("", host_name())
+                    where = f" [on {outcome.host}]" if elsewhere else ""
+                    _write_failure(opened, names[outcome.key], f"{outcome.error}{where}")
                 progress.update(failures)
         return StudyResult(opened)
 

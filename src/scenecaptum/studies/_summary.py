@@ -22,6 +22,7 @@ from ..visualization import (
 )
 from . import _extras as extras
 from ._cell_effects import KIND, CellEffect, CellResults, Group, Quantity, cell_effects, selected_cells
+from ._notes import notes_of
 from ._random_effects import MIN_ROOMS_FOR_NEW_ROOM, Combined, Observation, combine
 
 if TYPE_CHECKING:
@@ -124,12 +125,15 @@ class Summary:
         Number of cells that failed or have not been computed.
     doubts
         For each effect of a cell whose error may be too small: scene, camera and group, and the reason.
+    premises
+        What the values of the cells take for granted, and which of them are relaxed.
     """
 
     rows: tuple[GroupEffect, ...]
     cells: int
     left_out: int
     doubts: tuple[tuple[str, str], ...] = ()
+    premises: tuple[str, ...] = ()
 
     def text(self) -> str:
         """Return the tables that ``print`` shows, one for each metric, design and method."""
@@ -230,6 +234,7 @@ class Summary:
             notes.append(
                 f"? the error of {pluralize(len(names), 'effect')} may be too small ({some}): {reason}"
             )
+        notes += self.premises
         if self.left_out:
             notes.append(f"! {pluralize(self.left_out, 'cell')} failed or missing, and left out")
         width = terminal_width() or _NOTE_WIDTH
@@ -261,7 +266,8 @@ def summarize_effects(
     doubts = tuple(
         (f"{one.group} in {one.cell.scene}, {one.cell.camera}", one.doubt) for one in effects if one.doubt
     )
-    return Summary(tuple(rows), len(cells), len(result.failures) + len(result.missing), doubts)
+    left_out = len(result.failures) + len(result.missing)
+    return Summary(tuple(rows), len(cells), left_out, doubts, tuple(notes_of(result, cells)))
 
 
 def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffect]) -> GroupEffect:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import platform
 import time
 import traceback
@@ -14,14 +15,15 @@ from ..attr import METHODS, SceneAttribution
 from ..backend import activate, use_threads
 from ..designs import design_of
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Metric, mean_and_error
+from ..estimation import DEFAULT_REPLICATES, Metric, Sampling, TargetedMetric, input_values, metric_value
 from ..executors import made
+from ..protocols import Capabilities
 from ..rendering import SceneRenderer
 from ..scene import restored
-from ..validation import Scenes
-from ..visualization import metric_name, metric_unit, verdict
+from ..visualization import metric_name, metric_unit
 from ._folder import StudyFolder
 from ._metrics import create_metric, renderer_options_for, target_of
+from ._notes import described
 from ._recipe import Recipe
 
 VALUE = "value"  # the method that measures the metric, without derivatives
@@ -34,6 +36,7 @@ class Outcome:
     key: str
     seconds: float
     error: str = ""
+    host: str = ""  # the name of the worker's machine
 
 
 def compute_cell(recipe: Recipe, folder: str, study: str, threads: int | None) -> Outcome:
@@ -52,7 +55,7 @@ def compute_cell(recipe: Recipe, folder: str, study: str, threads: int | None) -
     except Exception as problem:  # whatever the user's metric raises is the error of its cell
         *_, place = traceback.extract_tb(problem.__traceback__)
         error = f"{type(problem).__name__}: {problem} ({Path(place.filename).name}:{place.lineno})"
-    return Outcome(recipe.key, time.perf_counter() - started, f"{error} [on {_host()}]" if error else "")
+    return Outcome(recipe.key, time.perf_counter() - started, error, host_name())
 
 
 def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
@@ -66,6 +69,11 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     if recipe.method == VALUE:
         return _measure(renderer, metric, values, options), None
     attribution = METHODS[recipe.method].create(renderer, metric).attribute(values, **options)
+    assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
+    targeted = TargetedMetric(metric, options.get("target"))
+    said = described(targeted, attribution.image, attribution.metric_value, attribution.info, renderer)
+    info = {**attribution.info, "measure": said["measure"], "verdict": said["verdict"]}
+    attribution = dataclasses.replace(attribution, info=info)
     table = renderer.parameters_table()
     rows = [
         {
@@ -85,35 +93,37 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
         "unit": metric_unit(attribution),
         "value": attribution.metric_value,
         "standard_error": attribution.metric_standard_error,
-        "verdict": verdict(attribution),
-        "host": _host(),
+        "verdict": said["verdict"],
+        "notes": said["notes"],
+        "host": host_name(),
         "rows": rows,
     }
     return numbers, attribution
 
 
 def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """Return a metric with its standard error."""
-    scenes = Scenes(
-        renderer,
-        metric,
-        options.get("target"),
-        seed=options["seed"],
-        spp=options.get("spp"),
-        replicates=options.get("replicates", DEFAULT_REPLICATES),
-        denoise=options.get("denoise", "auto"),
-        values=values,
+    """Return a metric with its standard error, as the method "gradient" measures it."""
+    sampling = Sampling(
+        options["seed"],
+        options.get("spp") or Capabilities(renderer).spp,
+        options.get("replicates", DEFAULT_REPLICATES),
+        picture_spp=options.get("picture_spp"),
     )
-    value, error = mean_and_error(scenes.unmodified)
-    described = scenes.metric.describe(value, scenes.images.mean(0))
-    measure = described["measure"] or {}
+    targeted = TargetedMetric(metric, options.get("target"))
+    found = metric_value(
+        renderer, targeted, input_values(renderer, values), sampling, options.get("denoise", "auto")
+    )
+    info = found.metric.describe(found.value, found.image)
+    said = described(found.metric, found.image, found.value, info, renderer)
+    measure = said["measure"] or {}
     return {
-        "measure": measure.get("name", described["metric"]),
+        "measure": measure.get("name", found.metric.name),
         "unit": measure.get("unit", ""),
-        "value": value,
-        "standard_error": error,
-        "verdict": described["verdict"] or "",
-        "host": _host(),
+        "value": found.value,
+        "standard_error": found.error,
+        "verdict": said["verdict"],
+        "notes": said["notes"],
+        "host": host_name(),
         "rows": [],
     }
 
@@ -142,5 +152,5 @@ def _make(scene: Any, options: dict[str, Any]) -> SceneRenderer:
     return SceneRenderer(restored(scene), **options)
 
 
-def _host() -> str:
+def host_name() -> str:
     return platform.node() or "unknown host"

@@ -52,6 +52,10 @@ def read_ies(path: str | os.PathLike[str]) -> Photometry:
     try:
         return _parse(_text(path))
     except _FormatError as fault:
+        if path.suffix.lower() == ".ldt":
+            raise SceneCaptumError(
+                f"{path} is an EULUMDAT file, which is not read: export the lamp as IES (LM-63)."
+            ) from None
         raise SceneCaptumError(f"{path} cannot be read as an IES file: {fault}.") from None
 
 

@@ -1,0 +1,55 @@
+"""What belongs to the value of a cell: whether it is relaxed, and what it takes for granted of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import torch
+
+from ..estimation import TargetedMetric
+from ..explanation import photometric_premises, states_definition
+from ..metrics import GlareRating
+from ..rendering import SceneRenderer
+from ..visualization import group_by_text, pluralize
+from ._cell_effects import CellResults
+from ._recipe import Cell
+
+RELAXED = (
+    "this rating is relaxed near the threshold, and has no class here: explain and compare state the value by "
+    "the definition"
+)
+MOST_NOTES = 8  # of a study: some have a number of their own in each cell
+
+
+def described(
+    metric: TargetedMetric,
+    image: torch.Tensor,
+    value: float,
+    info: Mapping[str, Any],
+    renderer: SceneRenderer,
+) -> dict[str, Any]:
+    """Return measure, verdict and notes of a cell; ``info`` has what the metric says of the value itself.
+
+    A glare rating with its main source near the threshold is called relaxed. It has no class: that of the value by
+    the definition may be another one.
+    """
+    measure, verdict = info["measure"], info["verdict"] or ""
+    notes = photometric_premises(metric.metric, image, value, renderer=renderer)
+    if isinstance(metric.metric, GlareRating) and states_definition(metric, image):
+        measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
+        notes = (RELAXED, *notes)
+    return {"measure": measure, "verdict": verdict, "notes": list(notes)}
+
+
+def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:
+    """Return the notes on the values of some cells, each with the cells that it is of."""
+    pairs = [(str(cell), note) for cell in cells for note in result.numbers(cell).get("notes", ())]
+    grouped = group_by_text(pairs)
+    lines = [f"{note} ({_which(names)})" for note, names in grouped.items()]
+    more = len(lines) - MOST_NOTES
+    return lines if more <= 0 else [*lines[:MOST_NOTES], f"{pluralize(more, 'more note')} on single cells"]
+
+
+def _which(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} and {pluralize(len(names) - 1, 'more cell')}"

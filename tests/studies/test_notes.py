@@ -1,0 +1,63 @@
+"""What a study says beside the values: relaxed ratings, and what they take for granted of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from seeds import seeds
+
+from scenecaptum.studies import Study, StudyResult
+
+SMALL = {"inputs": "emitters", "resolution": (32, 18), "spp": 16, "max_depth": 3}
+# A sky just above 2000 cd/m², which counts in full by the definition and in part in the relaxed rating.
+DIM = {"sky.emitter.radiance.value*": 0.7}
+NOTE = "this rating is relaxed near the threshold"
+
+
+def test_a_rating_near_its_threshold_is_called_relaxed_and_has_no_class(
+    run: Callable[..., StudyResult], tmp_path: Path
+) -> None:
+    """Of both methods, in table, summary, report and pages; the value alone is that of the attribution."""
+    designs = {"dim": DIM, "bright": {"sky.emitter.radiance.value*": 4.0}}
+    study = Study(
+        ["office"], metrics=["ugr"], designs=designs, methods=["value", "gradient"], seeds=seeds(1), **SMALL
+    )
+    result = run(study, tmp_path)
+    dim, bright = ([one for one in result.cells if one.design == name] for name in designs)
+    for cells, relaxed in ((dim, True), (bright, False)):
+        value, gradient = (result.numbers(cell) for cell in cells)
+        assert value["value"] == pytest.approx(gradient["value"], rel=1e-5)
+        assert value["standard_error"] == pytest.approx(gradient["standard_error"], rel=1e-3)
+        for numbers in (value, gradient):
+            assert ("relaxed" in numbers["measure"]) == relaxed
+            assert bool(numbers["verdict"]) != relaxed
+            assert (NOTE in " ".join(numbers["notes"])) == relaxed
+            assert "valid if the scene's lights are in W/(m² sr)" in " ".join(numbers["notes"])
+    assert NOTE in str(result)
+    assert NOTE in " ".join(result.summary(design="dim").notes())
+    assert NOTE not in " ".join(result.summary(design="bright").notes())
+    index = result.write_report(tmp_path / "report")
+    assert NOTE in index.read_text(encoding="utf-8")
+    pages = {cell: index.parent / "cells" / f"{result.cells[cell]}.html" for cell in (dim[1], bright[1])}
+    assert NOTE in pages[dim[1]].read_text(encoding="utf-8")
+    assert NOTE not in pages[bright[1]].read_text(encoding="utf-8")
+
+
+def share_above(image: torch.Tensor) -> torch.Tensor:
+    """Return a metric without a derivative."""
+    return (image > 0.5).float().mean()
+
+
+def test_a_metric_without_a_derivative_has_a_value_and_an_error(
+    run: Callable[..., StudyResult], tmp_path: Path
+) -> None:
+    metrics, options = {"share": f"{__file__}:share_above"}, {"resolution": (8, 8), "spp": 8, "max_depth": 3}
+    result = run(
+        Study(["cornell-box"], metrics=metrics, methods=["value"], seeds=seeds(1), **options), tmp_path
+    )
+    (numbers,) = (result.numbers(cell) for cell in result.cells)
+    assert 0 < numbers["value"] < 1
+    assert numbers["standard_error"] > 0
