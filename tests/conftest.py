@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import matplotlib  # noqa: F401 -- first imported by a page that runs in docs/, it would keep the style of docs/
 import numpy as np
 import pytest
 import torch

@@ -31,7 +31,7 @@ class Guides:
 
 
 def guides_of(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> Guides | None:
-    """Return a renderer's guides, if it has them, where objects and the camera are as in ``values``."""
+    """Return the guides of a ``renderer``, if it has some, with objects and camera where ``values`` move them."""
     moved = Capabilities(renderer).guides_of
     guides: Guides | None = Capabilities(renderer).guides if moved is None else moved(values)
     return guides

@@ -180,7 +180,7 @@ def test_the_plan_names_the_low_roughness_that_is_better_attributed_alone(
         scene[name] |= change
     renderer = SceneRenderer(scene, inputs, spp=4)
     assert list(renderer.plan.noisy_roughness) == renderer.info["noisy_roughness"] == noisy
-    assert ("attribute each alone" in str(renderer.plan)) is bool(noisy)
+    assert ("low roughness among other inputs" in str(renderer.plan)) is bool(noisy)
     assert renderer.replace(integrator="prb").plan.noisy_roughness == ()
 
 

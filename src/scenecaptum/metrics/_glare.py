@@ -137,7 +137,7 @@ class GlareRating(torch.nn.Module):
         return cast_like(self._rate(values, self._find_sources(values, relaxation=0.0)), image)
 
     def unrated(self, image: torch.Tensor, *, hard: bool = False) -> str:
-        """Return why the rating of an ``(H, W, 3)`` image has no class, or nothing; ``hard`` is as in ``hard``.
+        """Return why the rating of an ``image``, ``(H, W, 3)``, has no class, or nothing; ``hard``: by ``hard``.
 
         Without a glare source a rating of sources alone is 0, which is no finding that there is little glare.
         """
