@@ -46,9 +46,9 @@ CUTS = {
     "shortcut": Cut("shortcut-pictures.png", (0.0, 0.09, 0.56, 1.0), whole=True),
     "specificity": Cut("metric_specificity 0", (0.311, 0.687, 0.608, 0.98)),
     "speed": Cut("paper/grid-stability.webp", (0.0, 0.475, 0.53, 0.945), whole=True),
-    "texels": Cut("what_a_network_sees 0", (0.462, 0.479, 0.89, 0.917)),
+    "texels": Cut("what_a_network_sees 0", (0.462, 0.496, 0.89, 0.919)),
     "two-designs": Cut("two-designs.png", (0.503, 0.19, 0.995, 0.98)),
-    "what-a-network-sees": Cut("what_a_network_sees 0", (0.016, 0.278, 0.89, 0.922), whole=True),
+    "what-a-network-sees": Cut("what_a_network_sees 0", (0.016, 0.308, 0.89, 0.92), whole=True),
     "which-lamp": Cut("office.png", (0.004, 0.19, 0.495, 0.965)),
     "work-plane": Cut("work-plane.png", (0.11, 0.096, 0.819, 0.451)),
 }

@@ -40,7 +40,7 @@ def test_warnings_name_options(monkeypatch, capsys):
 
 
 def test_a_value_outside_its_range_is_refused_with_the_range(tmp_path, capsys):
-    arguments = ["--metric", "ugr", "--set", "wall_left.reflectance.value=62", "--out", str(tmp_path)]
+    arguments = ["--metric", "luminance", "--set", "wall_left.reflectance.value=62", "--out", str(tmp_path)]
     assert cli.main(["compare", *OFFICE, *arguments]) == 2
     message = capsys.readouterr().err
     assert "outside the physical range" in message
