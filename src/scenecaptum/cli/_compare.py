@@ -247,13 +247,14 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     origin = None if options.origin is None else design_of(renderer, read_design(options.origin))
     design = designed_values(options, renderer)
     method, progress = VanillaSceneGradient(renderer, metric), _arguments.shows_progress(options)
-    before, after = (
+    # The design first: a value of it that is refused costs no time.
+    after, before = (
         with_settings(
             method.attribute(values, target=options.target, seed=options.seed, show_progress=progress),
             renderer,
             options,
         )
-        for values in (origin, design)
+        for values in (design, origin)
     )
     scenes = Scenes(
         renderer,
