@@ -209,8 +209,8 @@ class Tradeoff:
             if row.setting.changed("spp", spp) == closest.setting.changed("spp", spp)
         )
         if tried >= spp:
-            return f"about {_round_up(spp)} spp should suffice, but {tried} spp did not: {more_runs}"
-        return f"about {_round_up(spp)} spp should suffice"
+            return f"about {rounded_up(spp, 2)} spp should suffice, but {tried} spp did not: {more_runs}"
+        return f"about {rounded_up(spp, 2)} spp should suffice"
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Plot the relative error over the time, into ``ax`` if given, with one marker style per varied option.
@@ -377,9 +377,3 @@ def _percent_of(value: float) -> str:
 
 def _correlation(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.3f}"
-
-
-def _round_up(number: int) -> str:
-    """Round up to two significant digits."""
-    unit: int = 10 ** max(len(str(number)) - 2, 0)
-    return str(-(-number // unit) * unit)

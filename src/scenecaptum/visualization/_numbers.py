@@ -85,7 +85,7 @@ def rounded(number: float, digits: int = 3) -> str:
 
 
 def rounded_up(number: float, digits: int) -> str:
-    """Return a positive upper limit with at most so many significant digits, never below it.
+    """Return a positive number, such as an upper limit, rounded up to a number of significant ``digits``.
 
     Example
     -------
