@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
 import json
 import os
@@ -21,8 +22,8 @@ import pytest
 import torch
 from PIL import Image
 
-from scenecaptum import SceneAttribution, SceneRenderer, cli, metrics
-from scenecaptum.cli import _demo, _explore, _main, _optimize
+from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, cli, metrics
+from scenecaptum.cli import _compare, _demo, _explore, _main, _optimize
 from scenecaptum.denoising import denoise
 from scenecaptum.designs import design_of, read_design
 from scenecaptum.optimize import Optimization
@@ -558,6 +559,18 @@ def test_the_change_of_an_effect_is_the_difference_of_both(
     assert len(effects) > 2
     for one in effects.values():
         assert one["change"] == pytest.approx(one["after"] - one["before"], rel=1e-4)
+
+
+@pytest.mark.parametrize(("scale", "changes"), [(1 - 1e-6, False), (1.01, True)])
+def test_a_difference_of_rounding_is_not_a_change_of_an_effect(scale: float, changes: bool) -> None:
+    """Half a lamp over its former range has the same effect, up to the order of a sum in single precision."""
+    renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(8, 8), spp=4)
+    before = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute()
+    scaled = {
+        field: {name: scale * one for name, one in getattr(before, field).items()}
+        for field in ("attributions", "replicates")
+    }
+    assert bool(_compare._changed_effects(before, dataclasses.replace(before, **scaled))) == changes
 
 
 def test_a_design_changes_values_within_their_bounds(folder: Path) -> None:

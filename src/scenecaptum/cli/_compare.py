@@ -54,6 +54,7 @@ ROWS = 10
 SMALL = 0.01  # of the largest change of an effect: smaller ones are left out of the table
 WIDTH = 100  # of sentences, without a terminal
 SIGNIFICANT = 2.0  # standard errors
+ROUNDING = 1e-5  # of both effects: a difference in single precision below this is not a change
 MEASURED = (
     "The change comes from separate renders of both designs with the same random numbers, in which most of the "
     "noise cancels: it can differ from the difference of the two values, by about their errors."
@@ -557,7 +558,8 @@ def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[
             # Each effect is in a direction of its own.
             change = row.effect - own.effect
             error = math.hypot(row.effect_error or math.inf, own.effect_error or math.inf)
-        if abs(change) > SIGNIFICANT * (error or math.inf):
+        rounding = ROUNDING * max(abs(own.effect), abs(row.effect))
+        if abs(change) > max(SIGNIFICANT * (error or math.inf), rounding):
             found.append(ChangedEffect(row.name, row.label, own.effect, row.effect, change, error))
     return sorted(found, key=lambda one: -abs(one.change))
 
