@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
@@ -18,8 +19,8 @@ from seeds import OFFSET, shift_defaults, shifted
 # At the end: tests/extremes comes before benchmarks/extremes.py.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-# Tests run in three processes, and Dr.Jit has threads in each: more threads of torch's only wait for each other.
-# Two of OpenMP on two busy cores took up to 30 times as long as one. Commands and notebooks inherit the variable.
+# Tests run in three processes: more threads in each only wait for each other. Two of OpenMP on two busy cores took
+# up to 30 times as long as one. Commands and notebooks inherit the variable.
 os.environ["OMP_NUM_THREADS"] = "1"
 # Tests render on the CPU, on every machine: a GPU has tests of its own, in backend/test_cuda.py.
 os.environ.setdefault("CUDA_VISIBLE_DEVICES", "")
@@ -35,6 +36,15 @@ def pytest_report_header() -> str:
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     if terminalreporter.verbosity < 0:  # then there was no header
         terminalreporter.write_line(pytest_report_header())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> None:
+    """Give Dr.Jit one thread: small images on three processes took twice the processor's time with two."""
+    with contextlib.suppress(Exception):  # fails in each test that renders
+        from scenecaptum.backend import use_threads
+
+        use_threads(1)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bitmaps import write_bitmap
 from seeds import shifted
 
 SCENE = """<scene version="3.0.0">
@@ -141,9 +142,9 @@ def write_files(mi: Any, folder: Path) -> dict[str, bytes]:
     image = picture()
     eight_bit = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     for name in ("sky.exr", "sky.pfm"):
-        mi.Bitmap(image).write(str(folder / name))
+        write_bitmap(folder / name, image)
     for name in ("paint.png", "paint.jpg", "paint.ppm"):
-        mi.Bitmap(eight_bit).write(str(folder / name))
+        write_bitmap(folder / name, eight_bit)
     written = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
     return {
         **written,

@@ -8,6 +8,7 @@ import hypothesis
 import numpy as np
 import pytest
 import torch
+from bitmaps import write_bitmap
 from chance import allowed
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -201,7 +202,7 @@ def test_impossible_light_raises_where_it_is_asked_for_by_name(mi, tmp_path, val
     texels = np.full((8, 16, 3), 1.0, np.float32)
     texels[2, 4, 1] = value
     path = tmp_path / "sky.exr"
-    mi.Bitmap(texels).write(str(path))
+    write_bitmap(path, texels)
     scene = room(mi, sky={"type": "envmap", "filename": str(path)})
     said = rf"it is {value:g} at row 2, columns? \d.*channel 1.*{words}"
     for inputs in ("sky.data", ["emitters", "sky.data"]):

@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
+import sys
+import textwrap
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from bitmaps import read_bitmap
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
@@ -292,7 +296,7 @@ def test_an_exported_cryptomatte_can_be_decoded(mi: Any, tmp_path: Path):
     )
     result = dataclasses.replace(result, surfaces=surfaces)
     export(result, tmp_path / "map.exr")
-    bitmap = mi.Bitmap(str(tmp_path / "map.exr"))
+    bitmap = read_bitmap(tmp_path / "map.exr")
     names = [field.name for field in bitmap.struct_()]
     planes = dict(zip(names, np.moveaxis(np.array(bitmap), -1, 0), strict=True))
     np.testing.assert_array_equal(planes["saliency"], heatmap(result))
@@ -312,7 +316,22 @@ def test_an_exported_cryptomatte_can_be_decoded(mi: Any, tmp_path: Path):
     assert decoded == [[("object_1", 0.75), ("object_0", 0.25)], [("object_0", 0.5), (None, 0.0)]]
 
 
+def test_an_exr_file_is_written_with_a_single_thread(tmp_path: Path):
+    code = """
+        import sys
+        from pathlib import Path
+        import torch
+        from scenecaptum import projection
+        from scenecaptum.backend import use_threads
+        use_threads(1)
+        projection.export(torch.ones(4, 4), Path(sys.argv[1]))
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "map.exr")]
+    subprocess.run(command, check=True, timeout=60)
+    assert (tmp_path / "map.exr").is_file()
+
+
 def test_a_map_without_objects_is_an_exr_of_one_channel(mi: Any, tmp_path: Path):
     values = torch.rand(3, 4) * 1000 - 500
     export(values, tmp_path / "map.exr")
-    np.testing.assert_array_equal(np.array(mi.Bitmap(str(tmp_path / "map.exr"))).squeeze(), values)
+    np.testing.assert_array_equal(np.array(read_bitmap(tmp_path / "map.exr")).squeeze(), values)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bitmaps import write_bitmap
 from refusals import message
 from rooms import ball, small_scene, table
 
@@ -261,7 +262,7 @@ def test_a_material_of_one_shape_is_named_by_its_id(mi: Any, painted: Path) -> N
 
 
 def test_an_exr_file_is_loaded_with_a_single_thread(mi: Any, tmp_path: Path) -> None:
-    mi.Bitmap(np.ones((8, 16, 3), np.float32)).write(str(tmp_path / "sky.exr"))
+    write_bitmap(tmp_path / "sky.exr", np.ones((8, 16, 3), np.float32))
     code = """
         import sys
         from scenecaptum import activate

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 
 from ..errors import whole_number
 from ._variants import activate
@@ -25,3 +27,19 @@ def use_threads(count: int) -> None:
     dr.set_thread_count(count)
     if (torch := sys.modules.get("torch")) is not None:
         torch.set_num_threads(count)
+
+
+@contextlib.contextmanager
+def at_least_two_threads() -> Iterator[None]:
+    """Give Dr.Jit a second thread: with a single one Mitsuba waits forever for the pixels of an EXR file."""
+    import drjit as dr
+
+    count = dr.thread_count()
+    if count >= 2:
+        yield
+        return
+    dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(count)

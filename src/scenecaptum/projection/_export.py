@@ -137,9 +137,12 @@ def _encode_exr(exported: _Map) -> bytes:
 
 
 def _exr_bytes(mi: Any, bitmap: Any) -> bytes:
+    from ..backend import at_least_two_threads
+
     # Encode in memory, since Mitsuba does not report every file error.
     stream = mi.MemoryStream()
-    bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    with at_least_two_threads():
+        bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
     return bytes(stream.raw_buffer())
 
 

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..backend import activate
+from ..backend import activate, at_least_two_threads
 from ..errors import SceneCaptumError, near_misses
 from ._files import Placeholders, check_dict, check_referenced_files, check_xml, is_file
 from ._naming import name_nodes, name_objects, without_addresses
@@ -204,7 +204,7 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
         check_referenced_files(mi.file_resolver().resolve, state.nodes)
         name_nodes(state.nodes)
         _make_differentiable(state)
-        with _at_least_two_threads():
+        with at_least_two_threads():
             loaded = mi.parser.instantiate(config, state)
     except (RuntimeError, ValueError, TypeError) as error:
         raise SceneCaptumError(f"{name} cannot be loaded: {_clean_message(error)}") from error
@@ -221,19 +221,6 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
         )
     _check_meshes(name, loaded)
     return loaded
-
-
-@contextlib.contextmanager
-def _at_least_two_threads() -> Iterator[None]:
-    """Give Dr.Jit a second thread: with a single one Mitsuba waits forever for the decoding of an EXR file."""
-    import drjit as dr
-
-    count = dr.thread_count()
-    dr.set_thread_count(max(2, count))
-    try:
-        yield
-    finally:
-        dr.set_thread_count(count)
 
 
 def _check_meshes(name: str, scene: Any) -> None:
