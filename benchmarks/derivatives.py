@@ -505,8 +505,9 @@ compared with finite differences: **{summary}**.
 
 {overview}
 
-Not in the table, and known to be wrong: the texture that blends a perfectly specular material with another.
-Results mark it with `!`; its sign may be wrong, too.
+Known to be wrong, and marked with `!` in results: bump maps and normal maps where a bent normal turns away from
+the viewer, as on a floor seen from the side; and, not in the table, the texture that blends a perfectly specular
+material with another, whose sign may be wrong, too.
 
 *Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
 and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly

@@ -82,6 +82,17 @@ def highlight(material: Scene, alpha: float) -> Scene:
     }
 
 
+def grazing(material: Scene) -> Scene:
+    """Return a floor that is seen from just above it, so that bent normals turn away from the camera."""
+    return {
+        "type": "scene",
+        "integrator": path(3),
+        "camera": camera([0, -4, 0.5], [0, 0, 0], 30),
+        "ball0": {"type": "rectangle", "to_world": _transform().scale(2), "bsdf": material},
+        "lamp": lamp(),
+    }
+
+
 def path(depth: int = DEPTH) -> Scene:
     """Return Mitsuba's path tracer, without Russian roulette."""
     return {"type": "path", "max_depth": depth, "rr_depth": depth + 1}

@@ -13,7 +13,7 @@ import numpy as np
 from scenecaptum import activate
 
 from ._case import Case, Row, Scene, message_rows, row, rows
-from ._scenes import Ball, ball, balls, bitmap, highlight, lens, picture, shelf
+from ._scenes import Ball, ball, balls, bitmap, grazing, highlight, lens, picture, shelf
 
 INDICES = (1.001, 1.33, 1.5, 2.4)
 ORANGE = {"type": "rgb", "value": [0.8, 0.3, 0.1]}
@@ -527,6 +527,12 @@ def _bumps() -> list[Case]:
                 row("ball2.bsdf.nested_bsdf.k", 3.0),
             ),
         ),
+        Case(
+            "bumpmap",
+            "seen from the side",
+            lambda: grazing(bumped(diffuse)),
+            (Row("ball0.bsdf.nested_texture", 0.05, scaled=True),),
+        ),
         *(
             Case(
                 "bumpmap",
@@ -556,6 +562,12 @@ def _bumps() -> list[Case]:
                 row("ball2.bsdf.nested_bsdf.k", 3.0),
                 Row("ball2.bsdf.normalmap", 0.02),
             ),
+        ),
+        Case(
+            "normalmap",
+            "seen from the side",
+            lambda: grazing(tilted(diffuse)),
+            (Row("ball0.bsdf.normalmap", 0.02),),
         ),
         Case(
             "normalmap",

@@ -15,6 +15,7 @@ from seeds import seeds, shifted
 
 from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, metrics, optimize
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.explanation import explain
 from scenecaptum.optimize import Search, SearchOptions
 from scenecaptum.optimize._adam import BoundedAdam
 from scenecaptum.optimize._bounds import LIGHTEST, first_of_each_light
@@ -269,7 +270,7 @@ def test_a_goal_that_is_not_clear_of_the_noise_asks_for_more_samples():
     assert "not by two standard errors: use more samples" in str(barely)
 
 
-def test_the_cone_of_a_spot_is_never_changed(mi):
+def room_with_a_spot(mi: Any) -> dict[str, Any]:
     spot = {
         "type": "spot",
         "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
@@ -277,12 +278,26 @@ def test_the_cone_of_a_spot_is_never_changed(mi):
         "cutoff_angle": 30.0,
         "beam_width": 20.0,
     }
-    scene = rooms.room(mi, {"type": "diffuse"}) | {"spot": spot}
-    renderer = SceneRenderer(scene, "all", resolution=(16, 16), spp=64)
+    return rooms.room(mi, {"type": "diffuse"}) | {"spot": spot}
+
+
+def test_the_cone_of_a_spot_is_never_changed(mi):
+    renderer = SceneRenderer(room_with_a_spot(mi), "all", resolution=(16, 16), spp=64)
     cones = [name for name in renderer.inputs if "cutoff" in name or "beam" in name]
     found = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, top=20, steps=2, seed=shifted())
     assert cones
     assert not set(cones) & {moved.name for moved in found.moved}
+
+
+def test_a_cone_among_few_inputs_is_named(mi):
+    renderer = SceneRenderer(room_with_a_spot(mi), "spot.cutoff_angle", resolution=(16, 16), spp=64)
+    brightness = metrics.MeanLuminance()
+    with pytest.raises(SceneCaptumError, match="cutoff angle belongs to the construction of a spot"):
+        optimize.minimize(renderer, brightness, 0.0, seed=shifted())
+    limits = {"spot.cutoff_angle": (20.0, 40.0)}
+    with pytest.raises(SceneCaptumError, match=r"limits names 'spot.cutoff_angle', which belongs"):
+        optimize.minimize(renderer, brightness, 0.0, limits=limits, seed=shifted())
+    assert not explain(renderer, brightness, seed=shifted()).changes
 
 
 def test_an_element_of_a_vector_is_optimized():

@@ -98,7 +98,9 @@ def test_other_cameras_are_named_in_the_error(mi: Any) -> None:
     scene["camera"]["type"] = "orthographic"
     with pytest.raises(SceneCaptumError, match=r"geometry of a .*rthographic.* is not known.*fisheye"):
         _ = SceneRenderer(scene, "reflectance", spp=1).camera
-    with pytest.raises(SceneCaptumError, match=r'index of a sensor or "fisheye" or "grid", not \'panorama\''):
+    with pytest.raises(
+        SceneCaptumError, match=r'index of a sensor or "fisheye" or "grid", not \'panorama\'.*own: 0: '
+    ):
         SceneRenderer(scene, "reflectance", sensor="panorama")
 
 

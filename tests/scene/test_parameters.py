@@ -167,6 +167,31 @@ def test_the_scale_of_a_bump_map_is_not_labelled_as_that_of_its_object(mi: Any) 
     assert "tile: scale" not in labels
 
 
+def test_textures_that_bend_normals_have_a_caution(mi: Any) -> None:
+    """Where a bent normal turns away from the ray, shading jumps."""
+    texels = np.full((4, 4, 3), 0.5, np.float32)
+    image = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(texels)}
+    uniform = {"type": "rgb", "value": [0.5, 0.6, 0.9]}
+    for normals in (image, uniform):
+        surface = {"type": "normalmap", "normalmap": normals, "bsdf": {"type": "diffuse"}}
+        found = [one for one in table(small_scene(tile=ball(surface))).values() if one.role == "normalmap"]
+        cautions = [one.caution or "" for one in found if not one.problem]
+        assert ["turns away from the viewer" in caution for caution in cautions] == [True]
+
+
+def test_bounds_of_a_sky_are_those_of_mitsuba(mi: Any) -> None:
+    found = table(small_scene(sky={"type": "sunsky"}))
+    assert str(found["sky.turbidity"].bounds) == "[1, 10]"
+    assert str(found["sky.albedo.value"].bounds) == "[0, 1]"
+
+
+def test_effects_of_a_cone_are_from_zero_to_its_angle(mi: Any) -> None:
+    found = table(small_scene(spot={"type": "spot", "cutoff_angle": 20.0, "beam_width": 15.0}))
+    for name in ("spot.cutoff_angle", "spot.beam_width"):
+        assert str(found[name].bounds) == "[0, 180]"
+        assert str(found[name].range) == "[0, ∞)"
+
+
 def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
     labels = [p.label for p in zoo.values()]
     assert len(set(labels)) == len(labels)

@@ -10,7 +10,7 @@ import torch
 
 from ..attr import Change, Definition, SceneAttribution
 from ..estimation import at_values, channel_totals
-from ..optimize import BOUND_MARGIN, design_bounds, first_of_each_light
+from ..optimize import BOUND_MARGIN, construction, design_bounds, first_of_each_light
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
@@ -38,8 +38,11 @@ def propose(
     ranges = Capabilities(renderer).ranges or Capabilities(renderer).bounds or {}
     bounds = design_bounds(renderer, values)
     unlimited = (-math.inf, math.inf)
+    fixed = construction(renderer)
     changes = []
     for row in attribution.ranking():
+        if row.name in fixed:
+            continue
         value = values[row.name]
         direction = sign if row.effect > 0 else -sign
         low, high = bounds.get(row.name, unlimited)

@@ -4,6 +4,7 @@
 __all__ = ["Measured", "Moved", "Optimization", "minimize"]
 
 from ._bounds import BOUND_MARGIN as BOUND_MARGIN
+from ._bounds import construction as construction
 from ._bounds import design_bounds as design_bounds
 from ._bounds import first_of_each_light as first_of_each_light
 from ._minimize import Search as Search

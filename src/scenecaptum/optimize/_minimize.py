@@ -38,6 +38,7 @@ from ._result import Measured, Moved, Optimization
 
 BISECTIONS = 3  # of the last step
 CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
+KEPT_CONE = "belongs to the construction of a spot, which a design does not change."
 NOISE_ONLY = "the errors are of noise only: rate the design again at twice the resolution"
 
 
@@ -164,6 +165,7 @@ class Search:
         check_renderer_and_metric(renderer, metric)
         self._renderer, self._metric, self._denoise = renderer, metric, denoise
         self._values = input_values(renderer, inputs)
+        self._fixed = construction(renderer)
         self._spp = Capabilities(renderer).spp if spp is None else whole_number("spp", spp)
         self._seed, self._given = seed, ranked
         self._ranking_seed, measurement_seed = derived_seeds(seed, Stream.OPTIMIZATION, 2)
@@ -179,7 +181,7 @@ class Search:
     @gradients_enabled()
     def to(self, below: float, options: SearchOptions, *, show_progress: bool = False) -> Optimization:
         """Search until the metric is below a goal; at once where it is already, within the limits."""
-        limits = chosen_limits(self._values, options.limits or {})
+        limits = self._limits(options.limits or {})
         brought = brought_inside(self._values, limits)
         measure = {} if self._targeted.measure is None else self._targeted.measure.describe()
         name = str(measure.get("symbol") or self._targeted.label)
@@ -188,7 +190,7 @@ class Search:
             return Optimization(dict(self._values), (), self._before, self._before, (), below, name, unit)
         rows = self._movable(options.top)
         if not rows:
-            raise SceneCaptumError(f"No parameter affects {name}: all its gradients are 0.")
+            raise SceneCaptumError(self._nothing_moves(name))
         inside = self._values | brought
         start = {row.name: inside[row.name] for row in rows}
         within = {name: limits[name] for name in start if name in limits}
@@ -266,13 +268,27 @@ class Search:
         )
         return ranked
 
+    def _limits(
+        self, limits: Mapping[str, tuple[Limit, Limit]]
+    ) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        """Return the limits of the parameters that a design may change."""
+        if named := self._fixed.intersection(limits):
+            raise SceneCaptumError(f"limits names {min(named)!r}, which {KEPT_CONE}")
+        chosen = chosen_limits(self._values, limits)
+        return {name: limit for name, limit in chosen.items() if name not in self._fixed}
+
     def _movable(self, count: int) -> list[Ranked]:
         """Return the parameters with the largest effects that may be changed."""
-        fixed = construction(self._renderer)
-        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in fixed]
+        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in self._fixed]
         # Those in the noise would move in either direction; they only count where nothing is clear of it.
         clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
         return first_of_each_light(clear or movable)[:count]
+
+    def _nothing_moves(self, metric: str) -> str:
+        kept = [row.label for row in self._ranked.ranking() if any(row.total)]
+        if not kept:
+            return f"No parameter affects {metric}: all its gradients are 0."
+        return f"{kept[0]} {KEPT_CONE} Add other inputs."
 
     def _render(self, values: Mapping[str, torch.Tensor]) -> list[torch.Tensor]:
         return render_images(self._renderer, values, self._seeds, self._spp_of_replicate)

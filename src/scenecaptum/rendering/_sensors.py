@@ -155,8 +155,10 @@ def choose_sensor(
         )
     if isinstance(which, str):
         if which not in named_sensors():
+            own = ", ".join(f"{index}: {one.id()}" for index, one in enumerate(sensors))
             raise SceneCaptumError(
-                f"sensor must be the index of a sensor or {_list(named_sensors())}, not {which!r}."
+                f"sensor must be the index of a sensor or {_list(named_sensors())}, not {which!r}. "
+                f"The scene's own: {own}."
             )
         side = min(sensors[0].film().crop_size())
         return _create(which, sensors[0], _checked(resolution) if resolution else (side, side))

@@ -19,9 +19,11 @@ from ._objects import camera_object, find_objects
 from ._parameter_table import IN_BYTES, SURFACE_KINDS, Parameter, SceneParameters
 from ._poses import camera_parameters, pose_parameters
 from ._roles import (
+    BENDING,
     CAMERA_INPUTS,
     EMITTER_BOUNDS,
     EMITTER_POSES,
+    EMITTER_RANGES,
     MATERIAL_ROLES,
     MEDIUM_BOUNDS,
     NON_NEGATIVE,
@@ -129,7 +131,7 @@ def _kind_bounds_and_range(user: Any, role: str) -> tuple[str, Bounds, Bounds]:
         own = _material_role(role)
         return own.kind, own.bounds, own.range or own.bounds
     kind, bounds = ("ior", NON_NEGATIVE) if is_metal else _kind_and_bounds(user, role)
-    return kind, bounds, bounds
+    return kind, bounds, EMITTER_RANGES.get(role, bounds) if kind == "emitters" else bounds
 
 
 def _kind_and_bounds(user: Any, role: str) -> tuple[str, Bounds]:
@@ -186,6 +188,11 @@ def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | 
     if _is_foreign_and_specular(user) and math.prod(shape) > MAX_DIFFERENCES:
         return (
             "it belongs to a specular plugin of yours: its derivative is right only for what weights a lobe"
+        )
+    if isinstance(user, activate().BSDF) and role in BENDING and _is_array(value):
+        return (
+            "it bends normals: its derivative leaves out what appears or disappears where a bent normal turns "
+            "away from the viewer, and is wrong for steep maps and at grazing views"
         )
     if _is_array(value) and len(shape) > 1 and _is_specular(user) and role in ("opacity", "weight"):
         return "it blends a perfectly specular lobe with others: its derivative is biased, also in its sign"

@@ -20,7 +20,7 @@ Moved: TypeAlias = "tuple[tuple[str, float | tuple[float, ...]], ...]"
 RANGES = MappingProxyType(
     {"translation": 0.1, "rotation": math.radians(5), "scale": 0.05, "fov": 5.0},
 )
-_BOUNDS = {"scale": Bounds(-1.0, open_low=True), "fov": Bounds(0.0, 180.0, open_low=True)}
+_BOUNDS = {"scale": Bounds(-1.0, open_low=True), "fov": Bounds(0.0, 179.0, open_low=True)}
 _SHAPES: dict[str, tuple[int, ...]] = {"translation": (3,), "rotation": (3,), "scale": (), "fov": ()}
 _AT_REST = {"translation": torch.zeros(3), "rotation": torch.zeros(3), "scale": torch.zeros(())}
 

@@ -71,7 +71,18 @@ MATERIAL_ROLES = {
     "normalmap": MaterialRole(bounds=UNIT),
 }
 
-EMITTER_BOUNDS = {"cutoff_angle": Bounds(0.0, 180.0), "beam_width": Bounds(0.0, 180.0)}
+# Properties of a material that bend the normals of its shading.
+BENDING = ("normalmap", "nested_texture")
+
+EMITTER_BOUNDS = {
+    "cutoff_angle": Bounds(0.0, 180.0),
+    "beam_width": Bounds(0.0, 180.0),
+    "turbidity": Bounds(1.0, 10.0),
+    "albedo": UNIT,
+    "sun_aperture": Bounds(0.0, 90.0, open_low=True),
+}
+# The angles of a spot change little beyond their value: their effects are from 0 to it, as those of other lights.
+EMITTER_RANGES = {"cutoff_angle": NON_NEGATIVE, "beam_width": NON_NEGATIVE}
 
 MEDIUM_BOUNDS = {"albedo": UNIT, "g": Bounds(-1.0, 1.0)}
 
