@@ -84,7 +84,7 @@ def test_desk_and_lamp_move_until_the_glare_is_low(
 ) -> None:
     example = load("desk_lamp")
     monkeypatch.setattr(example, "PICTURE", SIZE)
-    found = example.main(tmp_path / "new", (64, 36), 16, steps=6)
+    found = example.main(tmp_path / "new", (64, 36), 16, steps=3)
     renderer = SceneRenderer(
         example.evening_office(), list(found.values), objects=example.OBJECTS, resolution=(64, 36), spp=64
     )
