@@ -241,7 +241,7 @@ def painted(**parts: Any) -> Config:
     ids=["gradient", "integrated gradients", "ablation"],
 )
 @pytest.mark.parametrize("moved_one", ["ball", "camera"])
-def test_a_result_has_the_surfaces_of_its_poses(mi: Any, moved_one: str, method: Any) -> None:
+def test_a_result_has_the_surfaces_and_the_camera_of_its_poses(mi: Any, moved_one: str, method: Any) -> None:
     """Those of a scene loaded in the pose, whatever was rendered before, also beside textures."""
     parts = (
         {"ball": {"to_world": _translate(TRANSLATION)}}
@@ -271,6 +271,17 @@ def test_a_result_has_the_surfaces_of_its_poses(mi: Any, moved_one: str, method:
         )
         assert (np.abs(shown - truth) > 0.1 * truth.max()).mean() < 0.02
     assert np.abs(own.mask("ball") - expected.mask("ball")).max() > 0.5
+    assert result.info["sensor"] == loaded.info["sensor"]
+    assert (result.info["sensor"] == renderer.info["sensor"]) == (moved_one == "ball")
+
+
+def test_the_renderer_describes_its_camera_as_loaded_after_renders_of_other_poses(mi: Any) -> None:
+    renderer = SceneRenderer(scene(), "camera", spp=1)
+    before = renderer.info["sensor"], renderer.up, pytest.approx(renderer.camera.fov, rel=1e-6)
+    values = {"camera.fov": torch.tensor(80.0), "camera.pose.rotation": torch.tensor([-1.4, 0.0, 0.0])}
+    renderer(values, seed=shifted())
+    assert (renderer.info["sensor"], renderer.up, renderer.camera.fov) == before
+    assert renderer.info_of(values)["sensor"].startswith("perspective, 80° wide")
 
 
 def check(
