@@ -133,6 +133,9 @@ class Capabilities:
     rendered_separately = _Offer[Collection[str]]("The inputs whose derivatives take renders of their own.")
     vectors = _Offer[Collection[str]]("The inputs that are vectors in space, compared by their lengths.")
     info = _Offer[Mapping[str, Any]]("How it renders, for the ``info`` of results.")
+    info_of = _Offer[Callable[[Mapping[str, torch.Tensor]], Mapping[str, Any]]](
+        "The same where objects and the camera are moved."
+    )
     name = _Offer[str]("The name of the scene.")
     spp = _Offer[int]("Samples per pixel where none are asked for.")
     resolution = _Offer[tuple[int, int]]("Width and height of the images.")

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import results
+import torch
 
 from scenecaptum import SceneRenderer, View, cli
 from scenecaptum.attr import SceneAttribution
@@ -80,6 +81,13 @@ def test_settings_that_differ_are_named_as_a_part_of_the_change() -> None:
     assert compared(ours, {}).notes() == [], "a setting that an older file does not have"
     moved = {**ours, "sensor": f"{office}, turned"}
     assert "camera" in compared(ours, moved).notes()[0]
+    found = compared(ours, moved)
+    turned = [
+        dataclasses.replace(one, parameter_values={"camera.pose.rotation": torch.tensor([0.0, 0.0, angle])})
+        for one, angle in ((found.before, 0.0), (found.after, 0.3))
+    ]
+    # A design that turns the camera, which is listed as what it sets.
+    assert dataclasses.replace(found, before=turned[0], after=turned[1]).notes() == []
 
 
 def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(

@@ -14,7 +14,13 @@ from chance import allowed
 from refusals import message
 from seeds import seeds, shifted
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum import (
+    FeatureAblationScene,
+    IntegratedGradientsScene,
+    SceneRenderer,
+    VanillaSceneGradient,
+    metrics,
+)
 
 Config = dict[str, Any]
 
@@ -213,6 +219,69 @@ def test_the_camera_moves(mi: Any) -> None:
     values = {**pose("camera", "translation", "rotation"), "camera.fov": torch.tensor(44.0)}
     parts = {"ball": {"type": "sphere"}, "box": SHAPES["cylinder"]}
     same_pictures(scene(**parts), scene(**parts, sensor=other), values)
+
+
+def painted(**parts: Any) -> Config:
+    """Return a scene with a textured floor and a textured ball."""
+    import mitsuba as mi
+
+    def texture(seed: int) -> Config:
+        texels = np.random.default_rng(seed).uniform(0.2, 0.8, (4, 4, 3)).astype(np.float32)
+        bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
+        return {"type": "diffuse", "reflectance": bitmap}
+
+    floor = {"type": "rectangle", "to_world": _translate((0, 0, -1.5)).scale(4), "bsdf": texture(1)}
+    ball = {"type": "sphere", **parts.pop("ball", {}), "bsdf": texture(2)}
+    return scene(ground=floor, ball=ball, **parts)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [VanillaSceneGradient, IntegratedGradientsScene, FeatureAblationScene],
+    ids=["gradient", "integrated gradients", "ablation"],
+)
+@pytest.mark.parametrize("moved_one", ["ball", "camera"])
+def test_a_result_has_the_surfaces_and_the_camera_of_its_poses(mi: Any, moved_one: str, method: Any) -> None:
+    """Those of a scene loaded in the pose, whatever was rendered before, also beside textures."""
+    parts = (
+        {"ball": {"to_world": _translate(TRANSLATION)}}
+        if moved_one == "ball"
+        else {"sensor": camera(to_world=moved((0, -6, 1), scale=False) @ camera()["to_world"])}
+    )
+    values = pose(moved_one, *(("translation",) if moved_one == "ball" else ("translation", "rotation")))
+    renderer = SceneRenderer(painted(), ["reflectance", *values], spp=4)
+    loaded = SceneRenderer(painted(**parts), "reflectance", spp=4)
+    own = renderer.surfaces
+    options = {"n_steps": 2} if method is IntegratedGradientsScene else {}
+    if method is not VanillaSceneGradient:
+        options["baselines"] = 0.0
+    result = method(renderer, metrics.MeanLuminance()).attribute(
+        {**renderer.inputs, **values}, seed=shifted(), spp=4, **options
+    )
+    expected = loaded.surfaces_with_texels()
+    assert expected.texels.keys() == result.surfaces.texels.keys() != set()
+    for name in ("ball", "ground"):
+        off = np.abs(result.surfaces.mask(name) - expected.mask(name)) > 1 / 16
+        assert off.mean() < 0.02, f"{name} is at another place in {100 * off.mean():.1f} % of the pixels"
+    for name, texels in expected.texels.items():
+        rising = np.arange(16.0, dtype=np.float32)[:, None]
+        shown, truth = (
+            np.bincount(one.pixel, one.fraction * own_texels.density(rising, len(one.pixel))[:, 0], 256)
+            for one, own_texels in ((result.surfaces, result.surfaces.texels[name]), (expected, texels))
+        )
+        assert (np.abs(shown - truth) > 0.1 * truth.max()).mean() < 0.02
+    assert np.abs(own.mask("ball") - expected.mask("ball")).max() > 0.5
+    assert result.info["sensor"] == loaded.info["sensor"]
+    assert (result.info["sensor"] == renderer.info["sensor"]) == (moved_one == "ball")
+
+
+def test_the_renderer_describes_its_camera_as_loaded_after_renders_of_other_poses(mi: Any) -> None:
+    renderer = SceneRenderer(scene(), "camera", spp=1)
+    before = renderer.info["sensor"], renderer.up, pytest.approx(renderer.camera.fov, rel=1e-6)
+    values = {"camera.fov": torch.tensor(80.0), "camera.pose.rotation": torch.tensor([-1.4, 0.0, 0.0])}
+    renderer(values, seed=shifted())
+    assert (renderer.info["sensor"], renderer.up, renderer.camera.fov) == before
+    assert renderer.info_of(values)["sensor"].startswith("perspective, 80° wide")
 
 
 def check(

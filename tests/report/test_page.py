@@ -104,6 +104,23 @@ def test_it_opens_signed_with_the_colours_of_the_figure(browser, tmp_path):
     page.context.close()
 
 
+@pytest.mark.parametrize(
+    ("vectors", "letters"),
+    [
+        ([], "R G B"),
+        (["lamp.radiance.value"], "R G B or x y z"),
+        (["floor.reflectance.value", "lamp.radiance.value", "chair.reflectance.data"], "x y z"),
+    ],
+)
+def test_the_three_numbers_of_a_row_are_of_a_colour_or_along_the_axes(browser, tmp_path, vectors, letters):
+    page = Page(browser, written(tmp_path, noted(ranged(), vectors=vectors)))
+    assert page.page.locator("th.gradient").inner_text().startswith(f"Gradient per unit ({letters})")
+    page.page.locator("#rows tr").filter(has_text="lamp").first.click()
+    channels = page.page.locator("#detail .card .channel").all_inner_texts()
+    assert [one.split()[0] for one in channels] == (["x", "y", "z"] if vectors else ["R", "G", "B"])
+    page.context.close()
+
+
 def test_effects_are_compared_where_ranges_are_known_and_else_norms(browser, tmp_path):
     path = written(tmp_path, ranged(), make(), titles=["Ranged", "Per unit"])
     page = Page(browser, path)
@@ -552,6 +569,35 @@ def test_a_comparison_is_on_top_with_what_was_set(browser, tmp_path):
     assert numbers["change"] == -0.263
     assert [*map(pytest.approx, numbers["values"]["chair.alpha"])] == [[0.15], [0.3]]
     page.check(path)
+    page.context.close()
+
+
+def test_a_comparison_shows_both_pictures_of_a_moved_camera(browser, tmp_path):
+    """Pointing and marks follow the picture that is shown, in which objects are at other places."""
+    ahead = quarters(HEIGHT, WIDTH)
+    line, column = np.divmod(ahead.pixel, WIDTH)
+    mirrored = dataclasses.replace(ahead, pixel=(WIDTH * line + WIDTH - 1 - column).astype(np.int32))
+    before = noted(make(image=plain_picture(0.5, 0.5, 0.5)), sensor="perspective, towards 0 1 0")
+    after = noted(
+        make(image=plain_picture(0.05, 0.05, 0.05), surfaces=mirrored), sensor="perspective, towards 1 0 0"
+    )
+    titles = ["as it is", "turned"]
+    page = Page(browser, written(tmp_path, before, after, titles=titles, comparison=Comparison(1.0)))
+    for number, title in enumerate(titles):
+        page.page.get_by_text(title, exact=True).first.click()
+        page.page.locator("#split").fill("50")
+        seen = tmp_path / "seen.png"
+        page.page.locator("#picture").screenshot(path=seen)
+        with Image.open(seen) as picture:
+            width, height = picture.size
+            left, right = (picture.getpixel((width * part // 100, height // 4))[0] for part in (40, 60))
+        assert left > 2 * right, "one exposure: the change is of the light"
+        names = [page.hover(*place).split()[0] for place in ((4, 1), (11, 1))]
+        assert names == ["lamp", "lamp"]
+        own = ["inset(0px 50% 0px 0px)", "inset(0px 0px 0px 50%)"][number]
+        for marks in ("lines", "shade"):
+            clip = page.page.locator(f"#{marks}").evaluate("one => getComputedStyle(one).clipPath")
+            assert clip == own
     page.context.close()
 
 

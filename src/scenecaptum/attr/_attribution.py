@@ -339,7 +339,7 @@ def make_attribution(
             "up": Capabilities(renderer).up,
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
-            **(Capabilities(renderer).info or {}),
+            **info_of(renderer, values),
             "versions": versions(),
         },
     )
@@ -367,6 +367,12 @@ def surfaces_of(renderer: Renderer, names: Iterable[str], values: Tensors) -> Su
         with_texels(names, values) if with_texels else Capabilities(renderer).surfaces
     )
     return surfaces
+
+
+def info_of(renderer: Renderer, values: Tensors) -> dict[str, Any]:
+    """Return how the renderer renders, with the camera where the ``values`` move it."""
+    of = Capabilities(renderer).info_of
+    return dict(of(values) if of else Capabilities(renderer).info or {})
 
 
 def seen_through(

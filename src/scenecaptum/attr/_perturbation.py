@@ -30,7 +30,7 @@ from ..estimation import (
 from ..executors import spread
 from ..finite import error_context
 from ..protocols import Capabilities, Renderer
-from ._attribution import SceneAttribution, seen_through, surfaces_of, versions
+from ._attribution import SceneAttribution, info_of, seen_through, surfaces_of, versions
 from ._convergence import convergence
 from ._data import summarize
 from ._method import AttributionInterrupted, Result, Settings, Targets, target_list
@@ -181,7 +181,7 @@ class Perturbation:
         surfaces = surfaces_of(self.renderer, effects, measured.inputs)
         spp_per_arm = None if measured.budget.spp[0] is None else count * measured.budget.spp[0]
         result_info = {
-            **(Capabilities(self.renderer).info or {}),
+            **info_of(self.renderer, measured.inputs),
             "cautions": {},  # the renderer's cautions are about derivatives
             **measured.info,
             **measured.metrics[index].describe(value, measured.image),

@@ -21,6 +21,7 @@ from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
 from ..explanation import definition_of, difference_by_definition, photometric_premises, states_definition
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
+from ..scene import pose_component
 from ..validation import Scenes, denoise_of
 from ..visualization import (
     Format,
@@ -116,10 +117,14 @@ class Compared:
 
     def different_settings(self) -> str:
         """Return a caution that names the settings by which the two results differ; empty if there are none."""
+        changed = different_values(self.before, self.after)
+        # The camera that a design moves is listed as what it sets.
+        is_moved = any(name.startswith("camera.") and pose_component(name) for name in changed)
         different = [
             f"{name} {' against '.join(values)}"
             for key, name in SETTINGS.items()
-            if all(values := _different_settings(self.before, self.after, key))
+            if not (key == "sensor" and is_moved)
+            and all(values := _different_settings(self.before, self.after, key))
         ]
         if not different:
             return ""

@@ -53,6 +53,7 @@ class LiveScene:
         self.is_borrowed = borrowed
         self._variant = mi.variant()
         self._is_in_use = False
+        self._values: Snapshot | None = None  # of the innermost ``with_values``
 
     @property
     def original(self) -> dict[str, torch.Tensor]:
@@ -102,10 +103,16 @@ class LiveScene:
 
     @contextlib.contextmanager
     def with_values(self, values: Values) -> Iterator[None]:
-        """Give the scene these values, within ``exclusive``."""
+        """Give the scene these values, within ``exclusive``; afterwards those of a ``with_values`` around it."""
         with self.exclusive():
-            self.call(lambda: None, values)
-            yield
+            outer, self._values = self._values, self.snapshot(values)
+            self.call(lambda: None, self._values)
+            try:
+                yield
+            finally:
+                self._values = outer
+                if outer is not None:
+                    self.call(lambda: None, outer)
 
     @contextlib.contextmanager
     def exclusive(self) -> Iterator[None]:

@@ -7,7 +7,7 @@ import math
 import traceback
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NoReturn, cast
+from typing import Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
 import torch
@@ -64,6 +64,8 @@ from ._sensors import (
     is_grid,
     shows_a_view,
 )
+
+T = TypeVar("T")
 
 _NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
 
@@ -598,10 +600,13 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def up(self) -> int:
-        """The axis of the scene that points up, 0 (x) to 2 (z): the nearest to the first camera's up vector."""
+        """The axis of the scene that points up, 0 (x) to 2 (z): the nearest to the first camera's up vector.
+
+        A camera is taken as loaded, wherever a pose may have turned it.
+        """
         from ._grid import up_axis
 
-        with exclusively(self._variant):
+        with self._views[0].live.with_values({}):
             return up_axis(self._graph.scene)
 
     @property
@@ -625,31 +630,31 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def cameras(self) -> list[Camera]:
-        """The camera of every sensor."""
-        with exclusively(self._variant):
-            cameras = []
-            for view in self._views:
-                with view.live.exclusive():
-                    cameras.append(camera_of(view.live.sensor))
-            return cameras
+        """The camera of every sensor, as loaded."""
+        return self._of_sensors(camera_of, {})
 
-    def _describe_sensors(self) -> str:
-        """Return the type and the pose of every sensor in words."""
-        with exclusively(self._variant):
-            described = []
-            for view in self._views:
-                with view.live.exclusive():
-                    described.append(describe_sensor(view.live.sensor))
-            return "; ".join(described)
+    def _of_sensors(self, describe: Callable[[Any], T], values: Mapping[str, torch.Tensor] | None) -> list[T]:
+        """Describe every sensor where the poses among ``values`` move it."""
+        moved = {name: torch.tensor(value) for name, value in self._moved(values)}
+        described = []
+        for view in self._views:
+            with view.live.with_values(moved):
+                described.append(describe(view.live.sensor))
+        return described
 
     @property
     def info(self) -> dict[str, Any]:
         """The settings of this renderer as plain values, for the ``info`` of results."""
+        return self.info_of({})
+
+    def info_of(self, values: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+        """Return ``info`` with the camera where the poses among ``values`` move it."""
+        sensors = "; ".join(self._of_sensors(describe_sensor, values)) if self.shows_a_view else ""
         return {
             "scene": self.name,
             **({"parameters": self._placeholders.copy()} if self._placeholders else {}),
             "resolution": list(self.resolution),
-            **({"sensor": self._describe_sensors()} if self.shows_a_view else {}),
+            **({"sensor": sensors} if sensors else {}),
             "integrator": self.plan.integrator,
             "max_depth": self.plan.max_depth,
             "variant": self._variant,

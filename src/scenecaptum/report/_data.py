@@ -82,11 +82,12 @@ def report_data(
     """Return the data of the page; views and images that results share are stored once."""
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
     views: dict[int, tuple[int, NDArray[np.int64]]] = {}
-    # That of the first picture of each camera: designs are to be compared.
+    # That of the first picture of each camera: designs are to be compared, also where they move the camera.
     exposures: dict[Any, float] = {}
     results = []
     for attribution, title, explanation, plan in zip(attributions, titles, explanations, plans, strict=True):
-        encoded, surfaces = _picture(attribution, plan, exposures)
+        camera = None if comparison is not None else repr(attribution.info.get("sensor"))
+        encoded, surfaces = _picture(attribution, plan, exposures, camera)
         if id(surfaces) not in views:
             view, shown = _view(surfaces)
             views[id(surfaces)] = _index_in(shared["views"], view), shown
@@ -143,7 +144,7 @@ def describe_objects(
 
 
 def _picture(
-    attribution: Attribution, plan: Figure | None, exposures: dict[Any, float]
+    attribution: Attribution, plan: Figure | None, exposures: dict[Any, float], camera: str | None
 ) -> tuple[str, SurfaceMap]:
     """Return the encoded picture and what its pixels show, which is nothing if it is a plan."""
     if plan is not None:
@@ -151,7 +152,7 @@ def _picture(
         return encoded, _nothing(shape)
     assert attribution.surfaces is not None, "write_report checks it"
     image = shown_render(attribution)
-    exposure = exposures.setdefault(repr(attribution.info.get("sensor")), automatic_exposure(image))
+    exposure = exposures.setdefault(camera, automatic_exposure(image))
     return encode_picture(image, exposure), attribution.surfaces
 
 
@@ -307,6 +308,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         else [],
         "seenThrough": bool({row.name, *(members or ())} & set(attribution.info.get("seen_through") or ())),
         "channels": len(row.total),
+        **({"isVector": True} if row.name in (attribution.info.get("vectors") or ()) else {}),
         "texture": _is_texture(attribution, row.name),
         **_value(attribution, row.name, members),
     }

@@ -65,7 +65,7 @@ function standingOf(result, view, { kind, objects, rows }) {
 function cardOf(results, current, index) {
   const result = results[current];
   const row = result.rows[index];
-  const names = row.channels === 3 && row.total.length ? ["R", "G", "B"] : row.total.map((_, at) => (row.channels === 1 ? "" : String(at + 1)));
+  const names = lettersOf(row) && row.total.length ? lettersOf(row).split(" ") : row.total.map((_, at) => (row.channels === 1 ? "" : String(at + 1)));
   const channels = row.totalWritten.slice(0, 16).map((written, at) => make("span", { class: "channel" },
     names[at] ? make("span", { class: "muted" }, `${names[at]} `) : null, withError(written)));
   const facts = [["value", valueOf(row)], [result.ranked.toLowerCase(), make("span", {}, signMark(row, result), withError(row.written), make("span", { class: "standing" }, `#${index + 1} of ${result.rows.length}`))],

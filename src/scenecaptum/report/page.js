@@ -48,10 +48,12 @@ function drawOpacity() {
   byId("below").classList.toggle("off", opacity === 0);
 }
 
-/** The result to compare the picture with: the next one of the same metric and camera, with another picture. */
+/** The result to compare the picture with: the next one of the same metric and camera, with another picture.
+ *  The camera may be what a comparison is about. */
 function otherResult() {
   const ahead = results.map((_, step) => results[(state.current + 1 + step) % results.length]);
-  return ahead.find((one) => isAlike(one) && one.picture !== result().picture && one.info.sensor === result().info.sensor
+  const hasItsCamera = (one) => Boolean(data.comparison) || one.info.sensor === result().info.sensor;
+  return ahead.find((one) => isAlike(one) && one.picture !== result().picture && hasItsCamera(one)
     && views[one.view].width === view().width && views[one.view].height === view().height);
 }
 
@@ -68,7 +70,10 @@ function drawSplit() {
     byId(part).hidden = !other || share === (isAfter ? 100 : 0);
     byId(part).style.clipPath = isAfter ? right : left;
   }
-  byId("overlay").style.clipPath = !other ? "none" : isAfter ? left : right;
+  const own = !other ? "none" : isAfter ? left : right;
+  byId("overlay").style.clipPath = own;
+  // Where the other picture shows the objects at other places, marks are of one half only.
+  for (const marks of ["shade", "lines"]) byId(marks).style.clipPath = other?.view === result().view ? "none" : own;
   byId("picture").classList.toggle("split", Boolean(other) && share > 0 && share < 100);
   byId("picture").style.setProperty("--split", `${share}%`);
   const [before, after] = isAfter ? [result(), other] : [other, result()];
@@ -154,7 +159,7 @@ function printedCopy() {
   const copies = shown.filter((one) => !one.hidden).map(copyOf);
   for (const copy of copies) {
     for (const half of HALVES) copy.querySelector(`#${half}`)?.remove();
-    copy.querySelector("#overlay")?.style.removeProperty("clip-path");
+    for (const one of ["overlay", "shade", "lines"]) copy.querySelector(`#${one}`)?.style.removeProperty("clip-path");
     copy.querySelector("#picture")?.classList.remove("split");
   }
   return make("div", {}, head, ...copies);
@@ -241,8 +246,20 @@ function sortBy(by) {
 
 // --------------------------------------------------------------------------------------------- the picture
 
+/** Return the object that a pixel shows, on either side of the split; null if the chosen result does not show it. */
+function objectUnder(pixel) {
+  const other = otherResult();
+  const isLeft = 100 * (pixel.x + 0.5) < Number(byId("split").value) * view().width;
+  const isOther = other && isLeft !== (results.indexOf(other) > state.current);
+  const seen = views[(isOther ? other : result()).view];
+  const object = objectAt(seen, pixel);
+  if (seen === view() || object === null) return object;
+  const index = view().names.indexOf(seen.names[object]);
+  return index < 0 ? null : index;
+}
+
 function pointAt(pixel, x, y) {
-  const object = pixel && objectAt(view(), pixel);
+  const object = pixel && objectUnder(pixel);
   hover(object === null ? [] : [object]);
   const tip = byId("tip");
   tip.hidden = object === null;
@@ -270,7 +287,7 @@ function movePointer(event) {
     state.pointer = { x: clamp(at.x + stride * steps[0], width), y: clamp(at.y + stride * steps[1], height) };
     showPointer();
   } else if (event.key === "Enter" || event.key === " ") {
-    selectObject(objectAt(view(), at));
+    selectObject(objectUnder(at));
   } else {
     return;
   }
@@ -286,7 +303,7 @@ function showPointer() {
   mark.style.left = `${(100 * (x + 0.5)) / width}%`;
   mark.style.top = `${(100 * (y + 0.5)) / height}%`;
   pointAt(state.pointer, box.left + (box.width * (x + 0.5)) / width, box.top + (box.height * (y + 0.5)) / height);
-  const object = objectAt(view(), state.pointer);
+  const object = objectUnder(state.pointer);
   if (object !== null) announce(object);
 }
 
@@ -484,7 +501,7 @@ function listen() {
   picture.addEventListener("blur", leave);
   picture.addEventListener("click", (event) => {
     const pixel = pixelAt(picture, view(), event.clientX, event.clientY);
-    if (pixel) selectObject(objectAt(view(), pixel));
+    if (pixel) selectObject(objectUnder(pixel));
   });
   picture.addEventListener("keydown", movePointer);
   document.addEventListener("keydown", (event) => {

@@ -41,9 +41,9 @@ function objectsOf(result, index) {
 }
 
 function drawColumns(result, sort, choose) {
-  const colours = result.rows.some((row) => row.channels === 3);
+  const axes = ["R G B", "x y z"].filter((letters) => result.rows.some((row) => lettersOf(row) === letters));
   const name = result.quantity.charAt(0).toUpperCase() + result.quantity.slice(1);
-  const columns = [["rank", "#"], ["label", "Parameter"], ["saliency", result.ranked], ["gradient", colours ? `${name} (R G B)` : name]];
+  const columns = [["rank", "#"], ["label", "Parameter"], ["saliency", result.ranked], ["gradient", axes.length ? `${name} (${axes.join(" or ")})` : name]];
   byId("columns").replaceChildren(...columns.map(([by, text]) => {
     const direction = sort.by === by ? (sort.reversed !== (by === "saliency" || by === "gradient") ? "descending" : "ascending") : "none";
     const arrow = make("span", { class: "arrow", "aria-hidden": "true" }, { ascending: "↑", descending: "↓", none: "" }[direction]);
@@ -77,6 +77,11 @@ function drawRow(result, index, handlers) {
   line.addEventListener("blur", () => handlers.preview(null));
   line.addEventListener("keydown", (event) => rowKey(event, line, () => handlers.select(index)));
   return line;
+}
+
+/** Return what the three numbers of a row are: channels of a colour or, of a pose, along the axes; else nothing. */
+function lettersOf(row) {
+  return row.channels === 3 ? (row.isVector ? "x y z" : "R G B") : "";
 }
 
 function channelsOf(row) {
