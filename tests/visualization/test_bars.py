@@ -188,6 +188,18 @@ def test_heatmap_names_salient_invisible_parameters() -> None:
     assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))
 
 
+def test_the_camera_is_in_no_picture() -> None:
+    result = make()
+    by_name = {
+        field.name: {{"lamp": "camera.pose.rotation"}.get(key, key): one for key, one in value.items()}
+        for field in dataclasses.fields(result)
+        if isinstance(value := getattr(result, field.name), dict) and "lamp" in value
+    }
+    turned = all_text(plot_heatmap(dataclasses.replace(result, **by_name)))
+    assert "camera" not in turned
+    assert "not in the picture: two_minds, #2" in turned
+
+
 def test_heatmap_needs_a_surface_map() -> None:
     with pytest.raises(SceneCaptumError, match="which object each pixel shows"):
         plot_heatmap(dataclasses.replace(make(), surfaces=None))

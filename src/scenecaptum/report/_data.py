@@ -27,6 +27,7 @@ from ..visualization import (
     caution_groups,
     color_of,
     convergence_notes,
+    is_of_camera,
     method_name,
     metric_name,
     metric_symbol,
@@ -307,6 +308,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         if few
         else [],
         "seenThrough": bool({row.name, *(members or ())} & set(attribution.info.get("seen_through") or ())),
+        **({"isCamera": True} if is_of_camera(row.name) else {}),
         "channels": len(row.total),
         **({"isVector": True} if row.name in (attribution.info.get("vectors") or ()) else {}),
         "texture": _is_texture(attribution, row.name),

@@ -50,6 +50,7 @@ function standingOf(result, view, { kind, objects, rows }) {
   for (const one of coverage(view, objects)) covered += one;
   const share = (100 * covered) / (255 * count);
   const size = share >= 0.1 ? `${share.toFixed(1)} %` : "less than 0.1 %";
+  if (rows.some((row) => result.rows[row].isCamera)) return "It moves the whole picture.";
   if (objects.length === 0) {
     return rows.some((row) => result.rows[row].seenThrough)
       ? "Pixels show it only behind glass or in a mirror."
@@ -91,7 +92,7 @@ function othersOf(results, current, name) {
 /** Before anything is selected: how to read the picture, and what matters out of sight. */
 function hintOf(result, isPlan) {
   if (isPlan) return [make("p", { class: "muted hint" }, "Click a row of the table to see all about its parameter.")];
-  const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && objectsOf(result, index).length === 0);
+  const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && !row.isCamera && objectsOf(result, index).length === 0);
   const hint = "Point at the picture to read an object; click it, or a row of the table, to keep it lit.";
   const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);
   return [make("p", { class: "muted hint" }, hint), hidden].filter(Boolean);

@@ -67,7 +67,7 @@ function drawRow(result, index, handlers) {
   const line = make("tr", { "data-row": index, tabindex: -1, "aria-selected": "false" },
     make("td", { class: "rank" }, String(index + 1)),
     make("th", { class: "label", scope: "row", title: row.name },
-      make("div", {}, ...breakable(row.label), ...markOf(row, result), seen ? null : make("span", { class: "tag" }, row.seenThrough ? "behind glass or mirrored" : "not in view")), valueOf(row)),
+      make("div", {}, ...breakable(row.label), ...markOf(row, result), seen || row.isCamera ? null : make("span", { class: "tag" }, row.seenThrough ? "behind glass or mirrored" : "not in view")), valueOf(row)),
     make("td", { class: "saliency" }, row.saliency ? drawBar(row, result) : null, make("span", { class: "number" }, signMark(row, result), withError(row.written))),
     make("td", { class: "gradient" }, ...channelsOf(row)));
   line.addEventListener("click", () => handlers.select(index));

@@ -26,6 +26,7 @@ from ._numbers import format_with_error, rounded, shorten
 from ._text import (
     axis_label,
     color_meanings,
+    is_of_camera,
     method_name,
     metric_unit,
     noise_notes,
@@ -325,6 +326,7 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
         row
         for row in ranking
         if visible.isdisjoint(groups.get(row.name, [row.name]))
+        and not is_of_camera(row.name)
         and row.saliency > max(2 * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
     ]
     named = [row for row in unseen if row.rank <= _MOST_UNSEEN]

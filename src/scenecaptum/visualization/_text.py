@@ -383,6 +383,11 @@ def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     return group_by_text(attribution.untrusted_errors().items())
 
 
+def is_of_camera(name: str) -> bool:
+    """Whether a parameter belongs to the camera, which is in no picture and moves all of it."""
+    return name.startswith("camera.")
+
+
 def pluralize(count: int, noun: str) -> str:
     """Return ``'1 parameter'`` or ``'3 parameters'``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
