@@ -196,7 +196,7 @@ def test_the_camera_is_in_no_picture() -> None:
         if isinstance(value := getattr(result, field.name), dict) and "lamp" in value
     }
     turned = all_text(plot_heatmap(dataclasses.replace(result, **by_name)))
-    assert "camera" not in turned
+    assert "not in the picture: camera" not in turned
     assert "not in the picture: two_minds, #2" in turned
 
 
