@@ -63,7 +63,7 @@ def test_the_table_has_what_was_set_then_clear_changes_and_then_leading_effects(
     noisy = [line for line in rows_of(text) if line.endswith(" ◆")]
     assert [line.split("  ")[0] for line in noisy] == ["noisy", "lamp", "floor", "wall"]
     assert "  ◆ change within the noise" in text
-    assert text[-1] == "  not shown: 2 effects with a change within the noise"
+    assert text[-1] == "  not shown: 2 effects, 1 with no change, 1 with a change within the noise"
     above = text[next(index for index, line in enumerate(text) if line.startswith("effect of")) - 1]
     assert above == "effect: first-order change of Glare over the range of the parameter"
 
@@ -74,9 +74,21 @@ def test_clear_changes_that_are_not_shown_are_counted() -> None:
     text = text_of(before, scaled(before, **factors))
     assert not any(line.startswith("tiny") for line in text)
     (counted,) = re.findall(r"not shown: .*", " ".join(" ".join(text).split()))
-    assert (
-        counted == "not shown: 2 effects with a change within the noise and 1 with a change of at most 2.6e−7"
-    )
+    reasons = "1 with no change, 1 with a change within the noise, 1 with a change of at most 2.6e−7"
+    assert counted == f"not shown: 3 effects, {reasons}"
+
+
+def test_equal_effects_have_no_digits_of_rounding_and_no_mark_of_noise() -> None:
+    lamp = "light.emitter.radiance.value"
+    renderer = SceneRenderer("cornell-box", [lamp], resolution=(8, 8), spp=16, max_depth=3)
+    one = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute()
+    rounding = {
+        field: {lamp: (1 + 1e-7) * getattr(one, field)[lamp]} for field in ("attributions", "replicates")
+    }
+    text = text_of(one, dataclasses.replace(one, **rounding))
+    (row,) = rows_of(text)
+    assert re.fullmatch(r"light: radiance +(\S{3,5}) +\1 +0", row)
+    assert not any("noise" in line for line in text)
 
 
 @pytest.mark.parametrize("factor", [0.1, 2.0])
@@ -204,3 +216,9 @@ def test_a_comparison_of_daylight_prints_classes_and_cautions(
         assert re.search(rf"{title}: [^:]+: {re.escape(words)}", printed)
     assert printed.count("caution: blinds are not modeled") == 1
     assert all(result["rankedUnit"] == "%" for result in page["results"])
+
+
+def test_effects_that_are_left_out_for_one_reason_are_counted_once() -> None:
+    noisy = _compared_effects.ComparedEffect("a", "a", 1.0, 1.1, 0.1, 1.0)
+    assert _compared_effects._left_out([noisy] * 2) == ["not shown: 2 effects with a change within the noise"]
+    assert _compared_effects._left_out([]) == []

@@ -19,6 +19,7 @@ from ..visualization import (
     pluralize,
     range_marked,
     range_notes,
+    rounded,
     rounded_up,
     signed_with_error,
 )
@@ -53,8 +54,15 @@ class ComparedEffect(NamedTuple):
         """Whether the change is clear of the noise."""
         return abs(self.change) > max(SIGNIFICANT * (self.error or 0.0), ROUNDING * self.size)
 
+    @property
+    def is_equal(self) -> bool:
+        """Whether both effects are equal up to rounding, and so are their replicates."""
+        return max(abs(self.change), self.error or 0.0) <= ROUNDING * self.size
+
     def numbers(self) -> tuple[str, str, str]:
         """Return both effects and the change in one notation, with the digits that the error supports."""
+        if self.is_equal:
+            return rounded(self.before), rounded(self.after), "0"
         style = Format.of(max(self.size, abs(self.change)), self.error)
         change = [style.write_signed(self.change), *([style.write(self.error)] if self.error else [])]
         return style.write(self.before), style.write(self.after), " ± ".join(change)
@@ -89,7 +97,7 @@ def effect_lines(
     shown = _shown(found, different_values(before, after))
     notes = _notes(before, after, titles, [one.name for one in shown])
     marked = range_marked(notes)
-    is_noisy = {one.name for one in shown if one.error and not one.is_clear}
+    is_noisy = {one.name for one in shown if one.error and not (one.is_clear or one.is_equal)}
     rows = []
     for one in shown:
         first, second, change = one.numbers()
@@ -216,13 +224,17 @@ def _shown(found: Sequence[ComparedEffect], moved: Sequence[str]) -> list[Compar
 def _left_out(hidden: Sequence[ComparedEffect]) -> list[str]:
     """Return a line that counts the effects that are not shown, and says why."""
     clear = [abs(one.change) for one in hidden if one.is_clear]
-    counts = []
-    if noisy := len(hidden) - len(clear):
-        counts.append(f"{pluralize(noisy, 'effect')} with a change within the noise")
-    if clear:
-        of_most = f"with a change of at most {rounded_up(max(clear), 2)}"
-        counts.append(f"{len(clear) if noisy else pluralize(len(clear), 'effect')} {of_most}")
-    return [f"not shown: {' and '.join(counts)}"] if counts else []
+    equal = sum(one.is_equal for one in hidden)
+    reasons = {
+        "no change": equal,
+        "a change within the noise": len(hidden) - equal - len(clear),
+        f"a change of at most {rounded_up(max(clear, default=0.0), 2)}": len(clear),
+    }
+    parts = [f"{count} with {reason}" for reason, count in reasons.items() if count]
+    if not parts:
+        return []
+    which = f", {', '.join(parts)}" if len(parts) > 1 else parts[0].removeprefix(f"{len(hidden)}")
+    return [f"not shown: {pluralize(len(hidden), 'effect')}{which}"]
 
 
 def _notes(
