@@ -18,6 +18,7 @@ from scenecaptum import (
     metrics,
 )
 from scenecaptum.attr import range_lengths
+from scenecaptum.visualization import range_notes
 
 
 def attribution(**other: object) -> SceneAttribution:
@@ -156,6 +157,39 @@ def test_a_light_that_is_switched_off_keeps_the_range_of_the_scene(mi):
     assert without.effects()[lamp] == pytest.approx(on.effects()[lamp], rel=1e-3)
     assert without.info["unit_ranges"] == []
     assert range_lengths(renderer, off)[lamp] == renderer.inputs[lamp].max()
+    assert without.info["lights_off"] == [], "the metric is linear in the light"
+
+
+def test_the_effect_of_a_light_that_is_off_has_a_note_under_a_metric_that_is_not_linear(mi):
+    lamp, floor = "lamp.intensity.value", "floor.bsdf.reflectance.value"
+    scene = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f().look_at([0, -4, 2], [0, 0, 0], [0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": 8, "height": 8},
+        },
+        "sky": {"type": "constant"},
+        "lamp": {"type": "point", "position": [0, 0, 2], "intensity": 2.0},
+        "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(2)},
+    }
+    renderer = SceneRenderer(scene, [lamp, floor], spp=16, max_depth=3)
+    dark = {name: torch.zeros_like(value) for name, value in renderer.inputs.items()}
+
+    def squared(image):
+        return (1 + image.mean()).square()
+
+    on, without, linear = (
+        VanillaSceneGradient(renderer, metric).attribute(values, seed=shifted(1))
+        for metric, values in ((squared, None), (squared, dark), (torch.mean, dark))
+    )
+    assert on.info["lights_off"] == linear.info["lights_off"] == []
+    assert without.info["lights_off"] == [lamp], "a black reflectance is no light"
+    (note,) = range_notes(without)
+    assert note.startswith(f"{without.labels[lamp]}: off, and squared is not linear in the light")
+    assert note.endswith("render the change")
+    assert f"~ {note}" in " ".join(str(without).split())
+    assert range_notes(on) == range_notes(linear) == {}
 
 
 def test_groups_add_effects_not_gradients_of_different_units():

@@ -15,18 +15,18 @@ import torch
 
 from scenecaptum import SceneRenderer, View, cli
 from scenecaptum.attr import SceneAttribution
-from scenecaptum.cli import _compare
+from scenecaptum.cli import _compare, _compared, _compared_effects
 
 SMALL = "--spp 8 --max-depth 3 --inputs emitters --no-progress"
 
 
-def compared(*settings: dict[str, Any], is_saved: bool = True) -> _compare.Compared:
+def compared(*settings: dict[str, Any], is_saved: bool = True) -> _compared.Compared:
     before, after = (
         dataclasses.replace(one, info={**one.info, **more})
         for one, more in zip([results.make()] * 2, settings, strict=True)
     )
-    sides = [_compare.Side(is_saved=is_saved)] * 2
-    return _compare.Compared(before, after, ["A", "B"], 0.0, None, sides)
+    sides = [_compared.Side(is_saved=is_saved)] * 2
+    return _compared.Compared(before, after, ["A", "B"], 0.0, None, sides)
 
 
 def test_the_shares_of_points_are_of_the_render_whose_value_is_quoted(
@@ -59,7 +59,7 @@ def test_the_shares_of_points_are_of_the_render_whose_value_is_quoted(
 def test_a_row_of_the_table_has_one_notation(
     numbers: tuple[float, float, float, float | None], written: tuple[str, str, str]
 ) -> None:
-    assert _compare.ChangedEffect("eta", "sphere: eta", *numbers).numbers() == written
+    assert _compared_effects.ComparedEffect("eta", "sphere: eta", *numbers).numbers() == written
 
 
 def test_settings_that_differ_are_named_as_a_part_of_the_change() -> None:
@@ -76,7 +76,7 @@ def test_settings_that_differ_are_named_as_a_part_of_the_change() -> None:
         "caution: made with different settings, which are part of the change: resolution 32×18 against 64×64; "
         "camera perspective, 66° wide against fisheye, 180° wide; max depth 6 against no limit"
     )
-    assert caution in " ".join(" ".join(_compare._lines(found)).split())
+    assert caution in " ".join(" ".join(_compared.lines(found)).split())
     assert compared(ours, ours).notes() == []
     assert compared(ours, {}).notes() == [], "a setting that an older file does not have"
     moved = {**ours, "sensor": f"{office}, turned"}

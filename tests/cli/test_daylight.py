@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import re
 import shlex
@@ -16,7 +15,7 @@ import torch
 
 from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
 from scenecaptum.attr import Definition, Explanation
-from scenecaptum.cli import _compare, _daylight, _plan
+from scenecaptum.cli import _compared, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
 from scenecaptum.cli._points import grid_premises
 from scenecaptum.visualization import plot_plan
@@ -220,10 +219,10 @@ def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_chang
 def test_what_one_result_alone_was_computed_for_begins_with_its_title() -> None:
     both, one = "weather: made-up", results.make()
     sides = [
-        _compare.Side(premises=(both, "grid: 9 points")),
-        _compare.Side(premises=("caution: dark", both)),
+        _compared.Side(premises=(both, "grid: 9 points")),
+        _compared.Side(premises=("caution: dark", both)),
     ]
-    found = _compare.Compared(one, one, ["A", "B"], 0.0, None, sides)
+    found = _compared.Compared(one, one, ["A", "B"], 0.0, None, sides)
     assert found.premises() == [both, "A: grid: 9 points", "B: caution: dark"]
     assert [shown.notes()[-2:] for shown in found.shown()] == [list(side.premises) for side in sides]
 
@@ -255,42 +254,6 @@ def test_the_points_that_pass_on_a_plan_are_the_quoted_value(
     points = sum(row["count"] for row in said["rows"])
     share = sum(row["value"] * row["count"] for row in said["rows"]) / points
     assert share == pytest.approx(said["metric"]["definition"]["value"])
-
-
-def test_the_table_of_a_comparison_leaves_out_what_is_far_below_the_largest_change() -> None:
-    before = results.make()
-    factors = {"lamp": 2.0, "rough": 1.5, "tiny": 3.0}  # the effect of tiny is a millionth of the lamp's
-    after = dataclasses.replace(
-        before, attributions={name: factors.get(name, 1.0) * value for name, value in before.items()}
-    )
-    changes = _compare._changed_effects(before, after)
-    assert [one.name for one in changes] == ["lamp", "rough", "tiny"]
-    sides = [_compare.Side(), _compare.Side()]
-    text = _compare._lines(_compare.Compared(before, after, ["A", "B"], 0.0, None, sides))
-    assert [line.split()[0] for line in text[-3:]] == ["lamp", "desk:", "left"]
-    assert text[-1] == "  left out: 1 effect that changed by less than 1 % of the largest change"
-
-
-def test_effects_over_different_ranges_are_not_subtracted() -> None:
-    """The gradient of a lamp that is dimmed to a tenth is the same: a tenth of the effect is no change of it."""
-    before = results.make()
-    before = dataclasses.replace(
-        before, extents={name: torch.ones_like(totals) for name, totals in before.weights("unit").items()}
-    )
-    dimmed = dataclasses.replace(
-        before,
-        extents={**before.extents, "lamp": 0.1 * before.extents["lamp"]},
-        attributions={**before.attributions, "rough": 1.5 * before["rough"]},
-    )
-    assert [one.name for one in _compare._changed_effects(before, dimmed)] == ["rough"]
-    brighter = dataclasses.replace(dimmed, attributions={**before.attributions, "lamp": 2 * before["lamp"]})
-    for pair, sign in (((before, brighter), 1), ((brighter, before), -1)):
-        (change,) = _compare._changed_effects(*pair)
-        assert change.change == pytest.approx(sign * before.effects("unit")["lamp"])
-        assert change.change == pytest.approx(change.after - change.before)
-        sides = [_compare.Side(), _compare.Side()]
-        text = _compare._lines(_compare.Compared(*pair, ["A", "B"], 0.0, None, sides))
-        assert text[-1] == "  over the longer of the two ranges: lamp"
 
 
 def page(folder: Path) -> str:

@@ -24,7 +24,7 @@ from bitmaps import read_bitmap
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, cli, metrics
-from scenecaptum.cli import _compare, _demo, _explore, _main, _optimize
+from scenecaptum.cli import _compared_effects, _demo, _explore, _main, _optimize
 from scenecaptum.denoising import denoise
 from scenecaptum.designs import design_of, read_design
 from scenecaptum.optimize import Optimization
@@ -552,14 +552,20 @@ def test_the_demo_ends_with_a_next_step(
 def test_the_change_of_an_effect_is_the_difference_of_both(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Those of a lamp that is dimmed are over the same range, which changes nothing for a linear metric."""
+    """That of a lamp that is dimmed is over its own range: for a linear metric, its change is the rendered one."""
     dimmed = "--set light.emitter.radiance.value*=0.5"
     assert cli.main(shlex.split(f"compare {SCENE} --metric luminance {dimmed} --json --out out")) == 0
-    effects = {one["label"]: one for one in json.loads(capsys.readouterr().out)["effects"]}
-    assert "light: radiance" not in effects
-    assert len(effects) > 2
+    found = json.loads(capsys.readouterr().out)
+    effects = {one["label"]: one for one in found["effects"]}
+    light, change = effects["light: radiance"], found["change"]
+    assert light["after"] == pytest.approx(light["before"] / 2, rel=1e-3)
+    assert light["is_clear"]
+    assert light["change"] == pytest.approx(
+        change["value"], abs=4 * (light["standard_error"] + change["standard_error"])
+    )
+    assert sum(one["is_clear"] for one in effects.values()) > 2
     for one in effects.values():
-        assert one["change"] == pytest.approx(one["after"] - one["before"], rel=1e-4)
+        assert one["change"] == pytest.approx(one["after"] - one["before"], rel=1e-4, abs=1e-6)
 
 
 @pytest.mark.parametrize(("scale", "changes"), [(1 - 1e-6, False), (1.01, True)])
@@ -571,7 +577,8 @@ def test_a_difference_of_rounding_is_not_a_change_of_an_effect(scale: float, cha
         field: {name: scale * one for name, one in getattr(before, field).items()}
         for field in ("attributions", "replicates")
     }
-    assert bool(_compare._changed_effects(before, dataclasses.replace(before, **scaled))) == changes
+    (found,) = _compared_effects.compared_effects(before, dataclasses.replace(before, **scaled))
+    assert found.is_clear == changes
 
 
 def test_a_design_changes_values_within_their_bounds(folder: Path) -> None:

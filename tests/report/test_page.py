@@ -126,9 +126,12 @@ def test_effects_are_compared_where_ranges_are_known_and_else_norms(browser, tmp
     page = Page(browser, path)
     header, first = page.page.locator("th.saliency"), page.page.locator("#rows tr").first
     assert header.first.inner_text() == "Effect"
+    notes = page.page.locator("#notes p").first
+    assert notes.inner_text() == "Effect: first-order change of Glare over the range of the parameter"
     assert "+0.7000" in first.inner_text()  # 0.3 + 0.4
     page.page.get_by_text("Per unit", exact=True).click()
     assert header.first.inner_text() == "Norm"
+    assert notes.inner_text() == "Norm: ℓ2 norm of the change of Glare per unit of the parameter"
     assert "0.5000" in first.inner_text()
     page.check(path)
     page.context.close()
@@ -142,6 +145,7 @@ def test_unit_verdict_and_metric_are_at_the_headline(browser, tmp_path):
     assert bare == ["as it is · unified glare rating", "2.3369 ± 0.0005 cd/m²", VERDICT]
     assert explanation[2] == f"{VERDICT} (EN 12464-1); too close to 2.337 to be sure"
     assert plain == ["Glare", "2.3369 ± 0.0005"]
+    assert page.page.locator("th.saliency").inner_text() == "Effect (cd/m²)"
     page.check(path)
     page.context.close()
 

@@ -8,10 +8,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from matplotlib.collections import QuadMesh
 from matplotlib.contour import QuadContourSet
 
 from scenecaptum import SceneCaptumError
-from scenecaptum.visualization import plot_plan
+from scenecaptum.visualization import plot_plan, share_scale
 
 
 def plan(rows: int, columns: int) -> torch.Tensor:
@@ -165,3 +166,12 @@ def test_bad_input_is_one_clear_line():
         plot_plan(ramp() / 0 * 0, plan(5, 7))
     with pytest.raises(SceneCaptumError, match="rows and columns"):
         plot_plan(torch.rand(3, 3), torch.rand(3, 3, 2))
+
+
+def test_plans_that_are_compared_have_one_scale():
+    figures = [plot_plan(factor * ramp(), plan(5, 7)) for factor in (1, 2)]
+    share_scale(figures)
+    for figure in figures:
+        mapped = next(part for part in figure.axes[0].get_children() if isinstance(part, QuadMesh))
+        assert mapped.get_clim() == (100, 1400)
+        assert figure.axes[1].get_ylim() == (100, 1400)

@@ -20,7 +20,7 @@ from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
-from ._ranges import extents, unit_ranges
+from ._ranges import extents, lights_off, unit_ranges
 from ._steps import StepErrors, step_errors
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
@@ -333,6 +333,8 @@ def make_attribution(
             "seen_through": seen_through(renderer, surfaces, names, values),
             "jumps": steps.jumps,
             "unit_ranges": unit_ranges(renderer, values),
+            # Only a linear metric grows with a light as its derivative at 0 says.
+            "lights_off": [] if adjoints.bias_adjoint is None else lights_off(renderer, values),
             "left_out": steps.left_out,
             "left_out_notes": steps.notes,
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},

@@ -90,7 +90,7 @@ def _absent(renderer: Renderer, values: Values) -> dict[str, Any]:
     if table is None:
         return dict.fromkeys(values, 0.0)
     return {
-        name: 0.0 if _is_emitted_power(table[name]) or _is_reflectance(table[name]) else value
+        name: 0.0 if is_emitted_power(table[name]) or _is_reflectance(table[name]) else value
         for name, value in values.items()
     }
 
@@ -107,7 +107,7 @@ def _preset(renderer: Renderer, values: Values, preset: str) -> dict[str, Any]:
             f"baselines={preset!r} needs the kinds of the parameters, and this renderer has no "
             "parameters_table(). Give numbers or tensors by parameter name."
         )
-    is_affected = _is_emitted_power if preset == "dark" else _is_reflectance
+    is_affected = is_emitted_power if preset == "dark" else _is_reflectance
     affected = [name for name in values if is_affected(table[name])]
     if not affected:
         kind = "light" if preset == "dark" else "reflectance"
@@ -118,7 +118,8 @@ def _preset(renderer: Renderer, values: Values, preset: str) -> dict[str, Any]:
     return {**values, **{n: values[n].mean().item() if preset == "grey" else 0.0 for n in affected}}
 
 
-def _is_emitted_power(parameter: Parameter) -> bool:
+def is_emitted_power(parameter: Parameter) -> bool:
+    """Whether a parameter is how much light an emitter emits."""
     return parameter.kind == "emitters" and parameter.role not in _NON_POWER_ROLES
 
 

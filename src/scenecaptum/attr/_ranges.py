@@ -14,7 +14,7 @@ from ..errors import SceneCaptumError, near_misses
 from ..estimation import Stream, derived_seeds
 from ..protocols import Capabilities, Renderer
 from ..scene import reflect
-from ._baselines import table_of
+from ._baselines import is_emitted_power, table_of
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -43,6 +43,14 @@ def unit_ranges(renderer: Renderer, values: Tensors) -> list[str]:
     own = _not_off(renderer, values)
     finite = {name for name, (low, high) in ranges.items() if math.isfinite(high - low)}
     return [name for name, value in own.items() if name not in finite and not value.any()]
+
+
+def lights_off(renderer: Renderer, values: Tensors) -> list[str]:
+    """Return the radiances and other powers of light that are 0, in the scene or in a design."""
+    table = table_of(renderer)
+    if table is None:
+        return []
+    return [name for name, value in values.items() if not value.any() and is_emitted_power(table[name])]
 
 
 def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:

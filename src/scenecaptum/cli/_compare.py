@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
-from .. import metrics
-from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
+from ..attr import SceneAttribution, VanillaSceneGradient
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
 from ..explanation import definition_of, difference_by_definition, photometric_premises, states_definition
 from ..rendering import SceneRenderer
-from ..report import Comparison, different_values, write_report
-from ..scene import pose_component
+from ..report import Comparison, write_report
 from ..validation import Scenes, denoise_of
-from ..visualization import (
-    Format,
-    format_with_error,
-    grid,
-    metric_name,
-    metric_unit,
-    pluralize,
-    rounded,
-    signed_with_error,
-    terminal_width,
-    wrapped_lines,
-)
+from ..visualization import metric_name, share_scale
 from . import _arguments
+from ._compared import Compared, Side, lines, numbers
+from ._compared_effects import with_contradictions
 from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._messages import warnings_after_checks
@@ -44,18 +31,8 @@ from ._once import Once
 from ._plan import plan_of
 from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 REPORT = "comparison.html"
 COMMON_NAMES = ("scene", "attribution", "design")
-# Settings on which a value depends, by their key in ``info``, and their names.
-SETTINGS = {"resolution": "resolution", "sensor": "camera", "max_depth": "max depth"}
-ROWS = 10
-SMALL = 0.01  # of the largest change of an effect: smaller ones are left out of the table
-WIDTH = 100  # of sentences, without a terminal
-SIGNIFICANT = 2.0  # standard errors
-ROUNDING = 1e-5  # of both effects: a difference in single precision below this is not a change
 MEASURED = (
     "The change comes from separate renders of both designs with the same random numbers, in which most of the "
     "noise cancels: it can differ from the difference of the two values, by about their errors."
@@ -64,11 +41,6 @@ BY_DEFINITION = (
     "The values by the definition come from separate renders of both designs with the same random numbers, in "
     "which most of the noise of their change cancels."
 )
-SAVED = (
-    "Both values are relaxed near the threshold, which only serves the derivatives: a saved result has no value "
-    "by the definition. Explain the scenes to get it."
-)
-RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
 
 
 def add(commands: Any) -> None:
@@ -94,88 +66,6 @@ def add(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Two results of one metric, their titles, and the change of the metric with its standard error.
-
-    ``measured`` says how, where the change is not the difference of the two values. Of metrics of daylight, also
-    the change by the definition and its error. ``sides`` have what belongs to each result.
-    """
-
-    before: SceneAttribution
-    after: SceneAttribution
-    titles: Sequence[str]
-    change: float
-    error: float | None
-    sides: Sequence[Side]
-    measured: str = ""
-    by_definition: tuple[float, float | None] | None = None
-
-    def notes(self) -> list[str]:
-        """Return what belongs to the change: how it was measured, that of the relaxed metric, and cautions."""
-        return list(filter(None, (self.measured, self.relaxed(), self.different_settings())))
-
-    def different_settings(self) -> str:
-        """Return a caution that names the settings by which the two results differ; empty if there are none."""
-        changed = different_values(self.before, self.after)
-        # The camera that a design moves is listed as what it sets.
-        is_moved = any(name.startswith("camera.") and pose_component(name) for name in changed)
-        different = [
-            f"{name} {' against '.join(values)}"
-            for key, name in SETTINGS.items()
-            if not (key == "sensor" and is_moved)
-            and all(values := _different_settings(self.before, self.after, key))
-        ]
-        if not different:
-            return ""
-        return f"caution: made with different settings, which are part of the change: {'; '.join(different)}"
-
-    def premises(self) -> list[str]:
-        """Return what both results were computed for; what holds for one of them alone begins with its title."""
-        first, second = (side.premises for side in self.sides)
-        return [
-            text if text in first and text in second else f"{title}: {text}"
-            for title, own, others in zip(self.titles, (first, second), ((), first), strict=True)
-            for text in own
-            if text not in others
-        ]
-
-    def relaxed(self) -> str:
-        """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
-        if self.by_definition is None:
-            return SAVED if self.are_relaxed_ratings() else ""
-        change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
-        return f"{RELAXED}: it changes by {change}."
-
-    def are_relaxed_ratings(self) -> bool:
-        """Whether the two values are relaxed ratings of glare, as one that was saved is."""
-        return any(side.is_saved for side in self.sides) and _is_glare_rating(self.before)
-
-    def shown(self) -> list[Explanation]:
-        """Return both results for the page, with what belongs to their values."""
-        return [
-            Explanation(one, definition=side.definition, premises=tuple(side.premises), count=0)
-            for one, side in zip((self.before, self.after), self.sides, strict=True)
-        ]
-
-
-class ChangedEffect(NamedTuple):
-    """The effect of a parameter in both designs, its change, and the error of that."""
-
-    name: str
-    label: str
-    before: float
-    after: float
-    change: float
-    error: float | None
-
-    def numbers(self) -> tuple[str, str, str]:
-        """Return both effects and the change in one notation, with the digits that the error supports."""
-        style = Format.of(max(map(abs, (self.before, self.after, self.change))), self.error)
-        change = [style.write_signed(self.change), *([style.write(self.error)] if self.error else [])]
-        return style.write(self.before), style.write(self.after), " ± ".join(change)
-
-
 class Result(NamedTuple):
     """One of the two results, and the renderer and the metric that made it; without these if it was loaded."""
 
@@ -184,24 +74,12 @@ class Result(NamedTuple):
     metric: Metric | None = None
 
 
-@dataclass(frozen=True)
-class Side:
-    """What belongs to one of the two results: its plan, its value by the definition, and its premises.
-
-    A result that was saved has none of these.
-    """
-
-    plan: Figure | None = None
-    definition: Definition | None = None
-    premises: Sequence[str] = ()
-    is_saved: bool = False
-
-
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     with writable(options.out):
         found = _compare(options)
         plans = [side.plan for side in found.sides]
+        share_scale(plan for plan in plans if plan is not None)
         change = found.by_definition or (found.change, found.error)
         comparison = Comparison(*change, found.notes())
         write_report(
@@ -213,9 +91,9 @@ def run(options: argparse.Namespace) -> int:
             comparison=comparison,
         )
     if options.json:
-        print(json.dumps(_numbers(found), indent=1, ensure_ascii=False))
+        print(json.dumps(numbers(found), indent=1, ensure_ascii=False))
         return 0
-    print("\n".join(_lines(found)))
+    print("\n".join(lines(found)))
     print_files(options.out, [])
     shown = "both plans" if any(plans) else "both pictures and maps"
     print(f"{options.out / REPORT}  the change, what was set, and {shown}")
@@ -284,6 +162,7 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
     measured = MEASURED if exact is None else BY_DEFINITION
+    before, after = with_contradictions(before, after, change)
     return Compared(before, after, titles, *change, sides, measured, exact)
 
 
@@ -423,173 +302,3 @@ def _titles(*given: str | Path) -> list[str]:
 def _name(path: Path) -> str:
     """Return the name of a file without its extension; of one that a command has named, that of its folder."""
     return path.parent.name if path.stem in COMMON_NAMES and path.parent.name else path.stem
-
-
-def _lines(found: Compared) -> list[str]:
-    """Return the comparison as text: the metric, the values that differ, and the effects that changed."""
-    before, after = found.before, found.after
-    suffix = f" {metric_unit(before)}".rstrip()
-    text = [
-        *(
-            f"{title}: {_value_line(one, side)}{', relaxed' if found.are_relaxed_ratings() else ''}"
-            for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
-        ),
-        f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
-        *(line for note in found.notes() for line in _note(note)),
-        *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
-    ]
-    moved = [
-        (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
-        for name in different_values(before, after)
-    ]
-    if moved:
-        text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]
-    if set(before) != set(after):
-        only = pluralize(len(set(before) ^ set(after)), "parameter")
-        return [*text, "", f"{only} of one of the two only; effects are not compared."]
-    changed = _changed_effects(before, after)
-    shown = [one for one in changed if abs(one.change) >= SMALL * abs(changed[0].change)]
-    table = [(one.label, *one.numbers()) for one in shown[:ROWS]]
-    if table:
-        text += ["", *grid(("effect of", *found.titles, f"change{suffix}"), table)]
-    longer = _with_different_ranges(before, after)
-    if of_longer := [one.label for one in shown if one.name in longer]:
-        text += _note(f"over the longer of the two ranges: {'; '.join(of_longer)}")
-    if small := len(changed) - len(shown):
-        effects = (
-            f"{pluralize(small, 'effect')} that changed by less than {100 * SMALL:g} % of the largest change"
-        )
-        text += _note(f"left out: {effects}")
-    return text
-
-
-def _value_line(attribution: SceneAttribution, side: Side) -> str:
-    """Return the metric and its value; by the definition, with the relaxed one behind it, if there are two."""
-    headline = Explanation(attribution, definition=side.definition).headline()
-    if side.definition is None:
-        return headline
-    relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
-    relaxed = f"{relaxed} {metric_unit(attribution)}".rstrip()
-    return f"{headline} by the definition; relaxed {relaxed}"
-
-
-def _is_glare_rating(attribution: SceneAttribution) -> bool:
-    """Whether a result is of a rating of glare, also if it was saved."""
-    rating = getattr(metrics, str(attribution.info.get("metric")), None)
-    return isinstance(rating, type) and issubclass(rating, metrics.GlareRating)
-
-
-def _different_settings(before: SceneAttribution, after: SceneAttribution, key: str) -> list[str]:
-    """Return a setting of two results in words, what differs of it; empty where it is equal or not known."""
-    values = [_setting(one, key) for one in (before, after)]
-    if not all(values):
-        return ["", ""]
-    parts, others = (value.split(", ") for value in values)
-    different = [
-        ", ".join(part for part in own if part not in rest)
-        for own, rest in ((parts, others), (others, parts))
-    ]
-    return different if all(different) or parts == others else values
-
-
-def _setting(attribution: SceneAttribution, key: str) -> str:
-    """Return a setting of a result in words; empty if it is not known."""
-    value = attribution.info.get(key)
-    if key == "resolution" and value is not None:
-        return "×".join(map(str, value))
-    return "no limit" if value == -1 else str("" if value is None else value)
-
-
-def _note(text: str) -> list[str]:
-    """Return a sentence as indented lines."""
-    return wrapped_lines(f"  {text}", _width(), indent=2) if text else []
-
-
-def _width() -> int:
-    return max(terminal_width() or WIDTH, 40)
-
-
-def _numbers(found: Compared) -> dict[str, Any]:
-    """Return the comparison as plain values."""
-    before, after = found.before, found.after
-    rows = _changed_effects(before, after) if set(before) == set(after) else []
-    return {
-        "metric": metric_name(before),
-        "unit": metric_unit(before),
-        "results": [
-            {
-                "title": title,
-                "value": one.metric_value,
-                "standard_error": one.metric_standard_error,
-                "definition": None if side.definition is None else vars(side.definition),
-            }
-            for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
-        ],
-        "change": {
-            "value": found.change,
-            "standard_error": found.error,
-            "definition": None
-            if found.by_definition is None
-            else dict(zip(("value", "error"), found.by_definition, strict=True)),
-        },
-        "values": {
-            name: [one.parameter_values[name].tolist() for one in (before, after)]
-            for name in different_values(before, after)
-        },
-        "notes": found.notes(),
-        "effects": [
-            {
-                "name": one.name,
-                "label": one.label,
-                "before": one.before,
-                "after": one.after,
-                "change": one.change,
-                "standard_error": one.error,
-            }
-            for one in rows
-        ],
-    }
-
-
-def _changed_effects(before: SceneAttribution, after: SceneAttribution) -> list[ChangedEffect]:
-    """Return the changes of effects that are clear of the noise, the largest first."""
-    before, after = _over_equal_ranges(before, after)
-    rows, differences = ({row.name: row for row in one.ranking()} for one in (before, after - before))
-    found = []
-    for row in after.ranking():
-        own, difference = rows[row.name], differences[row.name]
-        change, error = difference.effect, difference.effect_error
-        if row.name in after.vectors:
-            # Each effect is in a direction of its own.
-            change = row.effect - own.effect
-            error = math.hypot(row.effect_error or math.inf, own.effect_error or math.inf)
-        rounding = ROUNDING * max(abs(own.effect), abs(row.effect))
-        if abs(change) > max(SIGNIFICANT * (error or math.inf), rounding):
-            found.append(ChangedEffect(row.name, row.label, own.effect, row.effect, change, error))
-    return sorted(found, key=lambda one: -abs(one.change))
-
-
-def _over_equal_ranges(
-    before: SceneAttribution, after: SceneAttribution
-) -> tuple[SceneAttribution, SceneAttribution]:
-    """Return both results with effects over the longer of their two ranges, so that they can be subtracted.
-
-    The range of a lamp is from off to its value.
-    """
-    if not (before.extents and after.extents):
-        return before, after
-    longer = {name: torch.maximum(length, after.extents[name]) for name, length in before.extents.items()}
-    return dataclasses.replace(before, extents=longer), dataclasses.replace(after, extents=longer)
-
-
-def _with_different_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
-    """Return the parameters whose own ranges differ."""
-    return [
-        name
-        for name, length in before.extents.items()
-        if name in after.extents and not torch.equal(length, after.extents[name])
-    ]
-
-
-def _values(value: torch.Tensor) -> str:
-    return " ".join(rounded(number) for number in value.flatten().tolist())

@@ -25,7 +25,7 @@ from ._files import OutputFormat, print_files, writable, write_files
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._optimize import NOT_REACHED, design_format, optimization_numbers, with_design_option
-from ._plan import plan_format, plan_of
+from ._plan import plan_format, plans_of
 from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
@@ -130,7 +130,7 @@ def _write_report(
         options.out / REPORT,
         titles,
         title=options.title,
-        plans=[plan_of(one.picture, renderer, metric) for one in results],
+        plans=plans_of([one.picture for one in results], renderer, metric),
         comparison=comparison,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -13,7 +13,7 @@ from ..estimation import Metric, TargetedMetric
 from ..explanation import definition_of
 from ..metrics import MeanIlluminance
 from ..rendering import SceneRenderer
-from ..visualization import LEVELS, plot_plan
+from ..visualization import LEVELS, plot_plan, share_scale
 from ._files import OutputFormat, Result, figure_writer
 
 if TYPE_CHECKING:
@@ -61,6 +61,15 @@ def draw_plan(
 def plan_of(image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric) -> Figure | None:
     """Return the map for a report; None if the renderer has no sensor grid."""
     return draw_plan(image, renderer, metric, REPORT_WIDTH) if renderer.has_grid else None
+
+
+def plans_of(
+    images: Sequence[torch.Tensor | None], renderer: SceneRenderer, metric: Metric
+) -> Sequence[Figure | None]:
+    """Return the maps of several designs with a common scale of colours; None without a sensor grid."""
+    plans = [plan_of(image, renderer, metric) for image in images]
+    share_scale(plan for plan in plans if plan is not None)
+    return plans
 
 
 def plan_format(

@@ -15,7 +15,7 @@ from ..attr import Explanation
 from ..errors import SceneCaptumError
 from ..estimation import student_t
 from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects, views_without_map
-from ..protocols import Attribution, RankedParameter
+from ..protocols import Attribution, RankedParameter, ResultKind
 from ..visualization import (
     LOWERS,
     RAISES,
@@ -201,6 +201,7 @@ def _result(
         "verdict": verdict(attribution) if explanation is None else explanation.rating(),
         "premises": [] if explanation is None else _premises(explanation),
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
+        "rankedUnit": _effect_unit(attribution),
         # The first section is the headline, which stands on top anyway.
         "explanation": [] if explanation is None else explanation.sections()[1:],
         "quantity": attribution.kind.value,
@@ -241,6 +242,12 @@ def _result(
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(attribution.info),
     }
+
+
+def _effect_unit(attribution: Attribution) -> str:
+    """Return the unit of effects, where it is that of the metric: not of a change per unit, or of its square."""
+    kind = attribution.kind.in_scale(attribution.scale_or_default())
+    return metric_unit(attribution) if kind is ResultKind.EFFECT or kind.is_contribution else ""
 
 
 def _premises(explanation: Explanation) -> list[str]:

@@ -43,7 +43,8 @@ function objectsOf(result, index) {
 function drawColumns(result, sort, choose) {
   const axes = ["R G B", "x y z"].filter((letters) => result.rows.some((row) => lettersOf(row) === letters));
   const name = result.quantity.charAt(0).toUpperCase() + result.quantity.slice(1);
-  const columns = [["rank", "#"], ["label", "Parameter"], ["saliency", result.ranked], ["gradient", axes.length ? `${name} (${axes.join(" or ")})` : name]];
+  const ranked = result.rankedUnit ? `${result.ranked} (${result.rankedUnit})` : result.ranked;
+  const columns = [["rank", "#"], ["label", "Parameter"], ["saliency", ranked], ["gradient", axes.length ? `${name} (${axes.join(" or ")})` : name]];
   byId("columns").replaceChildren(...columns.map(([by, text]) => {
     const direction = sort.by === by ? (sort.reversed !== (by === "saliency" || by === "gradient") ? "descending" : "ascending") : "none";
     const arrow = make("span", { class: "arrow", "aria-hidden": "true" }, { ascending: "↑", descending: "↓", none: "" }[direction]);
@@ -132,10 +133,11 @@ function cautionsOf({ sampling }) {
 }
 
 function drawNotes(result) {
-  const notes = result.cautions.map((text, index) => {
+  const notes = [make("p", {}, `${result.ranked}: ${result.axis}`)];
+  notes.push(...result.cautions.map((text, index) => {
     const count = result.rows.filter((row) => row.caution === index).length;
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);
-  });
+  }));
   notes.push(...result.doubts.map((text, index) => {
     const count = result.rows.filter((row) => row.doubt === index).length;
     const whose = isShared(index, result) ? "all parameters" : counted(count, "parameter");

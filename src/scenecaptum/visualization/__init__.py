@@ -70,6 +70,7 @@ from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error
 from ._plan import LEVELS as LEVELS
 from ._plan import plot_plan as plot_plan
+from ._plan import share_scale as share_scale
 from ._ranks import plot_rank_comparison as plot_rank_comparison
 from ._specificity import plot_specificity as plot_specificity
 from ._table import STYLE as STYLE

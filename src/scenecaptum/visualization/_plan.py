@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -100,6 +100,18 @@ def plot_plan(
     bar.ax.tick_params(labelsize=SMALL)
     bar.set_label(label, fontsize=TEXT)
     return figure_of(ax)
+
+
+def share_scale(plans: Iterable[Figure]) -> None:
+    """Give the figures of ``plot_plan`` a common scale of colours, so that they can be compared."""
+    from matplotlib.collections import QuadMesh
+
+    maps = [
+        next(part for part in plan.axes[0].get_children() if isinstance(part, QuadMesh)) for plan in plans
+    ]
+    limits = [limit for one in maps for limit in one.get_clim()]
+    for one in maps:
+        one.set_clim(min(limits), max(limits))
 
 
 def _wrap(text: str, inches: float, size: float) -> str:

@@ -280,6 +280,8 @@ def range_notes(
             **_roughness_notes(attribution, scale, shown),
             **_least_roughness_notes(attribution, shown),
             **_off_notes(attribution, shown),
+            **_light_notes(attribution, shown),
+            **_contradicted_notes(attribution, shown),
         }
     return notes
 
@@ -331,6 +333,26 @@ def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
     """Return a note on what is 0 in the scene, as a lamp that is off: its range is one unit."""
     off = [name for name in attribution.info.get("unit_ranges", ()) if name in shown]
     return {f"off, or 0, in the scene: per unit of 1: {_named(attribution, off)}": off} if off else {}
+
+
+def _light_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on lights that are off, under a metric that is not linear in the image."""
+    rendered = range_marked(_contradicted_notes(attribution, shown))
+    off = [name for name in attribution.info.get("lights_off", ()) if name in shown and name not in rendered]
+    if not off:
+        return {}
+    note = (
+        f"{_named(attribution, off)}: off, and {metric_symbol(attribution)} is not linear in the light: to first "
+        "order, the effect of switching it on may be far off, even in its sign; render the change"
+    )
+    return {note: off}
+
+
+def _contradicted_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on the effects that a render of the change contradicts."""
+    notes: Mapping[str, Sequence[str]] = attribution.info.get("contradicted") or {}
+    of_shown = {note: [name for name in names if name in shown] for note, names in notes.items()}
+    return {note: names for note, names in of_shown.items() if names}
 
 
 def _roughness_notes(

@@ -1,0 +1,261 @@
+"""What ``compare`` found, as text and as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from .. import metrics
+from ..attr import Definition, Explanation, SceneAttribution
+from ..report import different_values
+from ..scene import pose_component
+from ..visualization import (
+    format_with_error,
+    grid,
+    metric_name,
+    metric_unit,
+    noise_notes,
+    rounded,
+    signed_with_error,
+    terminal_width,
+    wrapped_lines,
+)
+from ._compared_effects import SIGNIFICANT, compared_effects, effect_lines, not_compared, with_own_ranges
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Settings on which a value depends, by their key in ``info``, and their names.
+SETTINGS = {"resolution": "resolution", "sensor": "camera", "max_depth": "max depth"}
+ROWS = 10
+WIDTH = 100  # of sentences, without a terminal
+SAVED = (
+    "Both values are relaxed near the threshold, which only serves the derivatives: a saved result has no value "
+    "by the definition. Explain the scenes to get it."
+)
+RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
+OPPOSITE = "caution: the direction of this change depends on the threshold"
+
+
+@dataclass(frozen=True)
+class Side:
+    """What belongs to one of the two results: its plan, its value by the definition, and its premises.
+
+    A result that was saved has none of these.
+    """
+
+    plan: Figure | None = None
+    definition: Definition | None = None
+    premises: Sequence[str] = ()
+    is_saved: bool = False
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Two results of one metric, their titles, and the change of the metric with its standard error.
+
+    ``measured`` says how, where the change is not the difference of the two values. Of metrics of daylight, also
+    the change by the definition and its error. ``sides`` have what belongs to each result.
+    """
+
+    before: SceneAttribution
+    after: SceneAttribution
+    titles: Sequence[str]
+    change: float
+    error: float | None
+    sides: Sequence[Side]
+    measured: str = ""
+    by_definition: tuple[float, float | None] | None = None
+
+    def notes(self) -> list[str]:
+        """Return what belongs to the change: how it was measured, that of the relaxed metric, and cautions."""
+        return [
+            *filter(None, (self.measured, self.relaxed(), self.opposite(), self.different_settings())),
+            *filter(None, (with_own_ranges(self.before, self.after),)),
+            *not_compared(self.before, self.after, self.titles),
+        ]
+
+    def opposite(self) -> str:
+        """Return a caution if the relaxed metric rises and the value by the definition falls, or the reverse."""
+        if self.by_definition is None:
+            return ""
+        changes = (self.by_definition, (self.change, self.error))
+        is_clear = all(abs(change) > SIGNIFICANT * (error or 0.0) for change, error in changes)
+        return OPPOSITE if is_clear and self.by_definition[0] * self.change < 0 else ""
+
+    def different_settings(self) -> str:
+        """Return a caution that names the settings by which the two results differ; empty if there are none."""
+        changed = different_values(self.before, self.after)
+        # The camera that a design moves is listed as what it sets.
+        is_moved = any(name.startswith("camera.") and pose_component(name) for name in changed)
+        different = [
+            f"{name} {' against '.join(values)}"
+            for key, name in SETTINGS.items()
+            if not (key == "sensor" and is_moved)
+            and all(values := _different_settings(self.before, self.after, key))
+        ]
+        if not different:
+            return ""
+        return f"caution: made with different settings, which are part of the change: {'; '.join(different)}"
+
+    def premises(self) -> list[str]:
+        """Return cautions of both results, and what they were computed for.
+
+        What holds for one of them alone begins with its title.
+        """
+        first, second = (
+            [*noise_notes(one), *side.premises]
+            for one, side in zip((self.before, self.after), self.sides, strict=True)
+        )
+        return [
+            text if text in first and text in second else f"{title}: {text}"
+            for title, own, others in zip(self.titles, (first, second), ((), first), strict=True)
+            for text in own
+            if text not in others
+        ]
+
+    def relaxed(self) -> str:
+        """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
+        if self.by_definition is None:
+            return SAVED if self.are_relaxed_ratings() else ""
+        change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
+        return f"{RELAXED}: it changes by {change}."
+
+    def are_relaxed_ratings(self) -> bool:
+        """Whether the two values are relaxed ratings of glare, as one that was saved is."""
+        return any(side.is_saved for side in self.sides) and _is_glare_rating(self.before)
+
+    def shown(self) -> list[Explanation]:
+        """Return both results for the page, with what belongs to their values."""
+        return [
+            Explanation(one, definition=side.definition, premises=tuple(side.premises), count=0)
+            for one, side in zip((self.before, self.after), self.sides, strict=True)
+        ]
+
+
+def lines(found: Compared) -> list[str]:
+    """Return the comparison as text: the metric, the values that differ, and the effects."""
+    before, after = found.before, found.after
+    suffix = f" {metric_unit(before)}".rstrip()
+    text = [
+        *(line for text in _value_lines(found) for line in wrapped_lines(text, _width(), indent=4)),
+        f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
+        *(line for note in found.notes() for line in _note(note)),
+        *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
+    ]
+    moved = [
+        (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
+        for name in different_values(before, after)
+    ]
+    if moved:
+        text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]
+    table, notes = effect_lines(before, after, found.titles, relaxed=found.by_definition is not None)
+    head = [] if not table else ["", *wrapped_lines(table[0], _width(), indent=4)]
+    return [*text, *head, *table[1:], *(line for note in notes for line in _note(note))]
+
+
+def _value_lines(found: Compared) -> list[str]:
+    """Return both values, each with its title and its class, which a relaxed rating has not."""
+    lines = []
+    for title, shown, side in zip(found.titles, found.shown(), found.sides, strict=True):
+        value, rating = f"{title}: {_value(shown, side)}", shown.rating()
+        if found.are_relaxed_ratings():
+            lines.append(f"{value}, relaxed")
+        else:
+            lines.append(": ".join(filter(None, [value, rating])))
+    return lines
+
+
+def _value(shown: Explanation, side: Side) -> str:
+    """Return the metric and its value; by the definition, with the relaxed one behind it, if there are two."""
+    headline, attribution = shown.headline(), shown.attribution
+    if side.definition is None:
+        return headline
+    relaxed = format_with_error(attribution.metric_value, attribution.metric_standard_error)
+    relaxed = f"{relaxed} {metric_unit(attribution)}".rstrip()
+    return f"{headline} by the definition (relaxed {relaxed})"
+
+
+def _is_glare_rating(attribution: SceneAttribution) -> bool:
+    """Whether a result is of a rating of glare, also if it was saved."""
+    rating = getattr(metrics, str(attribution.info.get("metric")), None)
+    return isinstance(rating, type) and issubclass(rating, metrics.GlareRating)
+
+
+def _different_settings(before: SceneAttribution, after: SceneAttribution, key: str) -> list[str]:
+    """Return a setting of two results in words, what differs of it; empty where it is equal or not known."""
+    values = [_setting(one, key) for one in (before, after)]
+    if not all(values):
+        return ["", ""]
+    parts, others = (value.split(", ") for value in values)
+    different = [
+        ", ".join(part for part in own if part not in rest)
+        for own, rest in ((parts, others), (others, parts))
+    ]
+    return different if all(different) or parts == others else values
+
+
+def _setting(attribution: SceneAttribution, key: str) -> str:
+    """Return a setting of a result in words; empty if it is not known."""
+    value = attribution.info.get(key)
+    if key == "resolution" and value is not None:
+        return "×".join(map(str, value))
+    return "no limit" if value == -1 else str("" if value is None else value)
+
+
+def _note(text: str) -> list[str]:
+    """Return a sentence as indented lines."""
+    return wrapped_lines(f"  {text}", _width(), indent=2) if text else []
+
+
+def _width() -> int:
+    return max(terminal_width() or WIDTH, 40)
+
+
+def numbers(found: Compared) -> dict[str, Any]:
+    """Return the comparison as plain values."""
+    before, after = found.before, found.after
+    return {
+        "metric": metric_name(before),
+        "unit": metric_unit(before),
+        "results": [
+            {
+                "title": title,
+                "value": one.metric_value,
+                "standard_error": one.metric_standard_error,
+                "definition": None if side.definition is None else vars(side.definition),
+            }
+            for title, one, side in zip(found.titles, (before, after), found.sides, strict=True)
+        ],
+        "change": {
+            "value": found.change,
+            "standard_error": found.error,
+            "definition": None
+            if found.by_definition is None
+            else dict(zip(("value", "error"), found.by_definition, strict=True)),
+        },
+        "values": {
+            name: [one.parameter_values[name].tolist() for one in (before, after)]
+            for name in different_values(before, after)
+        },
+        "notes": found.notes(),
+        "effects": [
+            {
+                "name": one.name,
+                "label": one.label,
+                "before": one.before,
+                "after": one.after,
+                "change": one.change,
+                "standard_error": one.error,
+                "is_clear": one.is_clear,
+            }
+            for one in compared_effects(before, after)
+        ],
+    }
+
+
+def _values(value: torch.Tensor) -> str:
+    return " ".join(rounded(number) for number in value.flatten().tolist())

@@ -1,0 +1,307 @@
+"""The effects of two results side by side: which are shown, and which a render contradicts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+
+from ..attr import SceneAttribution
+from ..report import different_values
+from ..visualization import (
+    Format,
+    axis_label,
+    grid,
+    metric_unit,
+    pluralize,
+    range_marked,
+    range_notes,
+    rounded,
+    rounded_up,
+    signed_with_error,
+)
+
+ROWS = 10
+LEADING = 5  # effects of each result that are shown whether they change or not
+SMALL = 0.01  # of the largest change of an effect: smaller ones are shown of leading effects only
+SIGNIFICANT = 2.0  # standard errors
+ROUNDING = 1e-5  # of both effects: a difference in single precision below this is not a change
+MANY_TIMES = 2.0  # the rendered change: a change to first order that is larger contradicts it
+NAMED = 3
+NOISE = "◆"  # as in reports
+
+
+class ComparedEffect(NamedTuple):
+    """The effect of a parameter in both designs, its change, and the error of that."""
+
+    name: str
+    label: str
+    before: float
+    after: float
+    change: float
+    error: float | None
+
+    @property
+    def size(self) -> float:
+        """The larger of both effects, without its sign."""
+        return max(abs(self.before), abs(self.after))
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the change is clear of the noise."""
+        return abs(self.change) > max(SIGNIFICANT * (self.error or 0.0), ROUNDING * self.size)
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether both effects are equal up to rounding, and so are their replicates."""
+        return max(abs(self.change), self.error or 0.0) <= ROUNDING * self.size
+
+    def numbers(self) -> tuple[str, str, str]:
+        """Return both effects and the change in one notation, with the digits that the error supports."""
+        if self.is_equal:
+            return rounded(self.before), rounded(self.after), "0"
+        style = Format.of(max(self.size, abs(self.change)), self.error)
+        change = [style.write_signed(self.change), *([style.write(self.error)] if self.error else [])]
+        return style.write(self.before), style.write(self.after), " ± ".join(change)
+
+
+def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[ComparedEffect]:
+    """Return the effects of the parameters that both results have, each over its own range, the largest first."""
+    before, after = _of_common_parameters(before, after)
+    own, others = ({row.name: row for row in one.ranking()} for one in (before, after))
+    difference = _over_own_ranges(after, before) - _over_own_ranges(before, after)
+    found = []
+    for changed in difference.ranking():
+        name, change, error = changed.name, changed.effect, changed.effect_error
+        if name not in own or name not in others:
+            continue  # a pose that has no derivative in one of both
+        first, second = own[name], others[name]
+        if name in after.vectors:
+            # Each effect is in a direction of its own.
+            change, errors = second.effect - first.effect, (first.effect_error, second.effect_error)
+            error = None if None in errors else math.hypot(*(one or 0.0 for one in errors))
+        found.append(ComparedEffect(name, second.label, first.effect, second.effect, change, error))
+    return sorted(found, key=lambda one: -one.size)
+
+
+def effect_lines(
+    before: SceneAttribution, after: SceneAttribution, titles: Sequence[str], *, relaxed: bool
+) -> tuple[list[str], list[str]]:
+    """Return the table of effects, with a line above that says what they are, and the notes below it."""
+    found = compared_effects(before, after)
+    if not found:
+        return [], []
+    shown = _shown(found, different_values(before, after))
+    notes = _notes(before, after, titles, [one.name for one in shown])
+    marked = range_marked(notes)
+    is_noisy = {one.name for one in shown if one.error and not (one.is_clear or one.is_equal)}
+    rows = []
+    for one in shown:
+        first, second, change = one.numbers()
+        label = f"{one.label} ~" if one.name in marked else one.label
+        rows.append((label, first, second, f"{change} {NOISE}" if one.name in is_noisy else change))
+    of_what = ", of the relaxed value" if relaxed else ""
+    unit = f" {metric_unit(after)}".rstrip()
+    table = [
+        f"effect: {axis_label(after, width=None)}{of_what}",
+        *grid(("effect of", *titles, f"change{unit}"), rows),
+    ]
+    below = [f"~ {note}" for note in notes]
+    below += [f"{NOISE} change within the noise"] if is_noisy else []
+    return table, [*below, *_left_out([one for one in found if one not in shown])]
+
+
+def not_compared(before: SceneAttribution, after: SceneAttribution, titles: Sequence[str]) -> list[str]:
+    """Return a sentence for the parameters that one of the results has alone, and one for other sizes."""
+    sentences = []
+    for one, other, title in ((before, after, titles[0]), (after, before, titles[1])):
+        if alone := [name for name in one if name not in other]:
+            sentences.append(f"{_named(one, alone)} {_is(alone)} in {title} only")
+    sizes = [name for name in before if name in after and before[name].shape != after[name].shape]
+    if sizes:
+        sentences.append(
+            f"{_named(before, sizes)} {_is(sizes)} of another size in {titles[1]}, and not compared"
+        )
+    return sentences
+
+
+def with_own_ranges(before: SceneAttribution, after: SceneAttribution) -> str:
+    """Return a sentence that names the effects over different ranges in both; empty if there are none."""
+    names = _with_different_ranges(before, after)
+    if not names:
+        return ""
+    return (
+        f"The effects of {_named(before, names)} are over different ranges, each that of its own result: for a "
+        "light from off to its value."
+    )
+
+
+def with_contradictions(
+    before: SceneAttribution, after: SceneAttribution, rendered: tuple[float, float]
+) -> tuple[SceneAttribution, SceneAttribution]:
+    """Return both results with a note on the parameters that were set, where the rendered change contradicts them.
+
+    It does if the change to first order, from the derivatives of a result, is of the other sign or larger by a
+    factor of 2. ``rendered`` is the change of the metric and its standard error.
+    """
+    names = different_values(before, after)
+    (change, error), unit = rendered, f" {metric_unit(after)}".rstrip()
+    found = []
+    for one in (before, after):
+        predicted = _first_order_change(one, names, before, after)
+        if predicted is None or not _contradicts(*predicted, change, error):
+            found.append(one)
+            continue
+        note = (
+            f"{_named(one, names)}: to first order from this design, the change would be "
+            f"{signed_with_error(*predicted)}{unit}, and rendered it is "
+            f"{signed_with_error(change, error)}{unit}: the effect does not hold over the range"
+        )
+        found.append(dataclasses.replace(one, info={**one.info, "contradicted": {note: names}}))
+    first, second = found
+    return first, second
+
+
+def _first_order_change(
+    one: SceneAttribution, names: Sequence[str], before: SceneAttribution, after: SceneAttribution
+) -> tuple[float, float] | None:
+    """Return the change of the metric by the derivatives of a result, and its error; None if it is not known.
+
+    Of a texture only the mean is known.
+    """
+    known = one.covariance is not None and all(name in one and one[name].ndim < 2 for name in names)
+    if not names or not known or set(names) & set(one.info.get("jumps") or ()):
+        return None
+    totals = {row.name: row.total for row in one.ranking()}
+    change, variance = 0.0, 0.0
+    for name in names:
+        first, second = (side.parameter_values[name].reshape(-1).double() for side in (before, after))
+        step = second - first
+        change += float(torch.tensor(totals[name], dtype=torch.float64) @ step)
+        assert one.covariance is not None
+        variance += float(step @ one.covariance[name].double() @ step)
+    return change, math.sqrt(max(variance, 0.0))
+
+
+def _contradicts(predicted: float, predicted_error: float, change: float, error: float) -> bool:
+    """Whether a change to first order is of the other sign or more than twice as large, clear of both errors."""
+    least = abs(predicted) - SIGNIFICANT * predicted_error
+    if least <= 0:
+        return False
+    is_opposite = predicted * change < 0 and abs(change) > SIGNIFICANT * error
+    return is_opposite or least > MANY_TIMES * (abs(change) + SIGNIFICANT * error)
+
+
+def _shown(found: Sequence[ComparedEffect], moved: Sequence[str]) -> list[ComparedEffect]:
+    """Return what was set, the leading effects of both results, and the largest of the other clear changes.
+
+    What was set comes first, and then the largest clear change.
+    """
+    leading = [
+        one.name
+        for effect in (lambda one: -abs(one.before), lambda one: -abs(one.after))
+        for one in sorted(found, key=effect)[:LEADING]
+        if one.size
+    ]
+    clear = sorted((one for one in found if one.is_clear), key=lambda one: -abs(one.change))
+    large = [one.name for one in clear if abs(one.change) >= SMALL * abs(clear[0].change)]
+    listed = {one.name: one for one in found}
+    names = [name for name in dict.fromkeys([*moved, *leading, *large]) if name in listed]
+    rows = [listed[name] for name in names[:ROWS]]
+    return sorted(
+        rows,
+        key=lambda one: (
+            one.name not in moved,
+            not one.is_clear,
+            -abs(one.change) if one.is_clear else -one.size,
+        ),
+    )
+
+
+def _left_out(hidden: Sequence[ComparedEffect]) -> list[str]:
+    """Return a line that counts the effects that are not shown, and says why."""
+    clear = [abs(one.change) for one in hidden if one.is_clear]
+    equal = sum(one.is_equal for one in hidden)
+    reasons = {
+        "no change": equal,
+        "a change within the noise": len(hidden) - equal - len(clear),
+        f"a change of at most {rounded_up(max(clear, default=0.0), 2)}": len(clear),
+    }
+    parts = [f"{count} with {reason}" for reason, count in reasons.items() if count]
+    if not parts:
+        return []
+    which = f", {', '.join(parts)}" if len(parts) > 1 else parts[0].removeprefix(f"{len(hidden)}")
+    return [f"not shown: {pluralize(len(hidden), 'effect')}{which}"]
+
+
+def _notes(
+    before: SceneAttribution, after: SceneAttribution, titles: Sequence[str], shown: Sequence[str]
+) -> dict[str, list[str]]:
+    """Return the notes on the effects that are shown; those of one result alone begin with its title."""
+    first, second = (range_notes(one, among=shown) for one in (before, after))
+    return {
+        text if text in first and text in second else f"{title}: {text}": names
+        for title, notes in zip(titles, (first, second), strict=True)
+        for text, names in notes.items()
+    }
+
+
+def _named(one: SceneAttribution, names: Sequence[str]) -> str:
+    """Return the labels of the first few parameters, and how many more there are."""
+    labels = [one.labels.get(name, name) for name in names[:NAMED]]
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{'; '.join(labels)}{more}"  # a label may have a comma or a colon
+
+
+def _is(names: Sequence[str]) -> str:
+    return "is" if len(names) == 1 else "are"
+
+
+def _of_common_parameters(
+    before: SceneAttribution, after: SceneAttribution
+) -> tuple[SceneAttribution, SceneAttribution]:
+    """Return both results with the parameters that they share."""
+    names = [name for name in before if name in after and before[name].shape == after[name].shape]
+    first, second = (
+        dataclasses.replace(one, attributions={name: one[name] for name in names}) for one in (before, after)
+    )
+    return first, second
+
+
+def _with_different_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
+    """Return the parameters whose own ranges differ."""
+    return [
+        name
+        for name, length in before.extents.items()
+        if name in before and name in after.extents and not torch.equal(length, after.extents[name])
+    ]
+
+
+def _over_own_ranges(one: SceneAttribution, other: SceneAttribution) -> SceneAttribution:
+    """Return a result that is per range, and no longer per unit, where the other has another range.
+
+    So both can be subtracted, with the errors of common random numbers.
+    """
+    ranges = {name: one.extents[name] for name in _with_different_ranges(one, other)}
+
+    def per_range(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        scaled = {
+            name: tensors[name] * length.reshape(tensors[name].shape[-1:]) for name, length in ranges.items()
+        }
+        return {**tensors, **scaled}
+
+    def covariance_per_range(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        rows = {name: length[:, None] * tensors[name] for name, length in ranges.items()}
+        return per_range({**tensors, **rows})
+
+    return dataclasses.replace(
+        one,
+        attributions=per_range(one.attributions),
+        bias=one.bias and per_range(one.bias),
+        replicates=one.replicates and per_range(one.replicates),
+        covariance=one.covariance and covariance_per_range(one.covariance),
+        extents={**one.extents, **{name: torch.ones_like(length) for name, length in ranges.items()}},
+    )

@@ -1,0 +1,224 @@
+"""The effects of two results side by side: what is shown, over which range, and what a render contradicts."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import results
+import torch
+
+from scenecaptum import SceneRenderer, VanillaSceneGradient, cli, metrics
+from scenecaptum.attr import SceneAttribution
+from scenecaptum.cli import _compared, _compared_effects
+from scenecaptum.visualization import range_notes
+
+SKY = "sky.emitter.radiance.value"
+SMALL = "--resolution 32x18 --spp 16 --max-depth 3 --no-progress"
+
+
+def with_ranges(before: SceneAttribution, **factors: float) -> SceneAttribution:
+    """Return a result with ranges of one unit, times the factors."""
+    lengths = {name: torch.ones_like(totals) for name, totals in before.weights("unit").items()}
+    return dataclasses.replace(
+        before, extents={name: factors.get(name, 1.0) * length for name, length in lengths.items()}
+    )
+
+
+def scaled(before: SceneAttribution, **factors: float) -> SceneAttribution:
+    return dataclasses.replace(
+        before, attributions={name: factors.get(name, 1.0) * value for name, value in before.items()}
+    )
+
+
+def with_values(one: SceneAttribution, **values: list[float]) -> SceneAttribution:
+    return dataclasses.replace(
+        one, parameter_values={name: torch.tensor(value) for name, value in values.items()}
+    )
+
+
+def text_of(before: SceneAttribution, after: SceneAttribution) -> list[str]:
+    sides = [_compared.Side(), _compared.Side()]
+    return _compared.lines(_compared.Compared(before, after, ["A", "B"], 0.0, None, sides))
+
+
+def rows_of(text: list[str]) -> list[str]:
+    start = next(index for index, line in enumerate(text) if line.startswith("effect of"))
+    return [line for line in text[start + 1 :] if not line.startswith("  ")]
+
+
+def test_the_table_has_what_was_set_then_clear_changes_and_then_leading_effects() -> None:
+    before = with_ranges(results.make())
+    after = scaled(before, two_minds=1.5, rough=1.5)
+    before, after = with_values(before, noisy=0.1), with_values(after, noisy=0.2)
+    text = text_of(before, after)
+    labels = [line.split("  ")[0] for line in rows_of(text)]
+    assert labels[:3] == ["noisy", "desk: roughness", "two_minds"], "the one that was set comes first"
+    assert set(labels[3:]) == {"lamp", "floor", "wall"}, "leading effects that do not change"
+    noisy = [line for line in rows_of(text) if line.endswith(" ◆")]
+    assert [line.split("  ")[0] for line in noisy] == ["noisy", "lamp", "floor", "wall"]
+    assert "  ◆ change within the noise" in text
+    assert text[-1] == "  not shown: 2 effects, 1 with no change, 1 with a change within the noise"
+    above = text[next(index for index, line in enumerate(text) if line.startswith("effect of")) - 1]
+    assert above == "effect: first-order change of Glare over the range of the parameter"
+
+
+def test_clear_changes_that_are_not_shown_are_counted() -> None:
+    before = results.make()
+    factors = {"lamp": 2.0, "rough": 1.5, "tiny": 3.0}  # the effect of tiny is a millionth of the lamp's
+    text = text_of(before, scaled(before, **factors))
+    assert not any(line.startswith("tiny") for line in text)
+    (counted,) = re.findall(r"not shown: .*", " ".join(" ".join(text).split()))
+    reasons = "1 with no change, 1 with a change within the noise, 1 with a change of at most 2.6e−7"
+    assert counted == f"not shown: 3 effects, {reasons}"
+
+
+def test_equal_effects_have_no_digits_of_rounding_and_no_mark_of_noise() -> None:
+    lamp = "light.emitter.radiance.value"
+    renderer = SceneRenderer("cornell-box", [lamp], resolution=(8, 8), spp=16, max_depth=3)
+    one = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute()
+    rounding = {
+        field: {lamp: (1 + 1e-7) * getattr(one, field)[lamp]} for field in ("attributions", "replicates")
+    }
+    text = text_of(one, dataclasses.replace(one, **rounding))
+    (row,) = rows_of(text)
+    assert re.fullmatch(r"light: radiance +(\S{3,5}) +\1 +0", row)
+    assert not any("noise" in line for line in text)
+
+
+@pytest.mark.parametrize("factor", [0.1, 2.0])
+def test_an_effect_is_over_the_range_in_its_own_design(factor: float) -> None:
+    """As in the report: a lamp that is dimmed to a tenth, with the same gradient, contributes a tenth."""
+    before = with_ranges(results.make())
+    other = with_ranges(before, lamp=factor)
+    (lamp,) = [one for one in _compared_effects.compared_effects(before, other) if one.name == "lamp"]
+    assert (lamp.before, lamp.after) == (before.effects()["lamp"], other.effects()["lamp"])
+    assert lamp.after == pytest.approx(factor * lamp.before)
+    assert lamp.change == pytest.approx(lamp.after - lamp.before)
+    assert (before.effects_error() or {})["lamp"] * (1 + factor**2) ** 0.5 == pytest.approx(lamp.error)
+    text = " ".join(" ".join(text_of(before, other)).split())
+    assert "The effects of lamp are over different ranges, each that of its own result" in text
+    assert "different ranges" not in " ".join(text_of(before, before))
+
+
+def test_the_error_of_a_change_over_different_ranges_is_that_of_common_random_numbers() -> None:
+    """Half a lamp has half the effect in each replicate, so the error of the change is half of the effect's."""
+    lamp = "light.emitter.radiance.value"
+    renderer = SceneRenderer("cornell-box", [lamp], resolution=(8, 8), spp=16, max_depth=3)
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    before, after = (method.attribute({lamp: factor * renderer.inputs[lamp]}) for factor in (1.0, 0.5))
+    (found,) = _compared_effects.compared_effects(before, after)
+    assert found.change == pytest.approx(-before.effects()[lamp] / 2, rel=1e-3)
+    assert found.error == pytest.approx((before.effects_error() or {})[lamp] / 2, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("rendered", "contradicts"),
+    [
+        ((0.06, 0.001), False),
+        ((0.2, 0.001), False),  # smaller to first order: the effect has the right sign, at least
+        ((0.02, 0.001), True),
+        ((-0.05, 0.001), True),
+        ((0.0, 0.001), True),
+        ((0.02, 0.05), False),  # the noise of the render
+        ((-0.05, 0.05), False),
+    ],
+)
+def test_a_rendered_change_contradicts_an_effect_by_its_sign_or_by_a_factor_of_two(
+    rendered: tuple[float, float], contradicts: bool
+) -> None:
+    before = with_ranges(results.make())
+    # The derivatives of "wall" are 0.05, 0.02 and −0.001: to first order, this step changes the metric by 0.069.
+    before, after = (with_values(before, wall=[value] * 3) for value in (0.0, 1.0))
+    for one in _compared_effects.with_contradictions(before, after, rendered):
+        notes = {text: names for text, names in range_notes(one).items() if "rendered" in text}
+        assert list(notes.values()) == ([["wall"]] if contradicts else [])
+        assert all(
+            "wall: to first order from this design, the change would be +0.06" in text for text in notes
+        )
+
+
+def test_a_change_of_nothing_or_of_a_texture_contradicts_no_effect() -> None:
+    before = with_ranges(results.make())
+    floors = [with_values(before, floor=[value] * 3) for value in (0.0, 1.0)]
+    for pair in ((before, before), floors):
+        found = _compared_effects.with_contradictions(pair[0], pair[1], (5.0, 0.1))
+        assert not any("contradicted" in one.info for one in found)
+
+
+def test_parameters_of_one_result_are_named_and_the_others_compared() -> None:
+    before = results.make()
+    names = [name for name in before if name != "lamp"]
+    less = dataclasses.replace(before, attributions={name: before[name] for name in names})
+    after = scaled(less, rough=1.5)
+    for pair, title in (((before, after), "A"), ((after, before), "B")):
+        text = text_of(*pair)
+        assert f"  lamp is in {title} only" in text
+        assert rows_of(text)[0].startswith("desk: roughness")
+    other = dataclasses.replace(
+        before,
+        attributions={**before.attributions, "noisy": torch.zeros(3)},
+        covariance={**(before.covariance or {}), "noisy": torch.eye(3)},
+    )
+    assert "  noisy is of another size in B, and not compared" in text_of(before, other)
+
+
+def compared(more: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[str, dict[str, Any]]:
+    """Return what the command prints, and the data of its page."""
+    assert cli.main(shlex.split(f"compare {more} --no-progress --out {folder}")) == 0
+    page = (folder / "comparison.html").read_text()
+    data = json.loads(page.partition('id="data">')[2].partition("</script>")[0])
+    return capsys.readouterr().out, data
+
+
+def test_a_dimmed_sky_has_one_effect_in_terminal_and_page_and_the_render_contradicts_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = f"office --metric ugr --inputs emitters {SMALL} --set {SKY}*=0.2"
+    printed, page = compared(more, tmp_path, capsys)
+    (row,) = re.findall(r"^sky: radiance ~ +(\S+) +(\S+) +(\S+) ± \S+$", printed, re.MULTILINE)
+    after = [next(one for one in result["rows"] if one["name"] == SKY) for result in page["results"]]
+    for written, one in zip(row, after, strict=False):
+        assert float(written.replace("−", "-")) == pytest.approx(one["effect"], abs=0.06)
+    assert [bool(one["rangeNotes"]) for one in after] == [False, True]
+    assert "first-order change of unified glare rating" in printed
+    assert "the design: sky: radiance: to first order from this design" in " ".join(printed.split())
+
+
+@pytest.mark.parametrize(("factors", "is_opposite"), [((0.6, 0.3), True), ((1.0, 0.2), False)])
+def test_values_that_move_in_opposite_directions_have_a_caution(
+    factors: tuple[float, float], is_opposite: bool
+) -> None:
+    before = results.make()
+    sides = [_compared.Side()] * 2
+    changes = (2.1, 0.4) if is_opposite else (-11.9, 0.1)
+    found = _compared.Compared(before, before, ["A", "B"], -4.5, 0.1, sides, by_definition=changes)
+    assert bool(found.opposite()) == is_opposite
+    assert (found.opposite() in found.notes()) == is_opposite
+    unclear = dataclasses.replace(found, by_definition=(2.1, 1.4))
+    assert unclear.opposite() == ""
+
+
+def test_a_comparison_of_daylight_prints_classes_and_cautions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = "classroom --spp 4 --spacing 2 --metric sda --inputs pane.*"
+    printed, page = compared(f"{more} --set pane.specular_transmittance.value=0.3", tmp_path, capsys)
+    printed = " ".join(printed.split())
+    verdicts = [result["verdict"] for result in page["results"]]
+    assert all(verdicts)
+    for title, words in zip(("as it is", "the design"), verdicts, strict=True):
+        assert re.search(rf"{title}: [^:]+: {re.escape(words)}", printed)
+    assert printed.count("caution: blinds are not modeled") == 1
+    assert all(result["rankedUnit"] == "%" for result in page["results"])
+
+
+def test_effects_that_are_left_out_for_one_reason_are_counted_once() -> None:
+    noisy = _compared_effects.ComparedEffect("a", "a", 1.0, 1.1, 0.1, 1.0)
+    assert _compared_effects._left_out([noisy] * 2) == ["not shown: 2 effects with a change within the noise"]
+    assert _compared_effects._left_out([]) == []
