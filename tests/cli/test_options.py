@@ -25,6 +25,7 @@ from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, cli, metrics
 from scenecaptum.cli import _compare, _demo, _explore, _main, _optimize
+from scenecaptum.cli._messages import in_options
 from scenecaptum.denoising import denoise
 from scenecaptum.designs import design_of, read_design
 from scenecaptum.optimize import Optimization
@@ -671,6 +672,17 @@ def test_a_scene_below_its_goal_gets_no_design(folder: Path, capsys: pytest.Capt
     assert "already below the goal of 1e+06 cd/m²" in capsys.readouterr().out
     assert not (folder / "out" / "design.json").exists()
     assert (folder / "out" / "report.html").exists()
+
+
+def test_a_goal_below_an_illuminance_is_warned_of(folder: Path) -> None:
+    goal = "classroom --sensor grid --spp 4 --max-depth 2 --metric mean-illuminance --below 1e6"
+    for command in ("optimize", "explain --changes 0"):
+        with pytest.warns(UserWarning, match="More is better for mean illuminance") as found:
+            assert cli.main(shlex.split(f"{command} {goal} --out out")) == 0
+        (said,) = [str(one.message) for one in found if "More is" in str(one.message)]
+        said = in_options(said, argparse.Namespace(below=1e6))
+        assert "and --below 1e+06 asks for less: a value" in said
+        assert "`explain` without --below renders the changes that raise it" in said
 
 
 def test_the_design_of_a_missed_goal_has_the_values_that_were_tried(

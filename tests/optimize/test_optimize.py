@@ -15,6 +15,7 @@ from seeds import seeds, shifted
 
 from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, metrics, optimize
 from scenecaptum.errors import SceneCaptumError
+from scenecaptum.explanation import explain
 from scenecaptum.optimize import Search, SearchOptions
 from scenecaptum.optimize._adam import BoundedAdam
 from scenecaptum.optimize._bounds import LIGHTEST, first_of_each_light
@@ -53,6 +54,38 @@ def test_only_the_most_salient_parameters_are_moved():
     assert max(moved.fraction for moved in found.moved) < 0.5
     exact = Lamps(noise=0.0)(found.values, seed=shifted(), spp=1).mean().item()
     assert abs(exact - found.after.value) < allowed(8) * found.after.error
+
+
+class Measured(torch.nn.Module):
+    """The mean, of which more or less is better."""
+
+    def __init__(self, better):
+        super().__init__()
+        self.measure = metrics.Measure("mean illuminance", "Em", unit="lx", better=better)
+
+    def forward(self, image):
+        return image.mean()
+
+
+def test_a_goal_below_a_value_of_which_more_is_better_is_warned_of_before_rendering(recwarn):
+    class Unused(Lamps):
+        def __call__(self, inputs, *, seed, spp):
+            raise AssertionError("rendered")
+
+    for better in ("lower", None):
+        optimize.minimize(Lamps(), Measured(better), 10)
+    assert not recwarn.list
+    for search in (
+        lambda: optimize.minimize(Unused(), Measured("higher"), 10),
+        lambda: explain(Unused(), Measured("higher"), below=10),
+    ):
+        with (
+            pytest.warns(
+                UserWarning, match="More is better for mean illuminance, and below=10 asks for less"
+            ),
+            pytest.raises(AssertionError, match="rendered"),
+        ):
+            search()
 
 
 def test_parameters_whose_effects_are_in_the_noise_are_kept():
