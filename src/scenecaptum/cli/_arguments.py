@@ -61,8 +61,8 @@ def add_objects(parser: argparse.ArgumentParser) -> None:
         dest="objects",
         metavar="NAME=SHAPES",
         help="move these shapes together, such as --object 'lamp=lamp_*,bulb'; NAME.pose.translation, "
-        "NAME.pose.rotation and NAME.pose.scale are then parameters for --inputs and --set; may be repeated "
-        "(default: the shapes whose names begin with the same word)",
+        "NAME.pose.rotation (in radians) and NAME.pose.scale are then parameters for --inputs and --set; may "
+        "be repeated (default: the shapes whose names begin with the same word)",
     )
 
 

@@ -21,6 +21,7 @@ from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
 from ..explanation import definition_of, difference_by_definition, photometric_premises, states_definition
 from ..rendering import SceneRenderer
 from ..report import Comparison, different_values, write_report
+from ..scene import with_unit
 from ..validation import Scenes, denoise_of
 from ..visualization import (
     Format,
@@ -433,9 +434,12 @@ def _lines(found: Compared) -> list[str]:
         *(line for note in found.notes() for line in _note(note)),
         *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
     ]
+    labels = {
+        name: with_unit(before.labels.get(name, name), name) for name in different_values(before, after)
+    }
     moved = [
-        (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
-        for name in different_values(before, after)
+        (label, *(_values(one.parameter_values[name]) for one in (before, after)))
+        for name, label in labels.items()
     ]
     if moved:
         text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]

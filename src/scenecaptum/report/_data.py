@@ -16,6 +16,7 @@ from ..errors import SceneCaptumError
 from ..estimation import student_t
 from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects, views_without_map
 from ..protocols import Attribution, RankedParameter
+from ..scene import with_unit
 from ..visualization import (
     LOWERS,
     RAISES,
@@ -113,7 +114,7 @@ def _comparison(before: Attribution, after: Attribution, comparison: Comparison)
         "values": [
             {
                 "name": name,
-                "label": before.labels.get(name, name),
+                "label": with_unit(before.labels.get(name, name), name),
                 "texture": _is_texture(before, name),
                 "values": [_written_value(one, name, one.parameter_values[name]) for one in (before, after)],
             }
