@@ -165,3 +165,17 @@ def test_bad_input_is_one_clear_line():
         plot_plan(ramp() / 0 * 0, plan(5, 7))
     with pytest.raises(SceneCaptumError, match="rows and columns"):
         plot_plan(torch.rand(3, 3), torch.rand(3, 3, 2))
+
+
+def test_contours_within_the_noise_of_a_point_are_left_out():
+    # The median step between 100 and 750 lx is 100 lx.
+    for error, drawn in ((24, 1), (26, 0)):
+        figure = plot_plan(ramp(), plan(5, 7), error=error)
+        assert len(contours(figure)) == drawn
+        below = figure.axes[0].get_xlabel()
+        assert f"± {error:.0f} lx at a point" in below
+        assert ("too noisy for contours" in below) == (not drawn)
+    assert "±" not in plot_plan(ramp(), plan(5, 7)).axes[0].get_xlabel()
+    # Of a single level it is the range of the values.
+    assert len(contours(plot_plan(ramp(), plan(5, 7), levels=(200,), error=149))) == 1
+    assert not contours(plot_plan(ramp(), plan(5, 7), levels=(200,), error=151))

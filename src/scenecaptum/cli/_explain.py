@@ -130,7 +130,7 @@ def _write_report(
         options.out / REPORT,
         titles,
         title=options.title,
-        plans=[plan_of(one.picture, renderer, metric) for one in results],
+        plans=[plan_of(one.picture, renderer, metric, one.attribution.info) for one in results],
         comparison=comparison,
     )
 
@@ -197,7 +197,7 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
     ]
     if not renderer.has_grid:
         return formats
-    return [*formats, plan_format(renderer, metric, lambda explanation: explanation.picture)]
+    return [*formats, plan_format(renderer, metric, lambda one: (one.picture, one.attribution.info))]
 
 
 def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> dict[str, Any]:
