@@ -423,8 +423,8 @@ def test_a_limit_that_is_reached_counts(value, start):
 
 def test_other_verdicts():
     sky = SkyMatrix.uniform()
-    assert DaylightProvision(sky, during="all").measure.verdict(100.0) == "at least the level minimum"
-    assert DaylightProvision(sky, "high", during="all").measure.verdict(99.9) == "below the level high"
+    assert DaylightProvision(sky, during="all").measure.verdict(100.0) == "at least the minimum level"
+    assert DaylightProvision(sky, "high", during="all").measure.verdict(99.9) == "below the high level"
     exposure = AnnualSunlightExposure(sky, during="all").measure
     assert [exposure.verdict(v)[:10] for v in (3, 7, 10, 10.1)] == [
         "up to 3 %,", "up to 7 %,", "above 7 %,", "above 10 %",

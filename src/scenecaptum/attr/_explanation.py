@@ -82,6 +82,9 @@ class Explanation:
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
+        relaxed = (
+            ", of the relaxed value" if self.definition else ""
+        )  # which counts sources below a threshold, too
         is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
             (
@@ -89,12 +92,11 @@ class Explanation:
                 self.notes(),
             ),
             (
-                "Where the glare comes from" if is_glare else "What it sees in the picture",
+                f"{'Where the glare comes from' if is_glare else 'What it sees in the picture'}{relaxed}",
                 self._source_lines(),
             ),
             (
-                f"What it depends on: {axis_label(self.attribution, width=None)}"
-                f"{', of the relaxed value' if self.definition else ''}",
+                f"What it depends on: {axis_label(self.attribution, width=None)}{relaxed}",
                 self._effect_lines(),
             ),
             (f"What would change it{self._relaxed_effects()}", self._change_lines()),

@@ -66,11 +66,11 @@ class DaylightProvision(DaylightMetric):
     def measure(self) -> Measure:
         """Name and unit, and the limit of 100 %."""
         return LowerLimits(
-            f"daylight provision, level {self.level}",
+            f"daylight provision, {self.level} level",
             unit="%",
             better="higher",
-            bands=(Band(100.0, f"below the level {self.level}"),),
-            above=f"at least the level {self.level}",
+            bands=(Band(100.0, f"below the {self.level} level"),),
+            above=f"at least the {self.level} level",
             source="EN 17037, table A.1",
             definition=self._definition(),
         )
@@ -106,7 +106,7 @@ class DaylightProvision(DaylightMetric):
         target, _ = _ILLUMINANCES[self.level]
         daylit = mean_over_hours(step(values, target, 0.0))
         level = 100 * _SHARE_OF_HOURS
-        counts = f"from {level:g} % on (line), a point reaches the target of the level {self.level}"
+        counts = f"from {level:g} % on (line), a point reaches the target of the {self.level} level"
         return PlanValues(100 * daylit, hours_with(target, self.period), (level,), counts)
 
     def extra_repr(self) -> str:
