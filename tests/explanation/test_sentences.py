@@ -91,6 +91,12 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
 
 
+def test_the_sources_of_a_relaxed_rating_are_said_to_be_its_own():
+    sources = (Source("ground", "bottom", 0.8, 0.01, 1800.0),)
+    stated = Explanation(rated(24.8, 0.05), sources=sources, definition=Definition(24.6, ""))
+    assert "Where the glare comes from, of the relaxed value" in lines(stated)
+
+
 def of_range(**inputs: tuple[torch.Tensor, torch.Tensor]) -> Any:
     """Return an attribution with a gradient and a value for each input, over ranges of length 1."""
     gradients = {name.replace("_", "."): gradient for name, (gradient, _) in inputs.items()}
