@@ -331,7 +331,7 @@ def test_a_saturated_share_with_no_clear_effect_says_so():
     assert list(said(0.0, 2.0, "lower").values()) == [["no point counts"]]
     assert list(said(95.0, 2.0)) == ["Too noisy to say"]
     (clear,) = said(100.0, 9.0).values()
-    assert clear == ["lamp: +0.0090 ± 0.0010 %"]
+    assert clear == ["lamp: +0.0090 ± 0.0010 percentage points"]
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
@@ -343,7 +343,7 @@ def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     known = dataclasses.replace(raised, exact_error=0.7)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(known,)))
     (line,) = next(item for heading, item in said.items() if heading.startswith("What would change it"))
-    assert "sDA 47 → 48.6 %, by +1.6 ± 0.7 % (relaxed: +2.00" in line
+    assert "sDA 47 → 48.6 %, by +1.6 ± 0.7 percentage points (relaxed: +2.00" in line
     hours = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, ""), changes=(raised,)))
     assert (
         "What would change it: values by the definition and relaxed changes, by which changes compare"
@@ -364,8 +364,8 @@ def test_the_fewest_rows_with_most_of_the_effect_decide():
         "below, sDA there, and how 10 % more light there changes sDA of all points; rows are counted from the top "
         "of the plan, where y points up"
     )
-    assert others[0] == "row 1 (y = 5 m), 7 points: 0.0 %; 0 % for all points"
-    assert others[1] == "row 2 (y = 4 m), 7 points: 14.3 %; +3.00 ± 0.30 % for all points"
+    assert others[0] == "row 1 (y = 5 m), 7 points: 0.0 %; 0 percentage points for all points"
+    assert others[1] == "row 2 (y = 4 m), 7 points: 14.3 %; +3.00 ± 0.30 percentage points for all points"
     assert len(others) == 4
     three = tuple(dataclasses.replace(row, effect=1.0, effect_error=0.1) for row in rows[:3])
     assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0].startswith(
@@ -387,4 +387,4 @@ def test_rows_beside_each_other_are_columns_of_the_plan():
         "below, how 10 % more light there changes sDA of all points; columns are counted from the right of the "
         "plan, where x points to the right"
     )
-    assert other == "column 1 (x = 5 m), 7 points: +1.00 ± 0.10 % for all points"
+    assert other == "column 1 (x = 5 m), 7 points: +1.00 ± 0.10 percentage points for all points"

@@ -25,6 +25,7 @@ from ..visualization import (
     range_notes,
     rounded,
     terminal_width,
+    unit_of_change,
     verdict,
     with_error,
     wrap,
@@ -82,9 +83,8 @@ class Explanation:
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
-        relaxed = (
-            ", of the relaxed value" if self.definition else ""
-        )  # which counts sources below a threshold, too
+        # That counts sources below a threshold, too.
+        relaxed = ", of the relaxed value" if self.definition else ""
         is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
             (
@@ -232,7 +232,7 @@ class Explanation:
         notes = range_notes(self.attribution, among=[row.name for row in stated])
         marked = range_marked(notes)
         lines = [
-            f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
+            f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}"
             f"{self._along(row.name)}{' ~' if row.name in marked else ''}"
             for row in stated
         ]
@@ -278,7 +278,7 @@ class Explanation:
         )
 
     def _row_line(self, row: Row) -> str:
-        effect = self._in_unit(signed(row.effect, row.effect_error))
+        effect = self._by(row.effect, row.effect_error)
         there = "" if row.value is None else f"{self._in_unit(self._plain(row.value))}; "
         return f"{row_name(row)}, {pluralize(row.count, 'point')}: {there}{effect} for all points"
 
@@ -286,7 +286,7 @@ class Explanation:
         predicted = signed(change.predicted, change.predicted_error)
         what = f"{step(change)}: {metric_symbol(self.attribution)}"
         if change.measured is None:
-            return f"{what} {self._in_unit(predicted)}, predicted"
+            return f"{what} {self._by(change.predicted, change.predicted_error)}, predicted"
         value = self.attribution.metric_value
         if self.definition is not None and change.exact is not None:
             numbers = (self.definition.value, change.exact)
@@ -310,10 +310,10 @@ class Explanation:
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
 
     def _exact_difference(self, change: Change) -> str:
-        """Return ``", by +8.0 ± 2.1 %"``, of values by the definition; empty if the error is not known."""
+        """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""
         if self.definition is None or change.exact is None or not change.exact_error:
             return ""
-        return f", by {self._in_unit(signed(change.exact - self.definition.value, change.exact_error))}"
+        return f", by {self._by(change.exact - self.definition.value, change.exact_error)}"
 
     def _goal_heading(self) -> str:
         if self.goal is None or self.goal.was_below:
@@ -348,6 +348,13 @@ class Explanation:
 
     def _in_unit(self, number: str) -> str:
         return f"{number} {metric_unit(self.attribution)}".rstrip()
+
+    def _by(self, change: float, error: float | None) -> str:
+        """Return a change or an effect with its sign and its unit."""
+        return f"{signed(change, error)} {self._unit_of_change()}".rstrip()
+
+    def _unit_of_change(self) -> str:
+        return unit_of_change(metric_unit(self.attribution))
 
     def _unclear_lines(self) -> list[str]:
         """Return how many effects are in the noise, and the samples that would resolve them."""
@@ -407,7 +414,7 @@ class Explanation:
             remedy = f"{first_told:.0f} times the samples would tell of {whom}"
         else:
             remedy = "this cannot be resolved with a reasonable number of samples"
-        size = self._in_unit(rounded(smallest, 2))
+        size = f"{rounded(smallest, 2)} {self._unit_of_change()}".rstrip()
         return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
 
     def _more_samples(self, error: float, effect: float) -> float:

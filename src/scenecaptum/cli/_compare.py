@@ -33,6 +33,7 @@ from ..visualization import (
     rounded,
     signed_with_error,
     terminal_width,
+    unit_of_change,
     wrapped_lines,
 )
 from . import _arguments
@@ -140,7 +141,8 @@ class Compared:
         """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
         if self.by_definition is None:
             return SAVED if self.are_relaxed_ratings() else ""
-        change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
+        unit = unit_of_change(metric_unit(self.before))
+        change = f"{signed_with_error(self.change, self.error)} {unit}".rstrip()
         return f"{RELAXED}: it changes by {change}."
 
     def are_relaxed_ratings(self) -> bool:
@@ -424,7 +426,7 @@ def _name(path: Path) -> str:
 def _lines(found: Compared) -> list[str]:
     """Return the comparison as text: the metric, the values that differ, and the effects that changed."""
     before, after = found.before, found.after
-    suffix = f" {metric_unit(before)}".rstrip()
+    suffix = f" {unit_of_change(metric_unit(before))}".rstrip()
     text = [
         *(
             f"{title}: {_value_line(one, side)}{', relaxed' if found.are_relaxed_ratings() else ''}"

@@ -40,6 +40,7 @@ from ..visualization import (
     shown_render,
     sign_labels,
     signed_with_error,
+    unit_of_change,
     untrusted_groups,
     verdict,
     with_error,
@@ -110,6 +111,7 @@ def _comparison(before: Attribution, after: Attribution, comparison: Comparison)
         "change": _number(comparison.change),
         "error": _number(comparison.standard_error),
         "written": signed_with_error(comparison.change, comparison.standard_error),
+        "unit": unit_of_change(metric_unit(before)),
         "notes": list(comparison.notes),
         "values": [
             {
