@@ -307,7 +307,7 @@ def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
 
 def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_have_an_advice():
     few = of_daylight(75.0, 0.1, definition=Definition(75.0, "preferred", 4, error=0.0))
-    assert few.headline() == "spatial daylight autonomy = 75 % (error below one point, 25 %)"
+    assert few.headline() == "spatial daylight autonomy = 75 % ± less than one point (25 %)"
     assert few.value() == "75"
     assert few.notes()[-1] == (
         "quote 75 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
@@ -315,6 +315,8 @@ def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_
     )
     hours = of_daylight(75.0, 0.1, definition=Definition(75.0, "", error=0.0))
     assert hours.headline() == "spatial daylight autonomy = 75 ± 0 %"
+    ratio = of_daylight(57.0, 0.1, definition=Definition(57.1, "", error=0.0, step=3.17))
+    assert ratio.headline() == "spatial daylight autonomy = 57.1 % ± less than one point (3.2 %)"
     enough = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 20, error=0.0))
     assert "in steps of 5 %, one point)" in enough.notes()[-1]
 

@@ -140,8 +140,8 @@ class Explanation:
         value = f"{self._in_unit(self.value())}{self._pixels()}"
         if self._is_of_equal_counts():
             assert self.definition is not None
-            assert self.definition.points is not None
-            value += f" (error below one point, {self._in_unit(self._plain(100 / self.definition.points))})"
+            assert self.definition.step is not None
+            value += f" ± less than one point ({self._in_unit(self._plain(self.definition.step))})"
         return f"{metric_name(self.attribution)} = {value}"
 
     def notes(self) -> list[str]:
@@ -180,11 +180,10 @@ class Explanation:
 
     def _which_to_quote(self) -> str:
         assert self.definition is not None
-        points = self.definition.points
-        steps = ""
-        if points is not None:
-            few = ": choose a finer spacing" if points < FEW_POINTS else ""
-            steps = f" (in steps of {self._in_unit(self._plain(100 / points))}, one point{few})"
+        points, one, steps = self.definition.points, self.definition.step, ""
+        if one is not None:
+            few = ": choose a finer spacing" if points is not None and points < FEW_POINTS else ""
+            steps = f" (in steps of {self._in_unit(self._plain(one))}, one point{few})"
         return (
             f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
             f"{self._relaxed()} only serves the derivatives"
@@ -202,7 +201,7 @@ class Explanation:
 
     def _is_of_equal_counts(self) -> bool:
         """Whether all replicates count the same points: the share has an error, but one below a point."""
-        return self.definition is not None and bool(self.definition.points) and self.definition.error == 0
+        return self.definition is not None and bool(self.definition.step) and self.definition.error == 0
 
     def _pixels(self) -> str:
         """Return ``" at 160×90 pixels"`` for a rating of a picture; empty for other metrics, and of a grid."""
@@ -263,7 +262,7 @@ class Explanation:
         """Say which of the values of a change is by the definition, and what to compare."""
         if self.definition is None:
             return ""
-        jump = ", which jump by whole points," if self.definition.points else ""
+        jump = ", which jump by whole points," if self.definition.step else ""
         return f": values by the definition{jump} and relaxed changes, by which changes compare"
 
     def _row_legend(self) -> str:
@@ -290,7 +289,7 @@ class Explanation:
         value = self.attribution.metric_value
         if self.definition is not None and change.exact is not None:
             numbers = (self.definition.value, change.exact)
-            if change.exact_error and self.definition.points is None:
+            if change.exact_error and self.definition.step is None:
                 # The change is known more precisely than the value, but more than four digits say nothing.
                 precision = max(change.exact_error, FOUR_DIGITS * abs(self.definition.value))
                 before, after = (with_error(number, precision, digits=1)[0] for number in numbers)

@@ -95,12 +95,23 @@ class DaylightProvision(DaylightMetric):
             for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
 
+    def step_of_a_point(self, coefficients: torch.Tensor) -> float:
+        """Return what one point adds to the smaller of the two ratios, in %."""
+        with torch.no_grad():
+            target, minimum = self._ratios(illuminance(coefficients, self.sky), 0.0)
+        required = _SHARES_OF_POINTS[0 if target <= minimum else 1]
+        return 100 / (required * len(coefficients))
+
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        return 100 * torch.minimum(*self._ratios(values, relaxation))
+
+    def _ratios(self, values: torch.Tensor, relaxation: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the daylit share relative to the required one, at the target and at the minimum target."""
         target, minimum = (
             _daylit(values, target, relaxation) / required
             for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
-        return 100 * torch.minimum(target, minimum)
+        return target, minimum
 
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
         target, _ = _ILLUMINANCES[self.level]
