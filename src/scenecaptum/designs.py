@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import reprlib
+import warnings
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -50,15 +52,21 @@ def design_of(renderer: Adjustable, settings: Mapping[str, Any]) -> dict[str, to
     SceneCaptumError
         If a name matches no input, or a value does not have its shape.
     """
-    values = dict(renderer.inputs)
+    values, parameters = dict(renderer.inputs), getattr(renderer, "parameters", {})
     for key, value in settings.items():
         change = None if key in values else CHANGES.get(key[-1:])
         pattern = key if change is None else key[:-1]
-        for name in _matching(pattern, key, values, getattr(renderer, "parameters", {})):
+        for name in _matching(pattern, key, values, parameters):
             given = _like(name, value, values[name])
             values[name] = given if change is None else change(values[name], given)
             if change is not None:
                 renderer.clamp_({name: values[name]})
+            if getattr(parameters.get(name), "unit", "") == "rad" and values[name].norm() > 2 * math.pi:
+                warnings.warn(
+                    f"{name!r} turns by {values[name].norm():.3g} rad, more than once around: rotations are in "
+                    "radians.",
+                    stacklevel=2,
+                )
     return values
 
 

@@ -13,12 +13,12 @@ import pytest
 import results
 import torch
 
-from scenecaptum import SceneRenderer, SensorGrid, cli, daylight
+from scenecaptum import SceneRenderer, SensorGrid, VanillaSceneGradient, cli, daylight, metrics
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compared, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
 from scenecaptum.cli._points import grid_premises
-from scenecaptum.visualization import plot_plan
+from scenecaptum.visualization import plot_plan, rounded
 
 TINY = "classroom --spp 1 --spacing 4"
 
@@ -296,3 +296,13 @@ def test_a_grid_mostly_outside_of_the_room_has_a_caution() -> None:
     (caution,) = cautions(rectangle=((-12.0, -12.0), (20.0, 20.0)))
     assert "points have nothing above them, no ceiling and no glass" in caution
     assert cautions() == []
+
+
+def test_the_plan_says_the_error_of_a_point() -> None:
+    room = SceneRenderer("classroom", "reflectance", sensor=SensorGrid(), spp=8, max_depth=2)
+    metric = metrics.MeanIlluminance(room.grid)
+    result = VanillaSceneGradient(room, metric).attribute(seed=0)
+    error = 179 * result.info["picture"]["pixel_error"]
+    assert error > (result.metric_standard_error or 0)
+    below = _plan.draw_plan(result.image, room, metric, result.info).axes[0].get_xlabel()
+    assert f"± {rounded(error, 2)} lx at a point" in below

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -25,6 +26,7 @@ from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, cli, metrics
 from scenecaptum.cli import _compared_effects, _demo, _explore, _main, _optimize
+from scenecaptum.cli._messages import in_options
 from scenecaptum.denoising import denoise
 from scenecaptum.designs import design_of, read_design
 from scenecaptum.optimize import Optimization
@@ -678,6 +680,37 @@ def test_a_scene_below_its_goal_gets_no_design(folder: Path, capsys: pytest.Capt
     assert "already below the goal of 1e+06 cd/m²" in capsys.readouterr().out
     assert not (folder / "out" / "design.json").exists()
     assert (folder / "out" / "report.html").exists()
+
+
+def test_rotations_are_named_radians(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    turned = "tall_box_shape.pose.rotation"
+    setting = f"compare cornell-box {VIEW} --metric luminance --inputs {WALL} --set {turned}=0,0"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert cli.main(shlex.split(f"{setting},0.5 --out out")) == 0
+    assert "tall_box_shape: rotation (rad)" in capsys.readouterr().out
+    assert '"label":"tall_box_shape: rotation (rad)"' in (folder / "out" / "comparison.html").read_text()
+    with pytest.warns(UserWarning, match="turns by 20 rad, more than once around: rotations are in radians"):
+        assert cli.main(shlex.split(f"{setting},20")) == 0
+    capsys.readouterr()
+    assert (
+        cli.main(["parameters", "cornell-box", turned, "tall_box_shape.pose.translation", "camera.fov"]) == 0
+    )
+    (_, moves, turns, opens) = capsys.readouterr().out.splitlines()
+    assert "(−∞, ∞)  " in moves
+    assert "(−∞, ∞) rad  " in turns
+    assert "(0, 179] °  " in opens
+
+
+def test_a_goal_below_an_illuminance_is_warned_of(folder: Path) -> None:
+    goal = "classroom --sensor grid --spp 4 --max-depth 2 --metric mean-illuminance --below 1e6"
+    for command in ("optimize", "explain --changes 0"):
+        with pytest.warns(UserWarning, match="More is better for mean illuminance") as found:
+            assert cli.main(shlex.split(f"{command} {goal} --out out")) == 0
+        (said,) = [str(one.message) for one in found if "More is" in str(one.message)]
+        said = in_options(said, argparse.Namespace(below=1e6))
+        assert "and --below 1e+06 asks for less: a value" in said
+        assert "`explain` without --below renders the changes that raise it" in said
 
 
 def test_the_design_of_a_missed_goal_has_the_values_that_were_tried(

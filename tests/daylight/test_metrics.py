@@ -290,6 +290,22 @@ def test_levels_of_daylight_provision_want_half_at_the_target_and_nearly_all_at_
     assert value(*[1.01 * target] * 19, 0.0) == pytest.approx(100)
 
 
+@pytest.mark.parametrize(
+    ("brightness", "one_more", "required"),
+    [((310, 310, 90, 90), (310, 310, 120, 90), 0.95), ((310, 120, 120, 120), (310, 310, 120, 120), 0.5)],
+)
+def test_a_point_of_daylight_provision_is_a_step_of_the_smaller_ratio(brightness, one_more, required):
+    (before, sky), (after, _) = (
+        setup([[one, one, 0.0] for one in map(float, lux)]) for lux in (brightness, one_more)
+    )
+    metric = DaylightProvision(sky, during="all")
+    step = metric.step_of_a_point(before)
+    assert step == pytest.approx(100 / (4 * required))
+    assert metric.hard(after).item() - metric.hard(before).item() == pytest.approx(step)
+    assert DaylightAutonomy(sky, during="all").step_of_a_point(before) is None
+    assert SpatialDaylightAutonomy(sky, during="all").step_of_a_point(before) == 25
+
+
 def test_daylight_provision_says_how_many_points_have_what_light():
     coefficients, sky = setup([[one, one, 0.0] for one in (310.0, 310.0, 120.0, 90.0)])
     assert DaylightProvision(sky, during="all").in_words(coefficients) == (
@@ -423,8 +439,8 @@ def test_a_limit_that_is_reached_counts(value, start):
 
 def test_other_verdicts():
     sky = SkyMatrix.uniform()
-    assert DaylightProvision(sky, during="all").measure.verdict(100.0) == "at least the level minimum"
-    assert DaylightProvision(sky, "high", during="all").measure.verdict(99.9) == "below the level high"
+    assert DaylightProvision(sky, during="all").measure.verdict(100.0) == "at least the minimum level"
+    assert DaylightProvision(sky, "high", during="all").measure.verdict(99.9) == "below the high level"
     exposure = AnnualSunlightExposure(sky, during="all").measure
     assert [exposure.verdict(v)[:10] for v in (3, 7, 10, 10.1)] == [
         "up to 3 %,", "up to 7 %,", "above 7 %,", "above 10 %",

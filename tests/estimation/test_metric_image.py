@@ -21,6 +21,7 @@ from scenecaptum.estimation import (
     TargetedMetric,
     choose_transform,
     describe_picture,
+    pixel_error,
     student_t,
 )
 from scenecaptum.estimation._jackknife import jackknife
@@ -314,3 +315,16 @@ def test_the_denoiser_is_a_straight_through_estimator():
     torch.testing.assert_close(seen.detach(), denoise(image))
     (gradient,) = torch.autograd.grad(seen.square().sum(), image)
     torch.testing.assert_close(gradient, 2 * seen.detach())
+
+
+def test_the_error_of_a_pixel_is_that_of_the_mean_image():
+    generator = torch.Generator().manual_seed(shifted())
+    images = [1 + 0.3 * torch.randn(100, 100, 1, generator=generator).expand(-1, -1, 3) for _ in range(6)]
+    for image in images:
+        image[:50] = 0  # points that are left out
+    assert pixel_error(images) == pytest.approx(0.3 / math.sqrt(6), rel=0.03)
+    # An image of five times the samples.
+    several = [torch.stack(images[:5]).mean(0), images[5]]
+    of_samples = pixel_error(several, torch.tensor([5 / 6, 1 / 6]))
+    assert of_samples == pytest.approx(0.3 / math.sqrt(6), rel=0.06)
+    assert pixel_error(images[:1]) is None

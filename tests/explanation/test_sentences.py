@@ -91,6 +91,12 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
 
 
+def test_the_sources_of_a_relaxed_rating_are_said_to_be_its_own():
+    sources = (Source("ground", "bottom", 0.8, 0.01, 1800.0),)
+    stated = Explanation(rated(24.8, 0.05), sources=sources, definition=Definition(24.6, ""))
+    assert "Where the glare comes from, of the relaxed value" in lines(stated)
+
+
 def of_range(**inputs: tuple[torch.Tensor, torch.Tensor]) -> Any:
     """Return an attribution with a gradient and a value for each input, over ranges of length 1."""
     gradients = {name.replace("_", "."): gradient for name, (gradient, _) in inputs.items()}
@@ -301,7 +307,7 @@ def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
 
 def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_have_an_advice():
     few = of_daylight(75.0, 0.1, definition=Definition(75.0, "preferred", 4, error=0.0))
-    assert few.headline() == "spatial daylight autonomy = 75 % (error below one point, 25 %)"
+    assert few.headline() == "spatial daylight autonomy = 75 % ± less than one point (25 %)"
     assert few.value() == "75"
     assert few.notes()[-1] == (
         "quote 75 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
@@ -309,6 +315,8 @@ def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_
     )
     hours = of_daylight(75.0, 0.1, definition=Definition(75.0, "", error=0.0))
     assert hours.headline() == "spatial daylight autonomy = 75 ± 0 %"
+    ratio = of_daylight(57.0, 0.1, definition=Definition(57.1, "", error=0.0, step=3.17))
+    assert ratio.headline() == "spatial daylight autonomy = 57.1 % ± less than one point (3.2 %)"
     enough = of_daylight(75.0, 0.0, definition=Definition(75.0, "preferred", 20, error=0.0))
     assert "in steps of 5 %, one point)" in enough.notes()[-1]
 
@@ -325,7 +333,7 @@ def test_a_saturated_share_with_no_clear_effect_says_so():
     assert list(said(0.0, 2.0, "lower").values()) == [["no point counts"]]
     assert list(said(95.0, 2.0)) == ["Too noisy to say"]
     (clear,) = said(100.0, 9.0).values()
-    assert clear == ["lamp: +0.0090 ± 0.0010 %"]
+    assert clear == ["lamp: +0.0090 ± 0.0010 percentage points"]
 
 
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
@@ -337,7 +345,7 @@ def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     known = dataclasses.replace(raised, exact_error=0.7)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(known,)))
     (line,) = next(item for heading, item in said.items() if heading.startswith("What would change it"))
-    assert "sDA 47 → 48.6 %, by +1.6 ± 0.7 % (relaxed: +2.00" in line
+    assert "sDA 47 → 48.6 %, by +1.6 ± 0.7 percentage points (relaxed: +2.00" in line
     hours = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, ""), changes=(raised,)))
     assert (
         "What would change it: values by the definition and relaxed changes, by which changes compare"
@@ -358,8 +366,8 @@ def test_the_fewest_rows_with_most_of_the_effect_decide():
         "below, sDA there, and how 10 % more light there changes sDA of all points; rows are counted from the top "
         "of the plan, where y points up"
     )
-    assert others[0] == "row 1 (y = 5 m), 7 points: 0.0 %; 0 % for all points"
-    assert others[1] == "row 2 (y = 4 m), 7 points: 14.3 %; +3.00 ± 0.30 % for all points"
+    assert others[0] == "row 1 (y = 5 m), 7 points: 0.0 %; 0 percentage points for all points"
+    assert others[1] == "row 2 (y = 4 m), 7 points: 14.3 %; +3.00 ± 0.30 percentage points for all points"
     assert len(others) == 4
     three = tuple(dataclasses.replace(row, effect=1.0, effect_error=0.1) for row in rows[:3])
     assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0].startswith(
@@ -381,4 +389,4 @@ def test_rows_beside_each_other_are_columns_of_the_plan():
         "below, how 10 % more light there changes sDA of all points; columns are counted from the right of the "
         "plan, where x points to the right"
     )
-    assert other == "column 1 (x = 5 m), 7 points: +1.00 ± 0.10 % for all points"
+    assert other == "column 1 (x = 5 m), 7 points: +1.00 ± 0.10 percentage points for all points"

@@ -264,6 +264,12 @@ def test_a_slider_that_leads_for_another_metric_and_a_relaxed_rating_say_so(brow
         assert "relaxed" not in values.nth(1).inner_text()
         window.page.get_by_label("constant").check(force=True)
         wait_for(lambda: "leads for unified glare rating" in sky.inner_text())
+        window.page.set_viewport_size({"width": 390, "height": 844})
+        name = sky.get_by_text("sky: radiance", exact=True).bounding_box()
+        note = sky.get_by_text("leads for unified glare rating").bounding_box()
+        assert name["width"] > 150
+        assert note["y"] >= name["y"] + name["height"] - 1, "the note stands below the name"
+        assert name["height"] < 1.5 * note["height"], "the name is on one line"
         window.close()
 
 

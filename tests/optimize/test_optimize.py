@@ -56,6 +56,38 @@ def test_only_the_most_salient_parameters_are_moved():
     assert abs(exact - found.after.value) < allowed(8) * found.after.error
 
 
+class Measured(torch.nn.Module):
+    """The mean, of which more or less is better."""
+
+    def __init__(self, better):
+        super().__init__()
+        self.measure = metrics.Measure("mean illuminance", "Em", unit="lx", better=better)
+
+    def forward(self, image):
+        return image.mean()
+
+
+def test_a_goal_below_a_value_of_which_more_is_better_is_warned_of_before_rendering(recwarn):
+    class Unused(Lamps):
+        def __call__(self, inputs, *, seed, spp):
+            raise AssertionError("rendered")
+
+    for better in ("lower", None):
+        optimize.minimize(Lamps(), Measured(better), 10)
+    assert not recwarn.list
+    for search in (
+        lambda: optimize.minimize(Unused(), Measured("higher"), 10),
+        lambda: explain(Unused(), Measured("higher"), below=10),
+    ):
+        with (
+            pytest.warns(
+                UserWarning, match="More is better for mean illuminance, and below=10 asks for less"
+            ),
+            pytest.raises(AssertionError, match="rendered"),
+        ):
+            search()
+
+
 def test_parameters_whose_effects_are_in_the_noise_are_kept():
     class WithNoise(Lamps):
         """A parameter without an effect, whose gradient is noise."""

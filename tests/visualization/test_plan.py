@@ -175,3 +175,17 @@ def test_plans_that_are_compared_have_one_scale():
         mapped = next(part for part in figure.axes[0].get_children() if isinstance(part, QuadMesh))
         assert mapped.get_clim() == (100, 1400)
         assert figure.axes[1].get_ylim() == (100, 1400)
+
+
+def test_contours_within_the_noise_of_a_point_are_left_out():
+    # The median step between 100 and 750 lx is 100 lx.
+    for error, drawn in ((24, 1), (26, 0)):
+        figure = plot_plan(ramp(), plan(5, 7), error=error)
+        assert len(contours(figure)) == drawn
+        below = figure.axes[0].get_xlabel()
+        assert f"± {error:.0f} lx at a point" in below
+        assert ("too noisy for contours" in below) == (not drawn)
+    assert "±" not in plot_plan(ramp(), plan(5, 7)).axes[0].get_xlabel()
+    # Of a single level it is the range of the values.
+    assert len(contours(plot_plan(ramp(), plan(5, 7), levels=(200,), error=149))) == 1
+    assert not contours(plot_plan(ramp(), plan(5, 7), levels=(200,), error=151))

@@ -25,6 +25,7 @@ from ..visualization import (
     range_notes,
     rounded,
     terminal_width,
+    unit_of_change,
     verdict,
     with_error,
     wrap,
@@ -82,6 +83,8 @@ class Explanation:
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
+        # That counts sources below a threshold, too.
+        relaxed = ", of the relaxed value" if self.definition else ""
         is_glare = any(source.luminance is not None for source in self.sources)
         sections = [
             (
@@ -89,12 +92,11 @@ class Explanation:
                 self.notes(),
             ),
             (
-                "Where the glare comes from" if is_glare else "What it sees in the picture",
+                f"{'Where the glare comes from' if is_glare else 'What it sees in the picture'}{relaxed}",
                 self._source_lines(),
             ),
             (
-                f"What it depends on: {axis_label(self.attribution, width=None)}"
-                f"{', of the relaxed value' if self.definition else ''}",
+                f"What it depends on: {axis_label(self.attribution, width=None)}{relaxed}",
                 self._effect_lines(),
             ),
             (f"What would change it{self._relaxed_effects()}", self._change_lines()),
@@ -138,8 +140,8 @@ class Explanation:
         value = f"{self._in_unit(self.value())}{self._pixels()}"
         if self._is_of_equal_counts():
             assert self.definition is not None
-            assert self.definition.points is not None
-            value += f" (error below one point, {self._in_unit(self._plain(100 / self.definition.points))})"
+            assert self.definition.step is not None
+            value += f" ± less than one point ({self._in_unit(self._plain(self.definition.step))})"
         return f"{metric_name(self.attribution)} = {value}"
 
     def notes(self) -> list[str]:
@@ -178,11 +180,10 @@ class Explanation:
 
     def _which_to_quote(self) -> str:
         assert self.definition is not None
-        points = self.definition.points
-        steps = ""
-        if points is not None:
-            few = ": choose a finer spacing" if points < FEW_POINTS else ""
-            steps = f" (in steps of {self._in_unit(self._plain(100 / points))}, one point{few})"
+        points, one, steps = self.definition.points, self.definition.step, ""
+        if one is not None:
+            few = ": choose a finer spacing" if points is not None and points < FEW_POINTS else ""
+            steps = f" (in steps of {self._in_unit(self._plain(one))}, one point{few})"
         return (
             f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
             f"{self._relaxed()} only serves the derivatives"
@@ -200,7 +201,7 @@ class Explanation:
 
     def _is_of_equal_counts(self) -> bool:
         """Whether all replicates count the same points: the share has an error, but one below a point."""
-        return self.definition is not None and bool(self.definition.points) and self.definition.error == 0
+        return self.definition is not None and bool(self.definition.step) and self.definition.error == 0
 
     def _pixels(self) -> str:
         """Return ``" at 160×90 pixels"`` for a rating of a picture; empty for other metrics, and of a grid."""
@@ -230,7 +231,7 @@ class Explanation:
         notes = range_notes(self.attribution, among=[row.name for row in stated])
         marked = range_marked(notes)
         lines = [
-            f"{in_words(row.label)}: {self._in_unit(signed(row.effect, row.effect_error))}"
+            f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}"
             f"{self._along(row.name)}{' ~' if row.name in marked else ''}"
             for row in stated
         ]
@@ -261,7 +262,7 @@ class Explanation:
         """Say which of the values of a change is by the definition, and what to compare."""
         if self.definition is None:
             return ""
-        jump = ", which jump by whole points," if self.definition.points else ""
+        jump = ", which jump by whole points," if self.definition.step else ""
         return f": values by the definition{jump} and relaxed changes, by which changes compare"
 
     def _row_legend(self) -> str:
@@ -276,7 +277,7 @@ class Explanation:
         )
 
     def _row_line(self, row: Row) -> str:
-        effect = self._in_unit(signed(row.effect, row.effect_error))
+        effect = self._by(row.effect, row.effect_error)
         there = "" if row.value is None else f"{self._in_unit(self._plain(row.value))}; "
         return f"{row_name(row)}, {pluralize(row.count, 'point')}: {there}{effect} for all points"
 
@@ -284,11 +285,11 @@ class Explanation:
         predicted = signed(change.predicted, change.predicted_error)
         what = f"{step(change)}: {metric_symbol(self.attribution)}"
         if change.measured is None:
-            return f"{what} {self._in_unit(predicted)}, predicted"
+            return f"{what} {self._by(change.predicted, change.predicted_error)}, predicted"
         value = self.attribution.metric_value
         if self.definition is not None and change.exact is not None:
             numbers = (self.definition.value, change.exact)
-            if change.exact_error and self.definition.points is None:
+            if change.exact_error and self.definition.step is None:
                 # The change is known more precisely than the value, but more than four digits say nothing.
                 precision = max(change.exact_error, FOUR_DIGITS * abs(self.definition.value))
                 before, after = (with_error(number, precision, digits=1)[0] for number in numbers)
@@ -308,10 +309,10 @@ class Explanation:
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
 
     def _exact_difference(self, change: Change) -> str:
-        """Return ``", by +8.0 ± 2.1 %"``, of values by the definition; empty if the error is not known."""
+        """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""
         if self.definition is None or change.exact is None or not change.exact_error:
             return ""
-        return f", by {self._in_unit(signed(change.exact - self.definition.value, change.exact_error))}"
+        return f", by {self._by(change.exact - self.definition.value, change.exact_error)}"
 
     def _goal_heading(self) -> str:
         if self.goal is None or self.goal.was_below:
@@ -346,6 +347,13 @@ class Explanation:
 
     def _in_unit(self, number: str) -> str:
         return f"{number} {metric_unit(self.attribution)}".rstrip()
+
+    def _by(self, change: float, error: float | None) -> str:
+        """Return a change or an effect with its sign and its unit."""
+        return f"{signed(change, error)} {self._unit_of_change()}".rstrip()
+
+    def _unit_of_change(self) -> str:
+        return unit_of_change(metric_unit(self.attribution))
 
     def _unclear_lines(self) -> list[str]:
         """Return how many effects are in the noise, and the samples that would resolve them."""
@@ -405,7 +413,7 @@ class Explanation:
             remedy = f"{first_told:.0f} times the samples would tell of {whom}"
         else:
             remedy = "this cannot be resolved with a reasonable number of samples"
-        size = self._in_unit(rounded(smallest, 2))
+        size = f"{rounded(smallest, 2)} {self._unit_of_change()}".rstrip()
         return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
 
     def _more_samples(self, error: float, effect: float) -> float:

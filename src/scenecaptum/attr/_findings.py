@@ -129,12 +129,19 @@ class Definition:
         The number of points, if the value is the share of them that pass.
     error
         The standard error of the value; None if it is not known.
+    step
+        What one point adds to the value, if it counts points, by default their share; None for a mean over them.
     """
 
     value: float
     verdict: str
     points: int | None = None
     error: float | None = None
+    step: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.step is None and self.points:
+            object.__setattr__(self, "step", 100 / self.points)
 
 
 def is_clear(effect: float, error: float | None) -> bool:

@@ -102,6 +102,7 @@ class InputEvaluation:
     spp: int | None  # of the image, if known
     metric: TargetedMetric  # with the image transform that was used
     noise: float | None = None  # relative noise of the image's pixels, if known
+    pixel_error: float | None = None  # standard error of its pixels, if known
 
 
 @dataclass
@@ -222,7 +223,13 @@ class Run:
         """Return the metrics at the inputs, the only point where gradients were estimated."""
         image, spp = gradients.image, gradients.total_image_spp
         return [
-            InputEvaluation(adjoints, image, spp, metric.with_transform(adjoints.transform))
+            InputEvaluation(
+                adjoints,
+                image,
+                spp,
+                metric.with_transform(adjoints.transform),
+                pixel_error=gradients.pixel_error,
+            )
             for metric, total in zip(self.metrics, sums, strict=True)
             if (adjoints := total.adjoints) is not None
         ]
@@ -312,6 +319,7 @@ class Run:
                     denoised=adjoints.denoised,
                     interval=interval,
                     noise=evaluation.noise,
+                    standard_error=evaluation.pixel_error,
                     metric=metric,
                     shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
                 ),

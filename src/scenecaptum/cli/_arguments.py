@@ -60,9 +60,9 @@ def add_objects(parser: argparse.ArgumentParser) -> None:
         type=moving_object,
         dest="objects",
         metavar="NAME=SHAPES",
-        help="move these shapes together, such as --object 'desk=desk_*,screen_*'; NAME.pose.translation, "
-        "NAME.pose.rotation and NAME.pose.scale are then parameters for --inputs and --set; may be repeated "
-        "(default: the shapes whose names begin with the same word)",
+        help="move these shapes together, such as --object 'lamp=lamp_*,bulb'; NAME.pose.translation, "
+        "NAME.pose.rotation (in radians) and NAME.pose.scale are then parameters for --inputs and --set; may "
+        "be repeated (default: the shapes whose names begin with the same word)",
     )
 
 
@@ -153,10 +153,10 @@ def definition(text: str) -> tuple[str, str]:
 
 
 def moving_object(text: str) -> tuple[str, list[str]]:
-    """Parse ``desk=desk_*,screen_*``."""
+    """Parse ``lamp=lamp_*,bulb``."""
     name, separator, shapes = text.partition("=")
     if not (name and separator and all(shapes.split(","))):
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=SHAPE,SHAPE, such as 'desk=desk_*,screen_*'")
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=SHAPE,SHAPE, such as 'lamp=lamp_*,bulb'")
     return name, shapes.split(",")
 
 

@@ -229,7 +229,7 @@ def _write_result(
         denoised=options.denoise != "off",
     )
     if renderer.has_grid and not options.formats:
-        formats.append(plan_format(renderer, metric, lambda one: one.image))
+        formats.append(plan_format(renderer, metric, lambda one: (one.image, one.info)))
     write_files(attribution, folder, formats)
     if options.json:
         print(json_text(attribution))
@@ -284,7 +284,7 @@ def _write_report(
     if not options.report:
         return
     path = options.out / REPORT
-    plans = [plan_of(one.image, renderer, metric) for one, metric in finished]
+    plans = [plan_of(one.image, renderer, metric, one.info) for one, metric in finished]
     shown: list[SceneAttribution | Explanation] = []
     for one, metric in finished:
         shown.append(_explained(one, metric, renderer, premises(metric, options)) or one)

@@ -185,7 +185,7 @@ def _side(
     value = attribution.metric_value if definition is None else definition.value
     of_picture = photometric_premises(metric, of_value, value, shown, renderer)
     return Side(
-        plan_of(of_value, renderer, metric),
+        plan_of(of_value, renderer, metric, attribution.info),
         definition,
         of_picture + premises(metric, options) + grid_premises(renderer),
     )

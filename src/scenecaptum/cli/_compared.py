@@ -11,7 +11,7 @@ import torch
 from .. import metrics
 from ..attr import Definition, Explanation, SceneAttribution
 from ..report import different_values
-from ..scene import pose_component
+from ..scene import pose_component, with_unit
 from ..visualization import (
     format_with_error,
     grid,
@@ -21,6 +21,7 @@ from ..visualization import (
     rounded,
     signed_with_error,
     terminal_width,
+    unit_of_change,
     wrapped_lines,
 )
 from ._compared_effects import SIGNIFICANT, compared_effects, effect_lines, not_compared, with_own_ranges
@@ -121,7 +122,8 @@ class Compared:
         """Return the change of the relaxed metric in a sentence; empty if the metric is not relaxed."""
         if self.by_definition is None:
             return SAVED if self.are_relaxed_ratings() else ""
-        change = f"{signed_with_error(self.change, self.error)} {metric_unit(self.before)}".rstrip()
+        unit = unit_of_change(metric_unit(self.before))
+        change = f"{signed_with_error(self.change, self.error)} {unit}".rstrip()
         return f"{RELAXED}: it changes by {change}."
 
     def are_relaxed_ratings(self) -> bool:
@@ -139,7 +141,7 @@ class Compared:
 def lines(found: Compared) -> list[str]:
     """Return the comparison as text: the metric, the values that differ, and the effects."""
     before, after = found.before, found.after
-    suffix = f" {metric_unit(before)}".rstrip()
+    suffix = f" {unit_of_change(metric_unit(before))}".rstrip()
     text = [
         *(line for text in _value_lines(found) for line in wrapped_lines(text, _width(), indent=4)),
         f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
@@ -147,7 +149,10 @@ def lines(found: Compared) -> list[str]:
         *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
     ]
     moved = [
-        (before.labels.get(name, name), *(_values(one.parameter_values[name]) for one in (before, after)))
+        (
+            with_unit(before.labels.get(name, name), name),
+            *(_values(one.parameter_values[name]) for one in (before, after)),
+        )
         for name in different_values(before, after)
     ]
     if moved:

@@ -22,6 +22,7 @@ from ..visualization import (
     rounded,
     rounded_up,
     signed_with_error,
+    unit_of_change,
 )
 
 ROWS = 10
@@ -104,7 +105,7 @@ def effect_lines(
         label = f"{one.label} ~" if one.name in marked else one.label
         rows.append((label, first, second, f"{change} {NOISE}" if one.name in is_noisy else change))
     of_what = ", of the relaxed value" if relaxed else ""
-    unit = f" {metric_unit(after)}".rstrip()
+    unit = f" {unit_of_change(metric_unit(after))}".rstrip()
     table = [
         f"effect: {axis_label(after, width=None)}{of_what}",
         *grid(("effect of", *titles, f"change{unit}"), rows),
@@ -148,7 +149,7 @@ def with_contradictions(
     factor of 2. ``rendered`` is the change of the metric and its standard error.
     """
     names = different_values(before, after)
-    (change, error), unit = rendered, f" {metric_unit(after)}".rstrip()
+    (change, error), unit = rendered, f" {unit_of_change(metric_unit(after))}".rstrip()
     found = []
     for one in (before, after):
         predicted = _first_order_change(one, names, before, after)

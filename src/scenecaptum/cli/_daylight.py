@@ -113,7 +113,7 @@ def _explain(
         print(said)
         print_files(folder, formats)
         print()
-    return said, plan_of(said.picture, renderer, metric)
+    return said, plan_of(said.picture, renderer, metric, said.attribution.info)
 
 
 def _values(renderer: SceneRenderer, options: argparse.Namespace) -> Mapping[str, torch.Tensor]:

@@ -25,7 +25,7 @@ def add_design(parser: argparse.ArgumentParser) -> None:
         help="give a parameter another value, a number or one for each channel, such as "
         "--set desk.base_color.value=0.2,0.2,0.2; a texture gets it in every texel; NAME+=VALUE adds to the "
         "value, NAME*=VALUE multiplies it, within the physical bounds; desk.pose.translation=0.3,0,0 moves an "
-        "object; may be repeated",
+        "object by units of the scene, desk.pose.rotation=0,0,0.5 turns it by radians; may be repeated",
     )
     parser.add_argument(
         "--design",

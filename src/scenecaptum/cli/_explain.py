@@ -130,7 +130,7 @@ def _write_report(
         options.out / REPORT,
         titles,
         title=options.title,
-        plans=plans_of([one.picture for one in results], renderer, metric),
+        plans=plans_of([(one.picture, one.attribution.info) for one in results], renderer, metric),
         comparison=comparison,
     )
 
@@ -197,7 +197,7 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
     ]
     if not renderer.has_grid:
         return formats
-    return [*formats, plan_format(renderer, metric, lambda explanation: explanation.picture)]
+    return [*formats, plan_format(renderer, metric, lambda one: (one.picture, one.attribution.info))]
 
 
 def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> dict[str, Any]:

@@ -82,6 +82,7 @@ def _row(parameter: Parameter) -> dict[str, Any]:
         "shape": list(parameter.shape),
         "bounds": str(parameter.bounds),
         "range": str(parameter.range),
+        "unit": parameter.unit,
         "owners": list(parameter.owners),
         "status": parameter.status,
     }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -33,19 +33,26 @@ def by_definition(attribution: SceneAttribution, metric: Metric) -> Definition |
 
 
 def draw_plan(
-    image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric, width: float = FILE_WIDTH
+    image: torch.Tensor | None,
+    renderer: SceneRenderer,
+    metric: Metric,
+    info: Mapping[str, Any],
+    width: float = FILE_WIDTH,
 ) -> Figure:
     """Draw what a metric is about at each point of a sensor grid on the plan of the room.
 
-    ``image`` is what the stated value is of, so that who counts the points on the plan finds that value.
+    ``image`` is what the stated value is of, so that who counts the points on the plan finds that value. ``info``
+    is that of a result, which knows the noise of as many samples.
     """
     grid = renderer.grid
     assert image is not None, "every attribution of a SceneRenderer has its image"
-    shown = (
-        metric.on_plan(image)
-        if isinstance(metric, DaylightMetric)
-        else PlanValues(MeanIlluminance(grid).illuminance(image), "illuminance in lx", LEVELS)
-    )
+    error = None
+    if isinstance(metric, DaylightMetric):
+        shown = metric.on_plan(image)
+    else:
+        illuminance = MeanIlluminance(grid)
+        shown = PlanValues(illuminance.illuminance(image), "illuminance in lx", LEVELS)
+        error = illuminance.efficacy * ((info.get("picture") or {}).get("pixel_error") or 0.0)
     return plot_plan(
         grid.spread(shown.values),
         grid.plan,
@@ -55,29 +62,42 @@ def draw_plan(
         label=shown.label,
         axes=grid.axes,
         width=width,
+        error=error,
     )
 
 
-def plan_of(image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric) -> Figure | None:
+def plan_of(
+    image: torch.Tensor | None, renderer: SceneRenderer, metric: Metric, info: Mapping[str, Any]
+) -> Figure | None:
     """Return the map for a report; None if the renderer has no sensor grid."""
-    return draw_plan(image, renderer, metric, REPORT_WIDTH) if renderer.has_grid else None
+    return draw_plan(image, renderer, metric, info, REPORT_WIDTH) if renderer.has_grid else None
 
 
 def plans_of(
-    images: Sequence[torch.Tensor | None], renderer: SceneRenderer, metric: Metric
+    results: Sequence[tuple[torch.Tensor | None, Mapping[str, Any]]], renderer: SceneRenderer, metric: Metric
 ) -> Sequence[Figure | None]:
-    """Return the maps of several designs with a common scale of colours; None without a sensor grid."""
-    plans = [plan_of(image, renderer, metric) for image in images]
+    """Return the maps of several designs, of images and infos, with a common scale of colours.
+
+    They are None without a sensor grid.
+    """
+    plans = [plan_of(image, renderer, metric, info) for image, info in results]
     share_scale(plan for plan in plans if plan is not None)
     return plans
 
 
 def plan_format(
-    renderer: SceneRenderer, metric: Metric, image_of: Callable[[Result], torch.Tensor | None]
+    renderer: SceneRenderer,
+    metric: Metric,
+    of: Callable[[Result], tuple[torch.Tensor | None, Mapping[str, Any]]],
 ) -> OutputFormat[Result]:
-    """Return the map as a file that a command writes of a result, from which a function takes the image."""
+    """Return the map as a file that a command writes of a result, ``of`` which it takes the image and the info."""
+
+    def draw(result: Result) -> Figure:
+        image, info = of(result)
+        return draw_plan(image, renderer, metric, info)
+
     return OutputFormat(
         "plan.png",
         "map on the plan of the room",
-        figure_writer(lambda result: draw_plan(image_of(result), renderer, metric)),
+        figure_writer(draw),
     )

@@ -66,11 +66,11 @@ class DaylightProvision(DaylightMetric):
     def measure(self) -> Measure:
         """Name and unit, and the limit of 100 %."""
         return LowerLimits(
-            f"daylight provision, level {self.level}",
+            f"daylight provision, {self.level} level",
             unit="%",
             better="higher",
-            bands=(Band(100.0, f"below the level {self.level}"),),
-            above=f"at least the level {self.level}",
+            bands=(Band(100.0, f"below the {self.level} level"),),
+            above=f"at least the {self.level} level",
             source="EN 17037, table A.1",
             definition=self._definition(),
         )
@@ -95,18 +95,29 @@ class DaylightProvision(DaylightMetric):
             for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
 
+    def step_of_a_point(self, coefficients: torch.Tensor) -> float:
+        """Return what one point adds to the smaller of the two ratios, in %."""
+        with torch.no_grad():
+            target, minimum = self._ratios(illuminance(coefficients, self.sky), 0.0)
+        required = _SHARES_OF_POINTS[0 if target <= minimum else 1]
+        return 100 / (required * len(coefficients))
+
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
+        return 100 * torch.minimum(*self._ratios(values, relaxation))
+
+    def _ratios(self, values: torch.Tensor, relaxation: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the daylit share relative to the required one, at the target and at the minimum target."""
         target, minimum = (
             _daylit(values, target, relaxation) / required
             for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
-        return 100 * torch.minimum(target, minimum)
+        return target, minimum
 
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
         target, _ = _ILLUMINANCES[self.level]
         daylit = mean_over_hours(step(values, target, 0.0))
         level = 100 * _SHARE_OF_HOURS
-        counts = f"from {level:g} % on (line), a point reaches the target of the level {self.level}"
+        counts = f"from {level:g} % on (line), a point reaches the target of the {self.level} level"
         return PlanValues(100 * daylit, hours_with(target, self.period), (level,), counts)
 
     def extra_repr(self) -> str:

@@ -94,6 +94,10 @@ class DaylightMetric(torch.nn.Module):
         """Return what the value by the definition consists of, in a sentence; empty if it is one number."""
         return ""
 
+    def step_of_a_point(self, coefficients: torch.Tensor) -> float | None:
+        """Return what one point adds to a value that counts points, in its unit; None for others."""
+        return 100 / len(coefficients) if self.counts_points else None
+
     def on_plan(self, coefficients: torch.Tensor) -> PlanValues:
         """Return what a map of the room shows for daylight coefficients ``(points, P, 3)``, without relaxation.
 

@@ -60,5 +60,5 @@ BY_NAME = {
     "ase": NamedDaylightMetric(AnnualSunlightExposure, "annual sunlight exposure", light="sun"),
     "annual-illumination": NamedDaylightMetric(TotalAnnualIllumination, "light of the whole year"),
     "daylight-factor": NamedDaylightMetric(DaylightFactor, "under an overcast sky", light="overcast"),
-    "en17037": NamedDaylightMetric(DaylightProvision, "daylight provision of EN 17037, level minimum"),
+    "en17037": NamedDaylightMetric(DaylightProvision, "daylight provision of EN 17037, minimum level"),
 }

@@ -27,6 +27,7 @@ from ._heavy_tails import MIN_REPLICATES as MIN_REPLICATES
 from ._heavy_tails import has_dominating_replicate as has_dominating_replicate
 from ._heavy_tails import rows_of_median as rows_of_median
 from ._image_info import describe_picture as describe_picture
+from ._image_info import pixel_error as pixel_error
 from ._image_info import relative_noise as relative_noise
 from ._jackknife import at_values as at_values
 from ._jackknife import jackknife as jackknife

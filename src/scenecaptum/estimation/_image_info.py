@@ -27,6 +27,24 @@ def relative_noise(images: Sequence[torch.Tensor]) -> float | None:
     return (error / mean.clamp_min(_FLOOR * mean.mean())).square().mean().sqrt().item()
 
 
+def pixel_error(images: Sequence[torch.Tensor], fractions: torch.Tensor | None = None) -> float | None:
+    """Return the root mean square of the standard errors of the pixels of a mean image; None for a single image.
+
+    It is in the unit of the image, averaged over the channels. ``fractions`` are those of the samples that each
+    image has, by default equal. Black pixels do not count: they are points of a sensor grid that are left out.
+    """
+    count = len(images)
+    if count < 2:
+        return None
+    pixels = torch.stack([image.mean(-1) for image in images]).double()
+    weights = torch.full((count,), 1 / count) if fractions is None else fractions
+    weights = weights.to(pixels).reshape(-1, *[1] * (pixels.ndim - 1))
+    mean = (weights * pixels).sum(0)
+    variance = (weights * (pixels - mean).square()).sum(0) / (count - 1)
+    lit = mean > 0
+    return variance[lit].mean().sqrt().item() if lit.any() else 0.0
+
+
 def describe_picture(  # noqa: PLR0913 -- everything that is known of the picture
     transform: ImageTransform,
     value: float,
@@ -36,6 +54,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     interval: tuple[float, float] | None = None,
     *,
     noise: float | None = None,
+    standard_error: float | None = None,
     metric: TargetedMetric | None = None,
     compares: bool = False,
     shows_a_view: bool = True,
@@ -43,9 +62,9 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     """Return a plain description of the metric image.
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
-    of the value, ``noise`` the relative noise of the pixels, and ``metric`` may have classes of its values and
-    cautions of its own. ``compares`` says that the effects are differences of values, which have its bias, and
-    ``shows_a_view`` that the image is a picture.
+    of the value, ``noise`` the relative noise of the pixels, ``standard_error`` as of ``pixel_error``, and
+    ``metric`` may have classes of its values and cautions of its own. ``compares`` says that the effects are
+    differences of values, which have its bias, and ``shows_a_view`` that the image is a picture.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
@@ -61,6 +80,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
         "denoised": transform.denoises,
         "relative_error": None if raw is None else raw**0.5,
         "relative_error_denoised": None if smooth is None else smooth**0.5,
+        "pixel_error": standard_error,
         "caution": own or noisy,
     }
 

@@ -37,11 +37,13 @@ def definition_of(metric: TargetedMetric, images: torch.Tensor) -> Definition | 
     value = exact.value(images.mean(0))
     error = half_sample_error(lambda kept: exact.value(images[kept].mean(0)), len(images))
     relaxed: Any = metric.metric
-    counts = isinstance(relaxed, DaylightMetric) and relaxed.counts_points
+    is_of_daylight = isinstance(relaxed, DaylightMetric)
+    counts = is_of_daylight and relaxed.counts_points
+    one = relaxed.step_of_a_point(images.mean(0)) if is_of_daylight else None
     verdict = relaxed.measure.verdict(value)
     if isinstance(relaxed, GlareRating):
         verdict = relaxed.unrated(metric.transform(images.mean(0)), hard=True) or verdict
-    return Definition(value, verdict, images.shape[1] if counts else None, error)
+    return Definition(value, verdict, images.shape[1] if counts else None, error, one)
 
 
 def difference_by_definition(

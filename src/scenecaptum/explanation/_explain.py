@@ -22,7 +22,7 @@ from ..estimation import (
     input_values,
 )
 from ..metrics import DaylightGlareProbability, GlareRating, UnifiedGlareRating, VerticalIlluminance
-from ..optimize import Optimization, Search, SearchOptions
+from ..optimize import Optimization, Search, SearchOptions, warn_if_more_is_better
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
@@ -74,7 +74,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     renderer, metric, inputs, target, seed, spp, replicates, denoise, show_progress
         As for ``VanillaSceneGradient``.
     below
-        A goal for ``optimize.minimize``, which changes the leading parameter alone if that is enough.
+        A goal for ``optimize.minimize``, which changes the leading parameter alone if that is enough. A metric of
+        which more is better, such as an illuminance, has a warning.
     changes
         The number of changes to render.
 
@@ -88,6 +89,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     SceneCaptumError
         As ``VanillaSceneGradient`` and ``optimize.minimize``.
     """
+    if below is not None:
+        warn_if_more_is_better(metric, target, below)
     attribution_seed, scenes_seed, goal_seed = derived_seeds(seed, Stream.EXPLANATION, 3)
     attribution = VanillaSceneGradient(renderer, metric).attribute(
         inputs,

@@ -18,7 +18,7 @@ from ..linearization import Derivative, Design, Designs, Linearization, Measured
 from ..metrics import Measure
 from ..rendering import SceneRenderer
 from ..report import describe_objects
-from ..visualization import automatic_exposure, rounded
+from ..visualization import automatic_exposure, rounded, unit_of_change
 from ._channel import Channel
 
 MAX_NAME = 60  # characters of the name of a saved design
@@ -358,6 +358,13 @@ def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:
     """Return title, unit, abbreviation and classes of a metric as plain values."""
     measure = metric.measure
     if not isinstance(measure, Measure):
-        return {"title": name or metric.label, "unit": "", "symbol": None, "bands": [], "above": ""}
+        return {
+            "title": name or metric.label,
+            "unit": "",
+            "changeUnit": "",
+            "symbol": None,
+            "bands": [],
+            "above": "",
+        }
     kept = {key: getattr(measure, key) for key in ("unit", "symbol", "bands", "above")}
-    return {"title": measure.name, **kept}
+    return {"title": measure.name, "changeUnit": unit_of_change(measure.unit), **kept}

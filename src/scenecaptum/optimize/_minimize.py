@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -99,7 +100,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``. To increase a metric, minimize its
         negative.
     below
-        The goal, in the metric's unit.
+        The goal, in the metric's unit. A metric of which more is better, such as an illuminance, has a warning.
     inputs
         The values to start from; by default the scene's own.
     target
@@ -140,8 +141,24 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     Kingma and Ba, "Adam: A Method for Stochastic Optimization", 2015.
     """
     options = SearchOptions(top, change, limits, steps)
+    warn_if_more_is_better(metric, target, below)
     search = Search(renderer, metric, inputs=inputs, target=target, seed=seed, spp=spp, denoise=denoise)
     return search.to(below, options, show_progress=show_progress)
+
+
+def warn_if_more_is_better(metric: Metric, target: Target, below: float) -> None:
+    """Warn that a goal below a value makes a metric worse, of which more is better; before anything is rendered.
+
+    It is no error: too much light, which dazzles, is a reason for such a goal.
+    """
+    measure = TargetedMetric(metric, target).measure
+    if measure is None or measure.describe().get("better") != "higher":
+        return
+    warnings.warn(
+        f"More is better for {measure.describe()['name']}, and below={below:g} asks for less: a value of at least "
+        f"{below:g} counts as missed. `explain` without below= renders the changes that raise it.",
+        stacklevel=3,
+    )
 
 
 class Search:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..denoising import denoise
+from ..scene import with_unit
 from ..visualization import (
     RAISES,
     SMALL,
@@ -193,7 +194,7 @@ class Optimization:
 
     def __str__(self) -> str:
         """Return a text table: the value of every changed parameter before and after, and the metric."""
-        names = shorten([moved.label for moved in self.moved], _NAME_WIDTH)
+        names = shorten([with_unit(moved.label, moved.name) for moved in self.moved], _NAME_WIDTH)
         cells = [
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)

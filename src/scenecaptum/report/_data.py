@@ -16,6 +16,7 @@ from ..errors import SceneCaptumError
 from ..estimation import student_t
 from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects, views_without_map
 from ..protocols import Attribution, RankedParameter, ResultKind
+from ..scene import with_unit
 from ..visualization import (
     LOWERS,
     RAISES,
@@ -40,6 +41,7 @@ from ..visualization import (
     shown_render,
     sign_labels,
     signed_with_error,
+    unit_of_change,
     untrusted_groups,
     verdict,
     with_error,
@@ -111,11 +113,12 @@ def _comparison(before: Attribution, after: Attribution, comparison: Comparison)
         "change": _number(comparison.change),
         "error": _number(comparison.standard_error),
         "written": signed_with_error(comparison.change, comparison.standard_error),
+        "unit": unit_of_change(metric_unit(before)),
         "notes": list(comparison.notes),
         "values": [
             {
                 "name": name,
-                "label": before.labels.get(name, name),
+                "label": with_unit(before.labels.get(name, name), name),
                 "texture": _is_texture(before, name),
                 "values": [_written_value(one, name, one.parameter_values[name]) for one in (before, after)],
             }
@@ -247,7 +250,9 @@ def _result(
 def _effect_unit(attribution: Attribution) -> str:
     """Return the unit of effects, where it is that of the metric: not of a change per unit, or of its square."""
     kind = attribution.kind.in_scale(attribution.scale_or_default())
-    return metric_unit(attribution) if kind is ResultKind.EFFECT or kind.is_contribution else ""
+    return (
+        unit_of_change(metric_unit(attribution)) if kind is ResultKind.EFFECT or kind.is_contribution else ""
+    )
 
 
 def _premises(explanation: Explanation) -> list[str]:

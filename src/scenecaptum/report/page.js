@@ -473,10 +473,10 @@ function drawResults() {
 const LISTED = 6;
 
 /** The change from the first result to the second, and the values that differ. */
-function drawComparison({ written, notes, values }) {
+function drawComparison({ written, unit, notes, values }) {
   const [before, after] = results;
   const head = make("div", {}, make("p", { class: "result-title" }, `change: ${before.title} → ${after.title}`),
-    make("p", { class: "result-value" }, [minus(written), after.unit].filter(Boolean).join(" ")));
+    make("p", { class: "result-value" }, [minus(written), unit].filter(Boolean).join(" ")));
   const listed = values.slice(0, LISTED).map(({ label, texture, values: [from, to] }) => make("div", {}, make("dt", {}, ...breakable(label)),
     make("dd", {}, valueOf({ ...from, texture }), make("span", { class: "to" }, " → "), valueOf({ ...to, texture }))));
   const more = values.length > LISTED ? make("p", { class: "muted" }, `and ${counted(values.length - LISTED, "parameter")} more`) : null;

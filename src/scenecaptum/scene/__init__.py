@@ -45,6 +45,7 @@ from ._poses import placement as placement
 from ._poses import pose_component as pose_component
 from ._poses import pose_name as pose_name
 from ._poses import pose_parameters as pose_parameters
+from ._poses import with_unit as with_unit
 from ._ranges import choose_ranges as choose_ranges
 from ._reflection import OPEN_MARGIN as OPEN_MARGIN
 from ._reflection import clamp_inside as clamp_inside

@@ -29,6 +29,8 @@ POSES, CAMERA = "poses", "camera"
 # Kinds that move something. Each of their numbers takes renders of its own.
 MOVING_KINDS = (POSES, CAMERA)
 
+# Of the poses; lengths are in the units of the scene, which has no name for them.
+UNITS = {"rotation": "rad", "fov": "°"}
 _COLUMNS = ("name", "kind", "shape", "bounds", "owner", "status")
 _MIN_NAME_WIDTH, _OWNER_WIDTH = 30, 12
 # Columns that are omitted in narrow terminals, in this order.
@@ -113,6 +115,11 @@ class Parameter:
     def moves(self) -> bool:
         """Whether it moves an object, a light or the camera, and can be set."""
         return self.kind in MOVING_KINDS and self.plugin == "Pose"
+
+    @property
+    def unit(self) -> str:
+        """The unit of a pose, such as ``"rad"``; empty for what has no unit, or that of the scene."""
+        return UNITS.get(self.role, "") if self.moves else ""
 
     @property
     def is_of_surface(self) -> bool:
@@ -229,7 +236,7 @@ def _html(parameters: Sequence[Parameter]) -> str:
 
 def _row(p: Parameter) -> list[str]:
     shape = "×".join(map(str, p.shape)) or "scalar"
-    return [p.name, p.kind, shape, str(p.bounds), ", ".join(p.owners), p.status]
+    return [p.name, p.kind, shape, f"{p.bounds} {p.unit}".rstrip(), ", ".join(p.owners), p.status]
 
 
 def _short_status(parameter: Parameter, numbers: Mapping[str, int]) -> str:

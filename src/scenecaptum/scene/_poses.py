@@ -11,7 +11,7 @@ import torch
 
 from ._bounds import Bounds
 from ._objects import SceneObject
-from ._parameter_table import CAMERA, POSES, Parameter
+from ._parameter_table import CAMERA, POSES, UNITS, Parameter
 
 # The poses that differ from those of the scene as loaded, by the names of their inputs.
 Moved: TypeAlias = "tuple[tuple[str, float | tuple[float, ...]], ...]"
@@ -36,6 +36,12 @@ def pose_component(name: str) -> str | None:
         if name.endswith(pose_name("", component)):
             return component
     return None
+
+
+def with_unit(label: str, name: str) -> str:
+    """Return the label of a parameter with the unit of its values: ``"shade: rotation (rad)"``."""
+    unit = UNITS.get(pose_component(name) or "")
+    return f"{label} ({unit})" if unit else label
 
 
 def pose_parameters(objects: Iterable[SceneObject], *, kind: str = POSES) -> list[Parameter]:

@@ -94,6 +94,7 @@ from ._text import range_notes as range_notes
 from ._text import sampling_notes as sampling_notes
 from ._text import scene_cautions as scene_cautions
 from ._text import sign_labels as sign_labels
+from ._text import unit_of_change as unit_of_change
 from ._text import untrusted_groups as untrusted_groups
 from ._text import verdict as verdict
 from ._tonemap import automatic_exposure as automatic_exposure

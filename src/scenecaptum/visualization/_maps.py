@@ -33,6 +33,7 @@ from ._text import (
     pack,
     pluralize,
     range_notes,
+    unit_of_change,
 )
 from ._tonemap import display_image
 
@@ -243,7 +244,7 @@ def _map_title(
     selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
     quantity = axis_label(attribution, scale, metric="the metric")
     shown = f"{selected}: {quantity}" if selected else quantity
-    unit = metric_unit(attribution) if attribution.scale_or_default(scale) == "range" else ""
+    unit = unit_of_change(metric_unit(attribution)) if attribution.scale_or_default(scale) == "range" else ""
     largest = "the largest" if maximum is None else f"{rounded(maximum)} {unit}".rstrip()
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
     if options.get("texels"):

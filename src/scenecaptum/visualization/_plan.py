@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -32,7 +34,7 @@ _BESIDE_TITLE = 1.2  # inches left of a title, which begins at the map, and at i
 _TITLE_LINE = 0.17  # inches
 
 
-def plot_plan(
+def plot_plan(  # noqa: PLR0913 -- a figure with its texts
     values: torch.Tensor,
     plan: torch.Tensor,
     inside: torch.Tensor | None = None,
@@ -43,6 +45,7 @@ def plot_plan(
     title: str = "",
     label: str = "illuminance in lx",
     axes: tuple[str, str] = ("x", "y"),
+    error: float | None = None,
 ) -> Figure:
     """Plot a value at each point of a sensor grid on the plan of the room, in false colours with contours.
 
@@ -75,6 +78,10 @@ def plot_plan(
         Names of the coordinates across and up, ``renderer.grid.axes``. The room is shown from above: with x and z,
         −z points up.
 
+    error
+        The typical standard error of a value, which is written below the map. If four of it are as much as the
+        median step between contours, these would show the noise, and are left out.
+
     Raises
     ------
     SceneCaptumError
@@ -91,11 +98,19 @@ def plot_plan(
         up += _TITLE_LINE * len(title.splitlines())
         ax = new_figure(across, up, layout="compressed").add_subplot()
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
-    _draw_contours(ax, x, y, shown, levels, _APART * WIDTH / width)
+    within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
+    is_noise = bool(error and within) and 4 * (error or 0.0) >= _step(within, levels, shown)
+    if not is_noise:
+        _draw_contours(ax, x, y, shown, within, _APART * WIDTH / width)
     ax.set_aspect("equal")
     if axes == FROM_BELOW:
         ax.invert_yaxis()
-    style_axes(ax, title, x=f"{axes[0]} in m", y=f"{axes[1]} in m")
+    below = [f"{axes[0]} in m"]
+    if error:
+        unit = label.replace("\n", " ").rpartition(" in ")[2]
+        without = ": too noisy for contours" if is_noise else ""
+        below.append(f"± {rounded(error, 2)} {unit} at a point{without}")
+    style_axes(ax, title, x="\n".join(below), y=f"{axes[1]} in m")
     bar = figure_of(ax).colorbar(mapped, ax=ax, aspect=25, pad=0.02)
     bar.ax.tick_params(labelsize=SMALL)
     bar.set_label(label, fontsize=TEXT)
@@ -155,21 +170,28 @@ def _span(mask: torch.Tensor) -> slice:
     return slice(int(found[0]), int(found[-1]) + 1)
 
 
+def _step(within: Sequence[float], levels: Sequence[float], shown: np.ma.MaskedArray[Any, Any]) -> float:
+    """Return the median distance between neighbouring levels; of a single one, the range of the values."""
+    known = sorted(set(levels))
+    if len(known) < 2:
+        return float(shown.max() - shown.min())
+    return median(high - low for low, high in pairwise(known) if low in within or high in within)
+
+
 def _draw_contours(
     ax: Axes,
     x: np.ndarray[Any, Any],
     y: np.ndarray[Any, Any],
     shown: np.ma.MaskedArray[Any, Any],
-    levels: Sequence[float],
+    within: Sequence[float],
     apart: float,
 ) -> None:
-    """Draw contours at the levels within the range of the values, in white on black, and label them.
+    """Draw contours at levels within the range of the values, in white on black, and label them.
 
     Labels are ``apart`` by a part of the longer side.
     """
     from matplotlib.patheffects import withStroke
 
-    within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
     if min(shown.shape) < 2 or not within:
         return
     # Without corner masks no line passes between blank points, where it would be a piece without meaning.

@@ -54,6 +54,11 @@ def metric_unit(attribution: Attribution) -> str:
     return str(_measure(attribution).get("unit") or "")
 
 
+def unit_of_change(unit: str) -> str:
+    """Return the unit of a change of a value in a unit: from 50 % to 60 % are ten percentage points, not 10 %."""
+    return "percentage points" if unit == "%" else unit
+
+
 def verdict(attribution: Attribution) -> str:
     """Return what the metric's value means; empty if the metric does not say."""
     return str(attribution.info.get("verdict") or "")
@@ -111,7 +116,7 @@ def axis_label(
 ) -> str:
     """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
-    unit = metric_unit(attribution)
+    unit = unit_of_change(metric_unit(attribution))
     if metric is None:
         metric = f"{metric_name(attribution, width)}{f' ({unit})' if unit else ''}"
     label = kind.axis_label.format(metric)

@@ -427,7 +427,7 @@ class Page {
       verdict.textContent = !now ? "" : isOpen ? "class unknown: not rendered" : (now.verdict ?? (metric.bands.length ? (band?.[1] ?? metric.above) : ""));
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
-      change.textContent = changed ? `${withError(changed.change, changed.error, true)}${unit} ${how}` : "";
+      change.textContent = changed ? `${withError(changed.change, changed.error, true)}${metric.changeUnit && ` ${metric.changeUnit}`} ${how}` : "";
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
       note.textContent = isOff
@@ -444,7 +444,7 @@ class Page {
 
   drawRows() {
     if (!this.base) return;
-    const { unit } = this.scene.metrics[this.metric];
+    const { changeUnit: unit } = this.scene.metrics[this.metric];
     this.parts.heading.textContent = this.sliders.size
       ? `Effect of each over its range, to first order${unit ? `, in ${unit}` : ""}; bold: of your change`
       : "";
@@ -487,7 +487,7 @@ class Page {
     caption.textContent = "";
     if (canvas.hidden) return;
     const { width, height, objects, weights, effects, maps } = this.objects;
-    const [signed, { unit }] = [this.overlay === "signed", this.scene.metrics[this.metric]];
+    const [signed, { changeUnit: unit }] = [this.overlay === "signed", this.scene.metrics[this.metric]];
     const table = bytesOf(maps[this.overlay]);
     const largest = Math.max(...effects[this.metric].map(Math.abs), 1e-30);
     const places = effects[this.metric].map(
