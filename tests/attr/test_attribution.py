@@ -338,7 +338,9 @@ def test_a_difference_names_both_of_its_metrics_and_keeps_their_common_unit():
 )
 def test_a_difference_of_one_metric_says_what_its_sides_differ_by(a, b, name):
     assert metric_line(made(**a) - made(**b)).startswith(f"mean luminance {name} = ")
-    assert metric_line(made(**a) + made(**b)).startswith(f"mean luminance {name.replace('−', '+')} = ")
+    is_repeated = a.keys() | b.keys() <= {"seed"}
+    total = "2 × mean luminance" if is_repeated else f"mean luminance {name.replace('−', '+')}"
+    assert metric_line(made(**a) + made(**b)).startswith(f"{total} = ")
     assert metric_line(made(log_mean, **a) - made(log_mean, **b)).startswith(f"log_mean {name} = ")
 
 
@@ -383,17 +385,58 @@ def test_attributions_have_a_negative_and_a_sum():
             impossible()
 
 
-def test_a_difference_is_called_by_what_its_sides_measure():
-    def named(metric: str, measure: str | None) -> SceneAttribution:
-        info = {"metric": metric, "measure": measure and {"name": measure}}
-        return SceneAttribution({"x": torch.ones(())}, None, 1.0, None, info=info)
+def named(metric: str, measure: str | None, **info: Any) -> SceneAttribution:
+    info |= {"metric": metric, "measure": measure and {"name": measure}}
+    return SceneAttribution({"x": torch.ones(())}, None, 1.0, None, info=info)
 
+
+def night(scene: str = "night") -> SceneAttribution:
+    return named("a", "a", scene=scene)
+
+
+def test_a_difference_is_called_by_what_its_sides_measure():
     cube, sphere = named("ClassLogit[cube]", "logit of cube"), named("ClassLogit[sphere]", "logit of sphere")
     assert metric_name(cube - sphere) == "logit of cube − logit of sphere"
     assert metric_name(cube + sphere) == "logit of cube + logit of sphere"
     assert metric_name(2 * cube) == "2 × logit of cube"
     assert metric_name(cube - named("own", None)) == "logit of cube − own"
     assert metric_name(cube - cube) == "logit of cube (first − second)"
+
+
+@pytest.mark.parametrize(
+    ("combined", "name"),
+    [
+        (lambda a, b, c, _: a - (b + c), "a − b − c"),
+        (lambda a, b, c, _: a - (b - c), "a − b + c"),
+        (lambda a, b, c, _: (a - b) - c, "a − b − c"),
+        (lambda a, b, *_: (a + b) / 2, "0.5 × (a + b)"),
+        (lambda a, b, *_: 2 * (a - b), "2 × (a − b)"),
+        (lambda a, b, *_: a - 2 * b, "a − 2 × b"),
+        (lambda a, b, *_: a + -b, "a − b"),
+        (lambda a, b, *_: -a + b, "−a + b"),
+        (lambda a, b, *_: -(a + b), "−(a + b)"),
+        (lambda a, b, *_: -2 * (a + b), "−2 × (a + b)"),
+        (lambda a, b, *_: 0 * (a - b), "0 × a + 0 × b"),
+        (lambda a, *_: -a, "−a"),
+        (lambda a, *_: -1 * -a, "a"),
+        (lambda a, *_: a + a, "2 × a"),
+        (lambda a, b, *_: (a + b) - (a + b), "(a + b) (first − second)"),
+        (lambda a, b, c, seeds: sum(seeds), "4 × a"),
+        (lambda a, b, c, seeds: sum(seeds) / 4, "a (mean of 4)"),
+        (lambda a, b, c, seeds: (seeds[0] + seeds[1]) / 2 - b, "a (mean of 2) − b"),
+        (lambda a, b, c, seeds: (seeds[0] + b) + (seeds[1] + c), "2 × a + b + c"),
+        (lambda *_: (night() + night(scene="day")) / 2, "0.5 × a (night + day)"),
+    ],
+)
+def test_a_combination_has_the_name_of_its_value(combined, name):
+    repeats = [named("a", "a", seed=seed) for seed in range(4)]
+    result = combined(repeats[0], named("b", "b", seed=0), named("c", None, seed=0), repeats)
+    assert metric_name(result) == name
+
+
+def test_a_mean_over_seeds_keeps_its_unit():
+    assert metric_line((made(seed=0) + made(seed=1)) / 2).startswith("mean luminance (mean of 2) = ")
+    assert metric_line((made(seed=0) + made(seed=1)) / 2).endswith(" cd/m²")
 
 
 def test_results_for_different_parameters_cannot_be_subtracted(cornell_attribution):

@@ -96,7 +96,8 @@ def _above_tolerance(noise: float | None, transform: ImageTransform, tolerated: 
     factor = math.ceil((noise / tolerated) ** 2)
     return (
         f"the {'error of a denoised' if is_denoised else 'noise of a'} pixel is {100 * used:.0f} %, and more than "
-        f"{100 * tolerated:.0f} % biases it: {f'use {factor} times the samples' if factor > 1 else 'do not denoise'}"
+        f"{100 * tolerated:.0f} % biases it: "
+        f"{f'use {factor} times the samples' if factor > 1 else 'do not denoise'}"
     )
 
 
