@@ -140,6 +140,24 @@ def test_a_target_is_a_class_by_its_name(torchvision: Any) -> None:
         VanillaSceneGradient(renderer, logits).attribute(target="lamp")
 
 
+@pytest.mark.parametrize("classes", [("red", "green", "blue"), ()])
+def test_a_negative_target_is_the_class_that_it_counts_to(classes):
+    network = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten())
+    logits = metrics.ClassLogit(network, transform=torch.nn.Identity(), classes=classes)
+    method = VanillaSceneGradient(ToyRenderer(noise=0.0), logits)
+    last, same = (method.attribute(target=target) for target in (2, -1))
+    assert torch.equal(last["x"], same["x"])
+    assert last.info["verdict"] == same.info["verdict"]
+    if not classes:
+        return
+    assert same.info["metric"] == "ClassLogit[blue]"
+    for beyond in (3, -4):
+        with pytest.raises(
+            SceneCaptumError, match=rf"target={beyond} does not .* classes: red, green, blue\.$"
+        ):
+            method.attribute(target=beyond)
+
+
 def test_target_chooses_an_element_of_a_vector():
     renderer = ToyRenderer(noise=0.0)
 
