@@ -16,7 +16,12 @@ from seeds import seeds, shifted
 from toy import ReplayingToyRenderer, ToyRenderer, log_mean
 
 import scenecaptum
-from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
+from scenecaptum import (
+    SceneAttribution,
+    SceneCaptumError,
+    VanillaSceneGradient,
+    metrics,
+)
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
 from scenecaptum.visualization import metric_line, metric_name
@@ -290,6 +295,7 @@ def test_saved_result_loads_with_everything_and_still_draws(cornell_attribution,
     assert loaded.ranking() == cornell_attribution.ranking()
     assert loaded.info == cornell_attribution.info
     assert loaded.metric_value == cornell_attribution.metric_value
+    assert torch.equal(loaded.metric_error_parts, cornell_attribution.metric_error_parts)
     torch.testing.assert_close(loaded.heatmap(), cornell_attribution.heatmap())
     assert str(loaded) == str(cornell_attribution)
 
@@ -380,6 +386,44 @@ def test_errors_of_a_difference_use_shared_noise_where_there_is_some():
     repeats = [difference(seed) for seed in seeds(REPEATS)]
     spread = torch.stack([one["x"] for one in repeats]).std(0)
     assert_bars_are_honest(spread, torch.stack([one.standard_error["x"] for one in repeats]))
+
+
+def smoothed(metric: Any) -> Any:
+    return metrics.Smoothed(metric, sigma=0.3, n=32)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_error_of_the_value_of_a_combination_uses_shared_noise(sign):
+    """The error bar of the sum or difference of two metrics of the same pictures is its actual spread."""
+    renderer = ReplayingToyRenderer()
+
+    def combined(seed: int) -> SceneAttribution:
+        a = VanillaSceneGradient(renderer, log_mean).attribute(seed=seed)
+        b = VanillaSceneGradient(renderer, lambda image: image[:2].mean()).attribute(seed=seed)
+        return a + sign * b
+
+    repeats = [combined(seed) for seed in seeds(REPEATS)]
+    spread = torch.tensor([one.metric_value for one in repeats]).std(0)
+    assert_bars_are_honest(spread, torch.tensor([one.metric_standard_error for one in repeats]))
+
+
+@pytest.mark.parametrize("metric", [torch.mean, log_mean, smoothed(log_mean)])
+def test_the_error_of_a_sum_is_that_of_the_same_multiple(metric):
+    one = VanillaSceneGradient(ReplayingToyRenderer(), metric).attribute(seed=shifted())
+    assert one.metric_error_parts.norm().item() == pytest.approx(one.metric_standard_error)
+    assert (one + one).metric_interval() == pytest.approx((2 * one).metric_interval())
+    assert (one - one).metric_standard_error == 0
+    other = VanillaSceneGradient(ReplayingToyRenderer(), metric).attribute(seed=shifted(1))
+    added = math.hypot(one.metric_standard_error, other.metric_standard_error)
+    assert (one + other).metric_standard_error == pytest.approx(added)
+
+
+def test_a_smoothed_metric_and_a_plain_one_share_the_noise_of_the_picture():
+    a, b = (
+        VanillaSceneGradient(ReplayingToyRenderer(), metric).attribute(seed=shifted(), picture_spp=64)
+        for metric in (smoothed(log_mean), log_mean)
+    )
+    assert (a - b).metric_standard_error < math.hypot(a.metric_standard_error, b.metric_standard_error)
 
 
 def test_errors_of_unrelated_results_add_in_squares():

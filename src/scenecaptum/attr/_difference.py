@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import torch
+from torch.nn.functional import pad
 
 from ..visualization import rounded
 from ._convergence import convergence
@@ -41,6 +42,7 @@ def multiply(a: A, factor: float) -> A:
         else size * a.convergence_delta_error,
         metric_value=factor * a.metric_value,
         metric_standard_error=None if a.metric_standard_error is None else size * a.metric_standard_error,
+        metric_error_parts=None if a.metric_error_parts is None else factor * a.metric_error_parts,
         info={**info, **_described([term.times(factor) for term in _terms(a)], [a])},
     )
 
@@ -59,6 +61,7 @@ def subtract(a: A, b: A) -> A:
     values = {name: a[name] - b[name] for name in a}
     quadrature_error = _quadrature_error(a, b)
     covariance = _covariance(a, b, replicates, bias)
+    parts = _error_parts(a, b)
     if replicates and covariance is not None:  # replicates contain the noise only
         for name, error in (quadrature_error or {}).items():
             covariance[name] = covariance[name] + covariance_of_quadrature(error, values[name])
@@ -74,13 +77,16 @@ def subtract(a: A, b: A) -> A:
         convergence_delta=_minus(a.convergence_delta, b.convergence_delta),
         convergence_delta_error=_hypot(a.convergence_delta_error, b.convergence_delta_error),
         metric_value=a.metric_value - b.metric_value,
-        metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error),
+        metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error)
+        if parts is None
+        else parts.norm().item(),
+        metric_error_parts=parts,
         info=_info(a, b),
     )
 
 
 def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
-    not_shared = ("explained", "convergence", "quadrature_error")
+    not_shared = ("explained", "convergence", "quadrature_error", "metric_bias")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
     delta = _minus(a.convergence_delta, b.convergence_delta)
@@ -211,6 +217,18 @@ def _quadrature_error(a: AttributionData, b: AttributionData) -> dict[str, torch
 def _has_common_random_numbers(a: AttributionData, b: AttributionData) -> bool:
     same = all(a.info.get(key) == b.info.get(key) for key in ("seed", "spp", "replicates", "resolution"))
     return same and bool(a.replicates) and bool(b.replicates)
+
+
+def _error_parts(a: AttributionData, b: AttributionData) -> torch.Tensor | None:
+    """Return the parts of the error of the metric's difference; None without common random numbers.
+
+    A metric without draws of noise has fewer parts than one with them.
+    """
+    first, second = a.metric_error_parts, b.metric_error_parts
+    if first is None or second is None or not _has_common_random_numbers(a, b):
+        return None
+    length = max(len(first), len(second))
+    return pad(first, (0, length - len(first))) - pad(second, (0, length - len(second)))
 
 
 def _covariance(
