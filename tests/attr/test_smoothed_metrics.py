@@ -176,3 +176,18 @@ def test_ablation_of_a_network_without_smoothing_cautions_against_a_noisy_pictur
     assert few.info["picture"]["denoised"]
     assert "the error of a denoised pixel is " in few.info["picture"]["caution"]
     assert many.info["picture"]["caution"] is None
+
+
+def test_large_errors_of_differences_of_values_advise_more_samples_not_smoothing() -> None:
+    """There is no gradient to smooth."""
+    renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(8, 8), spp=16, max_depth=3)
+
+    def jumping(image: torch.Tensor) -> torch.Tensor:
+        return torch.sin(1000 * image).mean()
+
+    jumping.advice = "smooth it"  # type: ignore[attr-defined]
+    text = " ".join(
+        str(FeatureAblationScene(renderer, jumping).attribute(seed=shifted(), denoise=False)).split()
+    )
+    assert "smooth it" not in text
+    assert ("more samples, spp=, lower them" in text) != ("caution" in text)
