@@ -16,7 +16,12 @@ from seeds import seeds, shifted
 from toy import ReplayingToyRenderer, ToyRenderer, log_mean
 
 import scenecaptum
-from scenecaptum import SceneAttribution, SceneCaptumError, VanillaSceneGradient, metrics
+from scenecaptum import (
+    SceneAttribution,
+    SceneCaptumError,
+    VanillaSceneGradient,
+    metrics,
+)
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
 from scenecaptum.visualization import metric_line, metric_name
@@ -138,6 +143,24 @@ def test_a_target_is_a_class_by_its_name(torchvision: Any) -> None:
     assert [one.info["measure"]["name"] for one in both] == ["logit of desk", "logit of table lamp"]
     with pytest.raises(SceneCaptumError, match=r"no class called 'lamp'.*Did you mean 'table lamp'"):
         VanillaSceneGradient(renderer, logits).attribute(target="lamp")
+
+
+@pytest.mark.parametrize("classes", [("red", "green", "blue"), ()])
+def test_a_negative_target_is_the_class_that_it_counts_to(classes):
+    network = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten())
+    logits = metrics.ClassLogit(network, transform=torch.nn.Identity(), classes=classes)
+    method = VanillaSceneGradient(ToyRenderer(noise=0.0), logits)
+    last, same = (method.attribute(target=target) for target in (2, -1))
+    assert torch.equal(last["x"], same["x"])
+    assert last.info["verdict"] == same.info["verdict"]
+    if not classes:
+        return
+    assert same.info["metric"] == "ClassLogit[blue]"
+    for beyond in (3, -4):
+        with pytest.raises(
+            SceneCaptumError, match=rf"target={beyond} does not .* classes: red, green, blue\.$"
+        ):
+            method.attribute(target=beyond)
 
 
 def test_target_chooses_an_element_of_a_vector():
@@ -272,6 +295,7 @@ def test_saved_result_loads_with_everything_and_still_draws(cornell_attribution,
     assert loaded.ranking() == cornell_attribution.ranking()
     assert loaded.info == cornell_attribution.info
     assert loaded.metric_value == cornell_attribution.metric_value
+    assert torch.equal(loaded.metric_error_parts, cornell_attribution.metric_error_parts)
     torch.testing.assert_close(loaded.heatmap(), cornell_attribution.heatmap())
     assert str(loaded) == str(cornell_attribution)
 
@@ -338,7 +362,9 @@ def test_a_difference_names_both_of_its_metrics_and_keeps_their_common_unit():
 )
 def test_a_difference_of_one_metric_says_what_its_sides_differ_by(a, b, name):
     assert metric_line(made(**a) - made(**b)).startswith(f"mean luminance {name} = ")
-    assert metric_line(made(**a) + made(**b)).startswith(f"mean luminance {name.replace('−', '+')} = ")
+    is_repeated = a.keys() | b.keys() <= {"seed"}
+    total = "2 × mean luminance" if is_repeated else f"mean luminance {name.replace('−', '+')}"
+    assert metric_line(made(**a) + made(**b)).startswith(f"{total} = ")
     assert metric_line(made(log_mean, **a) - made(log_mean, **b)).startswith(f"log_mean {name} = ")
 
 
@@ -362,6 +388,44 @@ def test_errors_of_a_difference_use_shared_noise_where_there_is_some():
     assert_bars_are_honest(spread, torch.stack([one.standard_error["x"] for one in repeats]))
 
 
+def smoothed(metric: Any) -> Any:
+    return metrics.Smoothed(metric, sigma=0.3, n=32)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_error_of_the_value_of_a_combination_uses_shared_noise(sign):
+    """The error bar of the sum or difference of two metrics of the same pictures is its actual spread."""
+    renderer = ReplayingToyRenderer()
+
+    def combined(seed: int) -> SceneAttribution:
+        a = VanillaSceneGradient(renderer, log_mean).attribute(seed=seed)
+        b = VanillaSceneGradient(renderer, lambda image: image[:2].mean()).attribute(seed=seed)
+        return a + sign * b
+
+    repeats = [combined(seed) for seed in seeds(REPEATS)]
+    spread = torch.tensor([one.metric_value for one in repeats]).std(0)
+    assert_bars_are_honest(spread, torch.tensor([one.metric_standard_error for one in repeats]))
+
+
+@pytest.mark.parametrize("metric", [torch.mean, log_mean, smoothed(log_mean)])
+def test_the_error_of_a_sum_is_that_of_the_same_multiple(metric):
+    one = VanillaSceneGradient(ReplayingToyRenderer(), metric).attribute(seed=shifted())
+    assert one.metric_error_parts.norm().item() == pytest.approx(one.metric_standard_error)
+    assert (one + one).metric_interval() == pytest.approx((2 * one).metric_interval())
+    assert (one - one).metric_standard_error == 0
+    other = VanillaSceneGradient(ReplayingToyRenderer(), metric).attribute(seed=shifted(1))
+    added = math.hypot(one.metric_standard_error, other.metric_standard_error)
+    assert (one + other).metric_standard_error == pytest.approx(added)
+
+
+def test_a_smoothed_metric_and_a_plain_one_share_the_noise_of_the_picture():
+    a, b = (
+        VanillaSceneGradient(ReplayingToyRenderer(), metric).attribute(seed=shifted(), picture_spp=64)
+        for metric in (smoothed(log_mean), log_mean)
+    )
+    assert (a - b).metric_standard_error < math.hypot(a.metric_standard_error, b.metric_standard_error)
+
+
 def test_errors_of_unrelated_results_add_in_squares():
     a = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(seed=shifted())
     b = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute(seed=shifted(1))
@@ -383,17 +447,58 @@ def test_attributions_have_a_negative_and_a_sum():
             impossible()
 
 
-def test_a_difference_is_called_by_what_its_sides_measure():
-    def named(metric: str, measure: str | None) -> SceneAttribution:
-        info = {"metric": metric, "measure": measure and {"name": measure}}
-        return SceneAttribution({"x": torch.ones(())}, None, 1.0, None, info=info)
+def named(metric: str, measure: str | None, **info: Any) -> SceneAttribution:
+    info |= {"metric": metric, "measure": measure and {"name": measure}}
+    return SceneAttribution({"x": torch.ones(())}, None, 1.0, None, info=info)
 
+
+def night(scene: str = "night") -> SceneAttribution:
+    return named("a", "a", scene=scene)
+
+
+def test_a_difference_is_called_by_what_its_sides_measure():
     cube, sphere = named("ClassLogit[cube]", "logit of cube"), named("ClassLogit[sphere]", "logit of sphere")
     assert metric_name(cube - sphere) == "logit of cube − logit of sphere"
     assert metric_name(cube + sphere) == "logit of cube + logit of sphere"
     assert metric_name(2 * cube) == "2 × logit of cube"
     assert metric_name(cube - named("own", None)) == "logit of cube − own"
     assert metric_name(cube - cube) == "logit of cube (first − second)"
+
+
+@pytest.mark.parametrize(
+    ("combined", "name"),
+    [
+        (lambda a, b, c, _: a - (b + c), "a − b − c"),
+        (lambda a, b, c, _: a - (b - c), "a − b + c"),
+        (lambda a, b, c, _: (a - b) - c, "a − b − c"),
+        (lambda a, b, *_: (a + b) / 2, "0.5 × (a + b)"),
+        (lambda a, b, *_: 2 * (a - b), "2 × (a − b)"),
+        (lambda a, b, *_: a - 2 * b, "a − 2 × b"),
+        (lambda a, b, *_: a + -b, "a − b"),
+        (lambda a, b, *_: -a + b, "−a + b"),
+        (lambda a, b, *_: -(a + b), "−(a + b)"),
+        (lambda a, b, *_: -2 * (a + b), "−2 × (a + b)"),
+        (lambda a, b, *_: 0 * (a - b), "0 × a + 0 × b"),
+        (lambda a, *_: -a, "−a"),
+        (lambda a, *_: -1 * -a, "a"),
+        (lambda a, *_: a + a, "2 × a"),
+        (lambda a, b, *_: (a + b) - (a + b), "(a + b) (first − second)"),
+        (lambda a, b, c, seeds: sum(seeds), "4 × a"),
+        (lambda a, b, c, seeds: sum(seeds) / 4, "a (mean of 4)"),
+        (lambda a, b, c, seeds: (seeds[0] + seeds[1]) / 2 - b, "a (mean of 2) − b"),
+        (lambda a, b, c, seeds: (seeds[0] + b) + (seeds[1] + c), "2 × a + b + c"),
+        (lambda *_: (night() + night(scene="day")) / 2, "0.5 × a (night + day)"),
+    ],
+)
+def test_a_combination_has_the_name_of_its_value(combined, name):
+    repeats = [named("a", "a", seed=seed) for seed in range(4)]
+    result = combined(repeats[0], named("b", "b", seed=0), named("c", None, seed=0), repeats)
+    assert metric_name(result) == name
+
+
+def test_a_mean_over_seeds_keeps_its_unit():
+    assert metric_line((made(seed=0) + made(seed=1)) / 2).startswith("mean luminance (mean of 2) = ")
+    assert metric_line((made(seed=0) + made(seed=1)) / 2).endswith(" cd/m²")
 
 
 def test_results_for_different_parameters_cannot_be_subtracted(cornell_attribution):

@@ -166,7 +166,9 @@ def test_completeness_is_undecided_if_the_metric_is_infinite_at_the_baseline():
 def test_shapley_values_add_up_by_construction():
     found = ShapleyValueScene(Sheet(), log_mean).attribute(baselines=0.0, replicates=4, seed=shifted())
     assert found.info["convergence"] == "adds up"
-    assert f"adds up: delta 0 of {found.info['explained']:.3f}" in " ".join(str(found).split())
+    text = " ".join(str(found).split())
+    assert f"adds up to {found.info['explained']:.3f} by construction" in text
+    assert "delta" not in text
 
 
 def test_the_error_of_gradient_shap_includes_the_choice_of_scenes():

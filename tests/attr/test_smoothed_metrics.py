@@ -164,3 +164,30 @@ def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None
     assert many.info["picture"]["caution"] is None
     assert "each alone" not in str(few)
     assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted()))
+
+
+def test_ablation_of_a_network_without_smoothing_cautions_against_a_noisy_picture_that_is_denoised() -> None:
+    renderer = SceneRenderer("cornell-box", inputs="short_box*", resolution=(16, 16), spp=16, max_depth=3)
+    logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube")
+    few, many = (
+        FeatureAblationScene(renderer, logit).attribute(groups="object", spp=spp, seed=shifted())
+        for spp in (64, 16384)
+    )
+    assert few.info["picture"]["denoised"]
+    assert "the error of a denoised pixel is " in few.info["picture"]["caution"]
+    assert many.info["picture"]["caution"] is None
+
+
+def test_large_errors_of_differences_of_values_advise_more_samples_not_smoothing() -> None:
+    """There is no gradient to smooth."""
+    renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(8, 8), spp=16, max_depth=3)
+
+    def jumping(image: torch.Tensor) -> torch.Tensor:
+        return torch.sin(1000 * image).mean()
+
+    jumping.advice = "smooth it"  # type: ignore[attr-defined]
+    text = " ".join(
+        str(FeatureAblationScene(renderer, jumping).attribute(seed=shifted(), denoise=False)).split()
+    )
+    assert "smooth it" not in text
+    assert ("more samples, spp=, lower them" in text) != ("caution" in text)

@@ -232,6 +232,38 @@ def test_the_caution_on_a_wide_interval_is_made_only_where_the_class_is_in_doubt
     assert found["caution"] == (caution if said else None)
 
 
+@pytest.mark.parametrize(
+    ("denoises", "noise", "error", "said"),
+    [
+        (
+            False,
+            0.12,
+            0.0,
+            "the noise of a pixel is 12 %, and more than 5 % biases it: use 6 times the samples",
+        ),
+        (False, 0.04, 0.1, None),
+        (
+            True,
+            0.12,
+            0.08,
+            "the error of a denoised pixel is 8 %, and more than 5 % biases it: use 6 times the",
+        ),
+        (True, 0.12, 0.04, None),
+        (
+            True,
+            0.04,
+            0.08,
+            "the error of a denoised pixel is 8 %, and more than 5 % biases it: do not denoise",
+        ),
+    ],
+)
+def test_the_caution_is_about_the_picture_that_is_used(denoises, noise, error, said):
+    plain = TargetedMetric(SimpleNamespace(tolerated_noise=0.05))
+    transform = ImageTransform(denoises, denoised_error=error**2)
+    caution = describe_picture(transform, 0.5, None, 64, noise=noise, metric=plain)["caution"]
+    assert (caution is None) if said is None else (said in caution)
+
+
 def test_images_can_have_a_separate_sample_budget():
     renderer, rating = Fireflies(), glare()
     method, errors = VanillaSceneGradient(renderer, rating), {}

@@ -763,3 +763,15 @@ def test_a_printed_report_of_one_result_has_no_hints(browser, tmp_path):
     for selector in (".hint", ".controls", "#filter", ".downloads"):
         assert not page.page.locator(selector).first.is_visible()
     page.context.close()
+
+
+def test_the_facts_name_the_class_of_a_network(browser, tmp_path):
+    network = {"metric": "ClassLogit"}
+    results = [
+        noted(ranged(), **network, measure={"name": f"logit of {name}"}) for name in ("cube", "sphere")
+    ]
+    page = Page(browser, written(tmp_path, *results, titles=["A", "B"]))
+    for title, said in (("A", "logit of cube (ClassLogit)"), ("B", "logit of sphere (ClassLogit)")):
+        page.page.get_by_text(title, exact=True).click()
+        assert page.page.locator("#facts .metric dd").inner_text() == said
+    page.context.close()

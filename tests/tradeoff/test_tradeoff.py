@@ -18,8 +18,9 @@ from seeds import seeds, shifted
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.ranks import kendall_tau, spearman
-from scenecaptum.tradeoff import Setting, measure
+from scenecaptum.tradeoff import Bias, Estimate, Measured, Reference, Setting, Tradeoff, measure
 from scenecaptum.tradeoff import _statistics as statistics
+from scenecaptum.tradeoff._result import _STYLES
 
 
 class Bounces:
@@ -463,3 +464,49 @@ def test_settings_that_a_renderer_cannot_vary_are_named():
 def test_a_tolerance_that_is_not_positive_is_refused(trade):
     with pytest.raises(SceneCaptumError, match="tolerance"):
         trade.cheapest(0.0)
+
+
+def test_marks_and_labels_are_dark_enough_to_read_on_white():
+    """A contrast of 4.5, as the Web Content Accessibility Guidelines ask of text."""
+    for _, _, color, _ in _STYLES.values():
+        encoded = torch.tensor([int(color[start : start + 2], 16) / 255 for start in (1, 3, 5)])
+        linear = torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+        luminance = linear @ torch.tensor([0.2126, 0.7152, 0.0722])
+        assert 1.05 / (luminance + 0.05) >= 4.5, color
+
+
+def compared(*errors: float, reference: float) -> Tradeoff:
+    """Settings with these errors, and a reference with its own."""
+    one, bias = Estimate(0.9, 0.01), Bias(0.0, 0.01, 0.1)
+    rows = [
+        Measured("smoothing", Setting(16, 16), 1.0, Estimate(error, 0.01), error, bias, *4 * [one])
+        for error in errors
+    ]
+    return Tradeoff(tuple(rows), Reference(Setting(512, 512), 9.0, reference, 1.0), 4, 3, "logit", "office")
+
+
+@pytest.mark.parametrize(
+    ("errors", "reference", "is_comparable"),
+    [
+        ((0.99, 1.5, 1.06), 2.0, False),
+        ((3.0, 9.0), 0.6, False),
+        ((0.2, 0.22), 0.15, False),
+        ((0.2, 0.22), 0.05, True),
+        ((0.2, 0.5), 0.15, True),
+        ((0.2,), 0.15, True),
+    ],
+)
+def test_a_noisy_reference_is_said_first_and_nothing_is_recommended(errors, reference, is_comparable):
+    trade = compared(*errors, reference=reference)
+    text = trade.text()
+    if is_comparable:
+        assert "too noisy" not in text
+        assert "* on the Pareto front" in text
+        assert "should suffice" in text
+        return
+    assert text.startswith("The reference is too noisy to compare these settings: its error is ")
+    assert "reference_spp=" in text.splitlines()[0]
+    assert "*" not in text
+    assert "should suffice" not in text
+    assert not any(record["on_front"] for record in trade.records())
+    assert "the reference is too noisy" in all_text(trade.plot())

@@ -284,13 +284,15 @@ def test_invalid_input_is_refused():
     gradient = VanillaSceneGradient(renderer, torch.mean).attribute()
     shares = IntegratedGradientsScene(renderer, torch.mean).attribute(n_steps=2)
     grouped = FeatureAblationScene(renderer, torch.mean).attribute(groups={"all": ["lamp*"]})
+    grouped_gradient = VanillaSceneGradient(renderer, torch.mean).attribute(groups={"all": ["lamp*"]})
     with pytest.raises(SceneCaptumError, match=r"not IntegratedGradientsScene's .* sensitivity_n"):
         infidelity(renderer, torch.mean, shares)
     for function in (sensitivity_n, deletion_insertion):
         with pytest.raises(SceneCaptumError, match="Gradient per unit has no baselines"):
             function(renderer, torch.mean, gradient)
-        with pytest.raises(SceneCaptumError, match="'all', which is not an input"):
-            function(renderer, torch.mean, grouped)
+        for of_groups in (grouped, grouped_gradient):  # no method with groups= would do
+            with pytest.raises(SceneCaptumError, match=r"'all', which is not an input.* without groups="):
+                function(renderer, torch.mean, of_groups)
         with pytest.raises(SceneCaptumError, match="not 1"):
             function(Lamps(lamps=1), torch.mean)
     dark = FeatureAblationScene(renderer, torch.mean).attribute()

@@ -45,6 +45,8 @@ def row_of(name: str, text: str) -> str:
         (0.5, 0.00097, ("0.5000", "0.0010")),
         (-3.14159, 0.2, ("−3.14", "0.20")),
         (1.25e-7, 2e-8, ("1.25e−7", "0.20e−7")),
+        (3e-8, 4e-6, ("0", "4e−6")),
+        (2e-5, 4e-6, ("0.000020", "0.000004")),
         (1234567.0, 4000.0, ("1.235e6", "0.004e6")),
         (12345.6, 720.0, ("12300", "700")),
         (-1e-12, 3e-9, ("0", "3.0e−9")),
@@ -381,3 +383,15 @@ def test_html_is_escaped_and_complete() -> None:
     assert "a &lt; b" in text
     assert text.count("<tr>") == 1 + len(CASES)
     assert "0.0978 " in text
+
+
+@pytest.mark.parametrize(("size", "is_said"), [(0.1, True), (100.0, False)])
+def test_a_pose_in_the_noise_says_why_its_effect_is_0(size, is_said):
+    moved = SceneAttribution(
+        {"camera.translation": torch.full((3,), size)},
+        {"camera.translation": torch.ones(3)},
+        1.0,
+        covariance={"camera.translation": torch.eye(3)},
+        info={"metric": "Glare", "vectors": ["camera.translation"], "replicates": 8},
+    )
+    assert ("; 0: not above the noise" in " ".join(str(moved).split())) == is_said

@@ -60,6 +60,9 @@ class SceneAttribution(AttributionData):
     metric_value, metric_standard_error
         The metric at the rendered image, or at the denoised image with a first-order correction of the denoiser's
         bias, and its standard error or None.
+    metric_error_parts
+        A tensor whose norm is ``metric_standard_error``: its independent parts, with signs. Those of results with
+        the same seed and samples add and subtract. None if it does not consist of such.
     convergence_delta, convergence_delta_error
         For methods that have one: the sum of the attributions minus the difference that they explain
         (``info["explained"]``), and its standard error, including that of the quadrature.
@@ -114,8 +117,8 @@ class SceneAttribution(AttributionData):
         """Return this attribution minus ``other``, to compare two metrics or two designs.
 
         Results with the same seed and samples use common random numbers, so the errors of their totals are
-        computed from the differences of their replicates. Otherwise, and for single texels, they are treated as
-        independent.
+        computed from the differences of their replicates, and so is that of the metric's value. Otherwise, and for
+        single texels, they are treated as independent.
 
         Raises
         ------
@@ -317,6 +320,7 @@ def make_attribution(
         else None,
         metric_value=adjoints.value,
         metric_standard_error=adjoints.standard_error,
+        metric_error_parts=adjoints.error_parts,
         bias=bias,
         replicates=replicates,
         covariance=covariances(replicates, bias) if has_errors else None,

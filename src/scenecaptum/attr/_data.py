@@ -58,6 +58,7 @@ class AttributionData(Mapping[str, torch.Tensor]):
     standard_error: Tensors | None
     metric_value: float
     metric_standard_error: float | None = None
+    metric_error_parts: torch.Tensor | None = None
     convergence_delta: float | None = None
     convergence_delta_error: float | None = None
     bias: Tensors | None = None

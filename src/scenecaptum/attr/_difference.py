@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import torch
+from torch.nn.functional import pad
 
 from ..visualization import rounded
 from ._convergence import convergence
@@ -41,7 +42,8 @@ def multiply(a: A, factor: float) -> A:
         else size * a.convergence_delta_error,
         metric_value=factor * a.metric_value,
         metric_standard_error=None if a.metric_standard_error is None else size * a.metric_standard_error,
-        info={**info, "metric": f"{factor:g} × {_measured(a)}", "measure": None},
+        metric_error_parts=None if a.metric_error_parts is None else factor * a.metric_error_parts,
+        info={**info, **_described([term.times(factor) for term in _terms(a)], [a])},
     )
 
 
@@ -49,7 +51,7 @@ def add(a: A, b: A) -> A:
     """Return ``a + b`` for attributions to the same parameters."""
     total = subtract(a, multiply(b, -1.0))
     info = {key: value for key, value in total.info.items() if key != "minus"}
-    return dataclasses.replace(total, info={**info, **_combined(a, b, "+"), "plus": dict(b.info)})
+    return dataclasses.replace(total, info={**info, **_described(_sum(a, b), [a, b]), "plus": dict(b.info)})
 
 
 def subtract(a: A, b: A) -> A:
@@ -59,6 +61,7 @@ def subtract(a: A, b: A) -> A:
     values = {name: a[name] - b[name] for name in a}
     quadrature_error = _quadrature_error(a, b)
     covariance = _covariance(a, b, replicates, bias)
+    parts = _error_parts(a, b)
     if replicates and covariance is not None:  # replicates contain the noise only
         for name, error in (quadrature_error or {}).items():
             covariance[name] = covariance[name] + covariance_of_quadrature(error, values[name])
@@ -74,15 +77,18 @@ def subtract(a: A, b: A) -> A:
         convergence_delta=_minus(a.convergence_delta, b.convergence_delta),
         convergence_delta_error=_hypot(a.convergence_delta_error, b.convergence_delta_error),
         metric_value=a.metric_value - b.metric_value,
-        metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error),
+        metric_standard_error=_hypot(a.metric_standard_error, b.metric_standard_error)
+        if parts is None
+        else parts.norm().item(),
+        metric_error_parts=parts,
         info=_info(a, b),
     )
 
 
 def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
-    not_shared = ("explained", "convergence", "quadrature_error")
+    not_shared = ("explained", "convergence", "quadrature_error", "metric_bias")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
-    info |= {**_combined(a, b, "−"), "minus": dict(b.info), "verdict": ""}
+    info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
     delta = _minus(a.convergence_delta, b.convergence_delta)
     explained_a, explained_b = a.info.get("explained"), b.info.get("explained")
     if delta is None or explained_a is None or explained_b is None:
@@ -92,30 +98,84 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     return info | convergence(delta, error, explained_a - explained_b, magnitude)
 
 
-def _combined(a: AttributionData, b: AttributionData, sign: str) -> dict[str, Any]:
-    """Return the metric of a sum or difference, by a name that tells the sides apart, and the unit they share."""
-    measures = [side.info.get("measure") or {} for side in (a, b)]
+class _Term(NamedTuple):
+    """One metric of a sum, how often it is taken, and how many results that is the sum of."""
+
+    name: str
+    factor: float = 1.0
+    results: int = 1
+
+    def times(self, factor: float) -> _Term:
+        return self._replace(factor=factor * self.factor)
+
+    def __str__(self) -> str:
+        """Return ``'cube'``, ``'2 × cube'``, or ``'cube (mean of 4)'``, without the sign of the factor."""
+        if not math.isclose(abs(self.factor), 1):
+            return f"{abs(self.factor):g} × {self.name}"
+        return self.name if self.results == 1 else f"{self.name} (mean of {self.results})"
+
+
+def _terms(a: AttributionData) -> list[_Term]:
+    """Return the metrics that a result is the sum of: of a single one its name in words, or that of its class."""
+    name = str((a.info.get("measure") or {}).get("name") or a.info.get("metric", "metric"))
+    return [_Term(*term) for term in a.info.get("terms") or [(name,)]]
+
+
+def _written(terms: Sequence[_Term]) -> str:
+    """Return ``'cube − 2 × sphere'``, or with a common factor ``'0.5 × (cube + sphere)'``."""
+    sizes = {abs(term.factor) for term in terms}
+    common = sizes.pop() if len(terms) > 1 and len(sizes) == 1 else 1.0
+    if len(terms) > 1 and all(term.factor < 0 for term in terms):
+        common = -common
+    if common not in (0, 1):
+        return _written([_Term(f"({_written([term.times(1 / common) for term in terms])})", common)])
+    first, *others = terms
+    rest = "".join(f" {'−' if term.factor < 0 else '+'} {term}" for term in others)
+    return f"{'−' if first.factor < 0 else ''}{first}{rest}"
+
+
+def _described(terms: Sequence[_Term], sides: Sequence[AttributionData]) -> dict[str, Any]:
+    """Return the metric of a sum, and the unit that its sides share."""
+    measures = [side.info.get("measure") or {} for side in sides]
     units = [str(measure.get("unit") or "") for measure in measures]
-    name = _name(a, b, [_measured(side) for side in (a, b)], sign)
-    info: dict[str, Any] = {"metric": name, "measure": None}
+    name = _written(terms)
+    info: dict[str, Any] = {"metric": name, "measure": None, "terms": [list(term) for term in terms]}
     if any(measures):
-        info["measure"] = {"name": name, "unit": units[0] if units[0] == units[1] else ""}
-    if all(measures) and units[0] != units[1]:
+        info["measure"] = {"name": name, "unit": units[0] if len(set(units)) == 1 else ""}
+    if all(measures) and len(set(units)) > 1:
         info["units"] = units
     return info
 
 
-def _measured(a: AttributionData) -> str:
-    """Return what is measured in words, such as ``logit of cube``, or the name of the metric's class."""
-    return str((a.info.get("measure") or {}).get("name") or a.info.get("metric", "metric"))
+def _sum(a: AttributionData, b: AttributionData) -> list[_Term]:
+    """Return the terms of a sum; equal ones of results that differ at most by their seed are one."""
+    terms, others = _terms(a), _terms(b)
+    subject, values = _sides(a, b)
+    if subject != "seed " and (subject, values) != _ALIKE:
+        return _paired(a, b, "+") or terms + others
+    for other in others:
+        for index, term in enumerate(terms):
+            if term.name == other.name and term.factor * other.factor > 0:
+                terms[index] = _Term(term.name, term.factor + other.factor, term.results + other.results)
+                break
+        else:
+            terms.append(other)
+    return terms
 
 
-def _name(a: AttributionData, b: AttributionData, metrics: Sequence[str], sign: str) -> str:
-    """Return ``'UGR − DGP'``, or for one metric what its two results differ by, ``'UGR (first − second)'``."""
-    if metrics[0] != metrics[1]:
-        return f"{metrics[0]} {sign} {metrics[1]}"
+def _difference(a: AttributionData, b: AttributionData) -> list[_Term]:
+    """Return the terms of a difference."""
+    return _paired(a, b, "−") or _terms(a) + [term.times(-1) for term in _terms(b)]
+
+
+def _paired(a: AttributionData, b: AttributionData, sign: str) -> list[_Term]:
+    """Return for results of one metric the one term ``'UGR (first − second)'``, with what they differ by."""
+    names = [_written(_terms(side)) for side in (a, b)]
+    if names[0] != names[1]:
+        return []
     subject, (first, second) = _sides(a, b)
-    return f"{metrics[0]} ({subject}{first} {sign} {second})"
+    name = names[0] if len(_terms(a)) == 1 else f"({names[0]})"
+    return [_Term(f"{name} ({subject}{first} {sign} {second})")]
 
 
 def _sides(a: AttributionData, b: AttributionData) -> tuple[str, tuple[str, str]]:
@@ -137,8 +197,10 @@ def _sides(a: AttributionData, b: AttributionData) -> tuple[str, tuple[str, str]
         settings = str(a.info.get(key)), str(b.info.get(key))
         if settings[0] != settings[1]:
             return subject, settings
-    return "", ("first", "second")
+    return _ALIKE
 
+
+_ALIKE = "", ("first", "second")
 
 # What may tell two results of one metric apart, by its key in ``info``, and what to write before its values.
 _SETTINGS = {"scene": "", "integrator": "", "method": "", "max_depth": "depth ", "seed": "seed "}
@@ -155,6 +217,18 @@ def _quadrature_error(a: AttributionData, b: AttributionData) -> dict[str, torch
 def _has_common_random_numbers(a: AttributionData, b: AttributionData) -> bool:
     same = all(a.info.get(key) == b.info.get(key) for key in ("seed", "spp", "replicates", "resolution"))
     return same and bool(a.replicates) and bool(b.replicates)
+
+
+def _error_parts(a: AttributionData, b: AttributionData) -> torch.Tensor | None:
+    """Return the parts of the error of the metric's difference; None without common random numbers.
+
+    A metric without draws of noise has fewer parts than one with them.
+    """
+    first, second = a.metric_error_parts, b.metric_error_parts
+    if first is None or second is None or not _has_common_random_numbers(a, b):
+        return None
+    length = max(len(first), len(second))
+    return pad(first, (0, length - len(first))) - pad(second, (0, length - len(second)))
 
 
 def _covariance(

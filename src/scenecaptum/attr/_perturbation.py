@@ -21,6 +21,8 @@ from ..estimation import (
     check_renderer_and_metric,
     covariance_of_mean,
     describe_picture,
+    deviations_of_mean,
+    error_parts,
     pseudo_values,
     relative_noise,
     render_images,
@@ -178,6 +180,9 @@ class Perturbation:
         bias = value - unbiased.mean().item() if count > 1 else None
         error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
         drift = None if bias is None or error is None else (bias, error)
+        parts = (
+            None if bias is None else error_parts(bias, 0.0, deviations_of_mean(unbiased) / math.sqrt(count))
+        )
         surfaces = surfaces_of(self.renderer, effects, measured.inputs)
         spp_per_arm = None if measured.budget.spp[0] is None else count * measured.budget.spp[0]
         result_info = {
@@ -219,7 +224,8 @@ class Perturbation:
                 {n: None if e.error is None else e.error.float() for n, e in effects.items()}
             ),
             metric_value=value,
-            metric_standard_error=None if drift is None else math.hypot(*drift),
+            metric_standard_error=None if parts is None else parts.norm().item(),
+            metric_error_parts=parts,
             convergence_delta=None if residual is None else residual.delta,
             replicates=_all_or_none({name: effect.totals for name, effect in effects.items()}) or {},
             covariance=_all_or_none({name: effect.covariance for name, effect in effects.items()}),

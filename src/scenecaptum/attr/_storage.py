@@ -71,6 +71,8 @@ def _members(attribution: AttributionData, *, exact_texels: bool) -> dict[str, A
     }
     for index, value in enumerate(attribution.parameter_values.values()):
         arrays[f"parameter_values/{index}"] = value.numpy(force=True)
+    if attribution.metric_error_parts is not None:
+        arrays["metric_error_parts"] = attribution.metric_error_parts.numpy(force=True)
     if attribution.image is not None:
         arrays["image"] = attribution.image.numpy(force=True)
     if (surfaces := attribution.surfaces) is not None:
@@ -168,6 +170,8 @@ def _restore(header: dict[str, Any], file: Any) -> dict[str, Any]:
         **{field: header[field] for field in (*_SCALAR_FIELDS, "labels", "info")},
         "surfaces": surfaces,
     }
+    if "metric_error_parts" in file:
+        fields["metric_error_parts"] = torch.from_numpy(file["metric_error_parts"])
     if "image" in file:
         fields["image"] = torch.from_numpy(file["image"])
     return fields

@@ -151,6 +151,7 @@ def _with_value(
         attribution,
         metric_value=value,
         metric_standard_error=error,
+        metric_error_parts=None,
         info={**attribution.info, "verdict": means},
     )
     return Explanation(confirmed, count=0, definition=definition, picture=measured.image)

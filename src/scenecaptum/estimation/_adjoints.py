@@ -9,6 +9,11 @@ import torch
 from ._metric_image import IDENTITY, ImageTransform
 
 
+def error_parts(bias: float, denoiser: float, noise: torch.Tensor) -> torch.Tensor:
+    """Return the parts of a metric's standard error, as in ``Adjoints``."""
+    return torch.cat([torch.tensor([bias, denoiser], dtype=torch.float64), noise.double()])
+
+
 @dataclass(frozen=True)
 class Adjoints:
     """The metric's value and adjoint images, estimated from the primal images."""
@@ -28,6 +33,10 @@ class Adjoints:
     transform: ImageTransform = IDENTITY  # from the render to the metric image
     # The part of ``per_replicate`` that is due to the draws of noise of each replicate, for a smoothed metric.
     draw_noise: torch.Tensor | None = None
+    # The independent parts of which ``standard_error`` is the norm, with their signs: the bias, the denoiser's
+    # error, one for each direction of the images' noise, and one for each share of the draws. Those of two metrics
+    # on the same images add and subtract.
+    error_parts: torch.Tensor | None = None
 
     @property
     def is_linear(self) -> bool:

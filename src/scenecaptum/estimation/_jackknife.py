@@ -10,13 +10,13 @@ import torch
 
 from ..denoising import guides_of
 from ..protocols import Renderer
-from ._adjoints import Adjoints
+from ._adjoints import Adjoints, error_parts
 from ._jackknife_of_draws import jackknife_of_draws
 from ._linearity import is_linear, is_rounding
 from ._metric import Draws, TargetedMetric
 from ._metric_image import IDENTITY, TransformSelector
 from ._transform_errors import transform_errors
-from ._weighted_means import evaluate_at_means, second_order, steps, weighted_mean
+from ._weighted_means import deviations_of_mean, evaluate_at_means, second_order, steps, weighted_mean
 
 # Drift is the metric at half of the samples minus the metric at all samples. From 2 standard errors it is
 # significant, from 4 it is known well enough to extrapolate.
@@ -68,10 +68,13 @@ def jackknife(
     directions, step, coefficients = steps(fractions)
     values, adjoints = evaluate_at_means(metric, stack, fractions + step * directions)
     drift = second_order(values, value, step).item()
-    error = math.sqrt(values.var().item()) / step
+    noise_parts = deviations_of_mean(values) / step
+    error = noise_parts.norm().item()
     if not metric.transform.denoises and is_rounding(adjoints - adjoint, adjoint):
         # The metric is linear: a bias of the size of rounding errors is not worth a backward pass.
-        return Adjoints(value, error, drift, (adjoint,) * count, None)
+        return Adjoints(
+            value, error, drift, (adjoint,) * count, None, error_parts=error_parts(0.0, 0.0, noise_parts)
+        )
 
     bias_adjoint = second_order(adjoints, adjoint, step)
     _, half_step_adjoints = evaluate_at_means(metric, stack, fractions + step / 2 * directions)
@@ -99,6 +102,7 @@ def jackknife(
         drift=(drift, error),
         denoised=None if metric.transform.more_accurate is None else value + value_error,
         transform=metric.transform,
+        error_parts=error_parts(remaining * drift, value_error, noise_parts),
     )
 
 

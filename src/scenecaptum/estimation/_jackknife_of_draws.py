@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import torch
 
-from ._adjoints import Adjoints
+from ._adjoints import Adjoints, error_parts
 from ._linearity import is_rounding
 from ._metric import Draws, TargetedMetric
 from ._metric_image import IDENTITY
 from ._transform_errors import transform_errors
-from ._weighted_means import second_order, steps, weighted_mean
+from ._weighted_means import deviations_of_mean, second_order, steps, weighted_mean
 
 # Differences between images are evaluated on one of so many draws of each share, but at least on these.
 _PART_OF_DRAWS, _MIN_DRAWS = 4, 4
@@ -54,9 +54,19 @@ def jackknife_of_draws(
     by_direction = torch.stack(changes)
     differences = torch.tensor(values, dtype=torch.float64)
     drift = second_order(differences, 0.0, step).item()
-    error = math.sqrt(differences.var().item() / step**2 + centre.variance(centre.values))
+    of_draws = (fractions / (count - 1)).sqrt() * (centre.values - value)
+    noise_parts = torch.cat([deviations_of_mean(differences) / step, of_draws])
+    error = noise_parts.norm().item()
     if not metric.transform.denoises and is_rounding(by_direction, adjoint):
-        return Adjoints(value, error, drift, tuple(centre.adjoints), None, draw_noise=draw_noise)
+        return Adjoints(
+            value,
+            error,
+            drift,
+            tuple(centre.adjoints),
+            None,
+            draw_noise=draw_noise,
+            error_parts=error_parts(0.0, 0.0, noise_parts),
+        )
 
     by_direction -= by_direction.mean(0)
     by_direction *= math.sqrt(_signal(by_direction, noise - count * centre.variance(sums / count)))
@@ -79,6 +89,7 @@ def jackknife_of_draws(
         denoised=None if metric.transform.more_accurate is None else value + value_error,
         transform=metric.transform,
         draw_noise=draw_noise,
+        error_parts=error_parts(drift, value_error, noise_parts),
     )
 
 

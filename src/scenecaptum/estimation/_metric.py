@@ -69,6 +69,8 @@ class TargetedMetric:
             raise SceneCaptumError(
                 f"target must be the index of an element of the metric, such as 0, not {self.target!r}."
             )
+        if isinstance(self.target, Integral) and -len(self._classes) <= int(self.target) < 0:
+            object.__setattr__(self, "target", int(self.target) + len(self._classes))
 
     def _index_of(self, name: str) -> int:
         find = getattr(self.metric, "target_index", None)
@@ -314,6 +316,8 @@ class TargetedMetric:
                 if output.ndim == 2 and len(output) == 1 and isinstance(self.target, Integral)
                 else " The metric has a single value: leave out target=."
                 if output.ndim == 0
+                else f" It has a value for each of {len(self._classes)} classes{listed(self._classes)}."
+                if self._classes
                 else ""
             )
             raise SceneCaptumError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -30,6 +31,11 @@ def second_order(stepped: torch.Tensor, centre: torch.Tensor | float, step: floa
     """Return the second-order effect of the noise of the mean image, from steps of ``step`` times that noise."""
     count = len(stepped)
     return (stepped.mean(0) - centre) / (step**2 * (count - 1) / count)
+
+
+def deviations_of_mean(values: torch.Tensor) -> torch.Tensor:
+    """Return the deviations from the mean, scaled so that their norm is the standard deviation."""
+    return (values - values.mean()) / math.sqrt(len(values) - 1)
 
 
 def steps(fractions: torch.Tensor) -> tuple[torch.Tensor, float, torch.Tensor]:

@@ -108,7 +108,12 @@ class Linearization:
         info = {**attribution.info, **self.designs.metrics[number].describe(value, self.start.image)}
         image = self.start.image
         return dataclasses.replace(
-            attribution, metric_value=value, metric_standard_error=error, image=image, info=info
+            attribution,
+            metric_value=value,
+            metric_standard_error=error,
+            metric_error_parts=None,
+            image=image,
+            info=info,
         )
 
     @property

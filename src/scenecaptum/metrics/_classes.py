@@ -30,7 +30,7 @@ def class_index(target: int | str, classes: Sequence[str], setting: str = "targe
 
 def class_name(index: int | None, classes: Sequence[str]) -> str:
     """Return the name of a class, or ``class 3`` without names."""
-    return f"class {index}" if index is None or index >= len(classes) else classes[index]
+    return classes[index] if index is not None and 0 <= index < len(classes) else f"class {index}"
 
 
 def named_class(index: int | None, classes: Sequence[str]) -> str:

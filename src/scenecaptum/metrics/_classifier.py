@@ -83,6 +83,7 @@ class ClassifierMetric(NetworkMetric):
             logits = self.logits(image[None]).double()
         if index is None:
             return ""
+        index %= logits.shape[1]  # an index from the end is negative
         text = self._probabilities(logits[0].softmax(0), index)
         return text if self.noise is None else without_smoothing(self.values(logits)[0, index].item(), text)
 

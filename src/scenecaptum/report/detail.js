@@ -110,7 +110,8 @@ const FACTS = ["scene", "method", "metric", "seed", "spp", "replicates", "resolu
 
 function drawFacts(result) {
   // The seed is the one that was given, where it was split for the parts of an explanation.
-  const info = { ...result.info, seed: result.info.explanation_seed ?? result.info.seed };
+  const metric = result.metric === result.info.metric ? result.metric : `${result.metric} (${result.info.metric})`;
+  const info = { ...result.info, metric, seed: result.info.explanation_seed ?? result.info.seed };
   // Of a sensor grid, the command line says more than the number of rows and columns.
   const isPlan = views[result.view].names.length === 0;
   if (isPlan && info["sensor grid"] !== undefined) delete info.resolution;

@@ -36,20 +36,21 @@ if TYPE_CHECKING:
 TOP = 5
 TOLERANCE = 0.05
 _NOTE_WIDTH = 96
+_NOISY_REFERENCE = 0.5  # of its own norm: its direction is hardly known
 _FAR = 3  # from this many times the noise, an error looks like a bias
 
-# Label, marker and colour (Okabe and Ito's) of each varied option in the figure, and the offset of its annotations
-# in points, chosen so that those of neighbouring settings do not overlap, and beside the point, whose error bar is
-# vertical.
+# Label, marker and colour (dark enough for text on white) of each varied option in the figure, and the offset of
+# its annotations in points, chosen so that those of neighbouring settings do not overlap, and beside the point,
+# whose error bar is vertical.
 _STYLES = {
     "spp": ("spp", "o", "#0072B2", (6, 4)),
-    "primal_spp": ("spp of the primal", "^", "#56B4E9", (-6, 4)),
-    "gradient_spp": ("spp of the gradient", "v", "#009E73", (6, -9)),
-    "max_depth": ("depth", "s", "#D55E00", (6, -9)),
-    "resolution": ("resolution", "D", "#CC79A7", (-6, -10)),
-    "replicates": ("replicates", "P", "#E69F00", (-6, -10)),
+    "primal_spp": ("spp of the primal", "^", "#2F7399", (-6, 4)),
+    "gradient_spp": ("spp of the gradient", "v", "#00735A", (6, -9)),
+    "max_depth": ("depth", "s", "#A84A00", (6, -9)),
+    "resolution": ("resolution", "D", "#9A3D73", (-6, -10)),
+    "replicates": ("replicates", "P", "#7A5600", (-6, -10)),
     "integrator": ("integrator", "X", "#000000", (-6, 5)),
-    "smoothing": ("smoothing", "h", "#F0E442", (6, 5)),
+    "smoothing": ("smoothing", "h", "#6A3D9A", (6, 5)),
 }
 
 
@@ -150,9 +151,23 @@ class Tradeoff:
     scene: str
 
     @property
+    def is_comparable(self) -> bool:
+        """Whether the reference is accurate enough to tell the settings apart.
+
+        It is not if its error is more than half of its norm, or most of every setting's error and larger than the
+        differences between them.
+        """
+        errors = [row.relative_error.value for row in self.rows]
+        noise = self.reference.relative_error
+        hides_differences = len(errors) > 1 and noise > max(max(errors) - min(errors), min(errors) / 2)
+        return noise <= _NOISY_REFERENCE and not hides_differences
+
+    @property
     def front(self) -> list[Measured]:
-        """The Pareto front of time and error, the fastest setting first."""
+        """The Pareto front of time and error, the fastest setting first; empty if they are not comparable."""
         front: list[Measured] = []
+        if not self.is_comparable:
+            return front
         for row in sorted(self.rows, key=lambda row: (row.seconds, row.relative_error.value)):
             if not front or row.relative_error.value < front[-1].relative_error.value:
                 front.append(row)
@@ -181,6 +196,8 @@ class Tradeoff:
                 f"For an error of {_percent_of(tolerance)}: {best.setting} ({rounded(best.seconds, 2)} s), "
                 f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct."
             )
+        if not self.is_comparable:
+            return self._too_noisy()
         closest = min(self.rows, key=lambda row: sum(row.relative_error))
         limit, bias = sum(closest.relative_error), closest.bias.value if closest.bias.significant else 0.0
         if bias >= tolerance:
@@ -192,6 +209,13 @@ class Tradeoff:
             f"No setting is certainly within {_percent_of(tolerance)}: the best, {closest.setting}, has an error "
             f"of {_percent(*closest.relative_error)}, so its upper limit, of one standard error, is "
             f"{rounded_up(100 * limit, 2)} %; {self._remedy(closest, tolerance, bias)}."
+        )
+
+    def _too_noisy(self) -> str:
+        return (
+            f"The reference is too noisy to compare these settings: its error is "
+            f"{_percent_of(self.reference.relative_error)}. Give it more samples: reference_spp= in Python, "
+            "--reference-spp on the command line."
         )
 
     def _remedy(self, closest: Measured, tolerance: float, bias: float) -> str:
@@ -222,7 +246,11 @@ class Tradeoff:
         _draw(ax, self.rows, self.front, self.reference)
         write_header(ax, f"Cost and accuracy: {self.metric}", columns=5)
         notes = [
-            "grey line: Pareto front" if len(self.front) > 1 else "Pareto front: one setting",
+            *(
+                ["grey line: Pareto front" if len(self.front) > 1 else "Pareto front: one setting"]
+                if self.front
+                else ["the reference is too noisy to compare these settings"]
+            ),
             f"dashed: error of the reference ({self.reference.setting})",
             f"error bars: one standard error, from {self.runs} runs",
         ]
@@ -290,15 +318,17 @@ class Tradeoff:
         reference = self.reference
         return "\n".join(
             [
+                *([] if self.is_comparable else [self._too_noisy(), ""]),
                 f"{self.scene}, {self.metric}: {self.parameters} parameters, {self.runs} runs of each setting",
                 "",
                 *map(str.__add__, lines, marks),
                 "",
-                "* on the Pareto front of time and error;  bias: ≤ upper limit where not significant",
+                f"{'* on the Pareto front of time and error;  ' if front else ''}bias: ≤ upper limit where not "
+                "significant",
                 *self._doubts(),
                 f"reference: {reference.setting}, relative error {_percent_of(reference.relative_error)}; "
                 f"rankings of its halves have Kendall's τ {_correlation(reference.kendall_of_halves)}",
-                self.recommendation(tolerance),
+                *([self.recommendation(tolerance)] if self.is_comparable or self.cheapest(tolerance) else []),
             ]
         )
 
@@ -331,7 +361,7 @@ def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], referen
     ax.set_xscale("log")
     ax.set_yscale("log")
     style: dict[str, Any] = {"color": "0.7", "linewidth": 1.2, "drawstyle": "steps-post", "zorder": 1}
-    ax.plot(*zip(*((row.seconds, row.relative_error.value) for row in front), strict=True), **style)
+    ax.plot([row.seconds for row in front], [row.relative_error.value for row in front], **style)
     _draw_points(ax, rows[:1], "*", "0.35", f"own: {rows[0].setting}", size=11)
     for key, (name, marker, color, offset) in _STYLES.items():
         varied = [row for row in rows if row.varied == key]

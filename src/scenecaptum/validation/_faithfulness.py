@@ -209,13 +209,13 @@ def contributions(
     if attribution is None:
         method = IntegratedGradientsScene(scenes.renderer, metric)
         attribution = method.attribute(target=target, baselines=baselines, **options)
+    names = parameters_of(attribution, scenes.values)
     if "quantity" in attribution.info and not attribution.kind.is_contribution:
         raise SceneCaptumError(
             f"{attribution.kind.value.capitalize()} has no baselines. Pass contributions, from "
             "IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene or InputXGradientScene."
         )
     resolved = resolve_baselines(scenes.renderer, scenes.values, baselines)
-    names = parameters_of(attribution, scenes.values)
     deleted = {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
     if len(deleted) < at_least:
         raise SceneCaptumError(

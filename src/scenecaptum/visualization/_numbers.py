@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 # Beyond these limits numbers are in scientific notation.
 _MAX_DECIMALS = 6
-_MIN_SCIENTIFIC = 1e6
+_MIN_SCIENTIFIC, _MAX_SCIENTIFIC = 1e6, 1e-5
 _MIN_OBJECT_WIDTH = 9  # of the object's name in a shortened label
 _MAX_DIGITS = 8  # of single precision
 
@@ -37,7 +37,7 @@ class Format(NamedTuple):
             return cls(0, 0)
         place = _last_place(error, digits) if error else 3 - _exponent(size)
         place = min(place, _MAX_DIGITS - 1 - _exponent(size))
-        plain = place <= _MAX_DECIMALS and size < _MIN_SCIENTIFIC
+        plain = place <= _MAX_DECIMALS and _MAX_SCIENTIFIC <= size < _MIN_SCIENTIFIC
         return cls(place, 0 if plain else _exponent(size))
 
     def at_most(self, digits: int, size: float) -> Format:

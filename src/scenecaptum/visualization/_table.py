@@ -168,7 +168,11 @@ def _table(
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")
     if any(row.name in vectors for row in shown):
-        notes.append("of a translation or rotation in the direction with the largest effect")
+        in_noise = any(row.name in vectors and row.effect == 0 and row.effect_error for row in shown)
+        notes.append(
+            "of a translation or rotation in the direction with the largest effect"
+            + ("; 0: not above the noise" if in_noise else "")
+        )
     if textures:
         is_occlusion = attribution.kind is ResultKind.OCCLUSION
         notes.append(

@@ -199,6 +199,8 @@ def _advice(attribution: Attribution) -> list[str]:
     are_large = math.hypot(*errors.values()) > _LARGE_ERROR * math.hypot(*attribution.saliency().values())
     if not are_large:
         return []
+    if attribution.kind in _OF_DIFFERENCES:  # the metric's advice is about its gradient
+        return [] if noise_notes(attribution) else ["the errors are large: more samples, spp=, lower them"]
     has_path = ((attribution.info.get("budget") or {}).get("points") or 1) > 1
     return [f"{advice}, and so do more samples of the pictures, picture_spp=" if has_path else str(advice)]
 
@@ -215,6 +217,8 @@ def convergence_notes(attribution: Attribution) -> list[str]:
         unknown = f"{verdict}: the metric is not finite at the baseline" if not math.isfinite(delta) else ""
         return [unknown or f"convergence delta {rounded(delta, 2)}"]
     if abs(delta) <= _ROUNDING * abs(explained):
+        if attribution.kind is ResultKind.SHAPLEY_VALUE:
+            return [f"adds up to {with_error(explained, error)[0]} by construction"]
         delta = 0.0
     note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
     quadrature = attribution.info.get("quadrature_error")
