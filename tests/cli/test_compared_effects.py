@@ -215,7 +215,7 @@ def test_a_comparison_of_daylight_prints_classes_and_cautions(
     for title, words in zip(("as it is", "the design"), verdicts, strict=True):
         assert re.search(rf"{title}: [^:]+: {re.escape(words)}", printed)
     assert printed.count("caution: blinds are not modeled") == 1
-    assert all(result["rankedUnit"] == "%" for result in page["results"])
+    assert all(result["rankedUnit"] == "percentage points" for result in page["results"])
 
 
 def test_effects_that_are_left_out_for_one_reason_are_counted_once() -> None:

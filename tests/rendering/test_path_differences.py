@@ -79,7 +79,11 @@ def test_they_agree_with_differences_of_renders(
     monkeypatch.setattr(_engine, "batches", lambda names, parameters: [])
     renders = gradients(renderer)
     assert len(primal_calls) > 5 * REPLICATES
-    z = (paths.mean(0) - renders.mean(0)) / ((paths.var(0) + renders.var(0)) / REPLICATES).sqrt()
+    # Sheen has no effect on metal: rounding is left of it, which no spread of replicates covers.
+    rounding = 1e-6 * paths.mean(0).abs().max()
+    z = (paths.mean(0) - renders.mean(0)) / (
+        (paths.var(0) + renders.var(0)) / REPLICATES + rounding**2
+    ).sqrt()
     record_property("z", z.tolist())
     # 6e-5 in Student's t with 11 degrees of freedom.
     assert (z.abs() < 6.2).all(), dict(zip(NAMES, z.tolist(), strict=True))
