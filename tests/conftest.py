@@ -39,19 +39,22 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def one_thread() -> None:
-    """Give Dr.Jit one thread: small images on three processes took twice the processor's time with two."""
-    with contextlib.suppress(Exception):  # fails in each test that renders
-        from scenecaptum.backend import use_threads
-
-        use_threads(1)
-
-
-@pytest.fixture(scope="session", autouse=True)
 def own_seeds() -> None:
     """Shift the library's default seeds."""
     if OFFSET:
         shift_defaults()
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    """Give Dr.Jit one thread, also after a test of several.
+
+    With two on two cores, three busy processes took 2.7 times as long: threads without work wait by spinning.
+    """
+    with contextlib.suppress(Exception):  # fails in each test that renders
+        from scenecaptum.backend import use_threads
+
+        use_threads(1)
 
 
 @pytest.fixture(autouse=True)
