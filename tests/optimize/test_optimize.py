@@ -362,7 +362,7 @@ WITHIN = {"floor.*": (0.1, 0.2)}
 @pytest.mark.parametrize("top", [1, 5])
 def test_a_design_is_within_its_limits_even_if_the_scene_is_not(mi: Any, below: float, top: int) -> None:
     renderer = SceneRenderer(
-        "cornell-box", ["emitters", "reflectance"], resolution=(12, 12), spp=16, max_depth=3
+        "cornell-box", ["emitters", "reflectance"], resolution=(12, 12), spp=256, max_depth=3
     )
     before = renderer.inputs[FLOOR]
     assert (before > 0.2).all()

@@ -600,7 +600,7 @@ def test_ablation_confirms_poses(mi: Any) -> None:
 
 def test_explanations_speak_of_units_and_degrees(mi: Any) -> None:
     inputs = ["short_box_shape.pose.translation", "tall_box_shape.pose.rotation"]
-    renderer = SceneRenderer("cornell-box", inputs, resolution=(24, 24), spp=512)
+    renderer = SceneRenderer("cornell-box", inputs, resolution=(24, 24), spp=2048)
     found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
     text = str(found.explain())
     assert "0.1 units towards (" in text
