@@ -100,7 +100,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``. To increase a metric, minimize its
         negative.
     below
-        The goal, in the metric's unit. A metric of which more is better, such as an illuminance, has a warning.
+        The goal, in the metric's unit. If more is better for the metric, as for an illuminance, a warning says so.
     inputs
         The values to start from; by default the scene's own.
     target
@@ -147,7 +147,7 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 
 
 def warn_if_more_is_better(metric: Metric, target: Target, below: float) -> None:
-    """Warn that a goal below a value makes a metric worse, of which more is better; before anything is rendered.
+    """Warn of a goal below a value if more is better for the metric; before anything is rendered.
 
     It is no error: too much light, which dazzles, is a reason for such a goal.
     """
