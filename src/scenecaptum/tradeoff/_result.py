@@ -14,6 +14,7 @@ from ..files import atomic_write
 from ..visualization import (
     SMALL,
     WIDTH,
+    Label,
     add_footnotes,
     axes_or_new,
     figure_of,
@@ -23,7 +24,7 @@ from ..visualization import (
     rounded,
     rounded_up,
     style_axes,
-    write_at,
+    write_clear,
     write_header,
 )
 from ._settings import Setting
@@ -32,16 +33,18 @@ from ._statistics import Bias, Estimate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 TOP = 5
 TOLERANCE = 0.05
 _NOTE_WIDTH = 96
+_MARKER, _STAR = 5.5, 11.0  # sizes in points
+_HEIGHTS = (-3, 9, -15, 17, -23)  # of values beside a point, in points, where the preferred place is taken
 _NOISY_REFERENCE = 0.5  # of its own norm: its direction is hardly known
 _FAR = 3  # from this many times the noise, an error looks like a bias
 
-# Label, marker and colour (dark enough for text on white) of each varied option in the figure, and the offset of
-# its annotations in points, chosen so that those of neighbouring settings do not overlap, and beside the point,
-# whose error bar is vertical.
+# Label, marker and colour (dark enough for text on white) of each varied option in the figure, and the preferred
+# offset of its annotations in points, beside the point, whose error bar is vertical.
 _STYLES = {
     "spp": ("spp", "o", "#0072B2", (6, 4)),
     "primal_spp": ("spp of the primal", "^", "#2F7399", (-6, 4)),
@@ -255,6 +258,7 @@ class Tradeoff:
             f"error bars: one standard error, from {self.runs} runs",
         ]
         add_footnotes(ax, pack(notes, _NOTE_WIDTH), below=34)
+        _label_points(ax, self.rows)
         return figure_of(ax)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
@@ -362,34 +366,59 @@ def _draw(ax: Axes, rows: Sequence[Measured], front: Sequence[Measured], referen
     ax.set_yscale("log")
     style: dict[str, Any] = {"color": "0.7", "linewidth": 1.2, "drawstyle": "steps-post", "zorder": 1}
     ax.plot([row.seconds for row in front], [row.relative_error.value for row in front], **style)
-    _draw_points(ax, rows[:1], "*", "0.35", f"own: {rows[0].setting}", size=11)
-    for key, (name, marker, color, offset) in _STYLES.items():
+    _draw_points(ax, rows[:1], "*", "0.35", f"own: {rows[0].setting}", size=_STAR)
+    for key, (name, marker, color, _) in _STYLES.items():
         varied = [row for row in rows if row.varied == key]
         if varied:
             _draw_points(ax, varied, marker, color, name)
-        for row in varied:
-            align = "right" if offset[0] < 0 else "left" if offset[0] > 0 else "center"
-            at = (row.seconds, row.relative_error.value)
-            style = {"ha": align, "fontsize": SMALL - 0.5, "color": color, "zorder": 4}
-            write_at(ax, row.value_text, at, offset, **style)
     if reference.relative_error > 0:
         ax.axhline(reference.relative_error, color="0.5", linewidth=0.9, linestyle=(0, (4, 3)))
-    ax.margins(x=0.12, y=0.1)
-    low, high = ax.get_xlim()
-    if high < 1.1 * low:  # a single setting, or all of one time
-        low, high = low / 1.5, 1.5 * high
-    log_axis(ax, "x", low, high)
+    low, high = min(row.seconds for row in rows), max(row.seconds for row in rows)
+    margin = max((high / low) ** 0.12, 1.2)  # times of all settings may be the same
+    log_axis(ax, "x", low / margin, high * margin)
+    ax.margins(y=0.1)
     log_axis(ax, "y", *ax.get_ylim(), lambda error: f"{rounded(100 * error)} %")
     style_axes(ax, x="seconds", y="relative error of the gradient")
 
 
 def _draw_points(
-    ax: Axes, rows: Sequence[Measured], marker: str, color: str, name: str, *, size: float = 5.5
+    ax: Axes, rows: Sequence[Measured], marker: str, color: str, name: str, *, size: float = _MARKER
 ) -> None:
     values, errors = zip(*(row.relative_error for row in rows), strict=True)
     lengths = [min(error, 0.9 * value) for value, error in zip(values, errors, strict=True)]
     style: dict[str, Any] = {"fmt": marker, "markersize": size, "color": color, "elinewidth": 1, "zorder": 3}
     ax.errorbar([row.seconds for row in rows], values, yerr=lengths, label=name, **style)
+
+
+def _label_points(ax: Axes, rows: Sequence[Measured]) -> None:
+    """Write the value of each varied setting beside its point, clear of points, error bars and other values.
+
+    Times decide where the points are, so the places of the values cannot be chosen beforehand.
+    """
+    figure_of(ax).draw_without_rendering()
+    occupied = [_extent(ax, row) for row in rows]
+    for row in rows:
+        if row.varied:
+            _, _, color, (x, y) = _STYLES[row.varied]
+            offsets = [(side * x, up) for side in (1, -1) for up in (y, *_HEIGHTS)]
+            style = {"fontsize": SMALL - 0.5, "color": color, "zorder": 4}
+            write_clear(
+                ax, Label(row.value_text, (row.seconds, row.relative_error.value), offsets, style), occupied
+            )
+
+
+def _extent(ax: Axes, row: Measured) -> Bbox:
+    """Return the box of a point and its error bar in pixels."""
+    from matplotlib.transforms import Bbox
+
+    value, error = row.relative_error
+    ends = ax.transData.transform(
+        [(row.seconds, value - min(error, 0.9 * value)), (row.seconds, value + error)]
+    )
+    half = 0.5 * (_MARKER if row.varied else _STAR) * figure_of(ax).dpi / 72
+    middle = ax.transData.transform((row.seconds, value))[1]
+    low, high = min(ends[0, 1], middle - half), max(ends[1, 1], middle + half)
+    return Bbox.from_extents(ends[0, 0] - half, low, ends[0, 0] + half, high)
 
 
 def _percent(value: float, error: float) -> str:

@@ -30,6 +30,7 @@ from ._figures import TEXT as TEXT
 from ._figures import TITLE as TITLE
 from ._figures import UNCLEAR as UNCLEAR
 from ._figures import WIDTH as WIDTH
+from ._figures import Label as Label
 from ._figures import add_footnotes as add_footnotes
 from ._figures import axes_or_new as axes_or_new
 from ._figures import characters_per_line as characters_per_line
@@ -42,6 +43,7 @@ from ._figures import name_rows as name_rows
 from ._figures import new_figure as new_figure
 from ._figures import style_axes as style_axes
 from ._figures import write_at as write_at
+from ._figures import write_clear as write_clear
 from ._figures import write_header as write_header
 from ._layout import grid as grid
 from ._layout import group_by_text as group_by_text

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from ..errors import whole_number
 from ..protocols import Attribution, RankedParameter, Scale
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
 
 T = TypeVar("T")
 
@@ -37,6 +38,15 @@ _LOG_STEPS = (
     (3.0, (1.0, 3.0)),
 )
 _CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
+
+
+class Label(NamedTuple):
+    """A text beside a place in the axes, with its possible offsets in points, the best first."""
+
+    text: str
+    at: tuple[float, float]
+    offsets: Sequence[tuple[float, float]]
+    style: Mapping[str, Any]
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
@@ -161,6 +171,31 @@ def write_at(
     """Write a text some points away from a place in the axes."""
     options = {"fontsize": TEXT, "parse_math": False, **style}
     return ax.annotate(text, at, xytext=offset, textcoords="offset points", **options)
+
+
+def write_clear(ax: Axes, label: Label, occupied: list[Bbox]) -> None:
+    """Write a label in the axes, where it covers nothing occupied, and occupy what it takes.
+
+    The figure must be laid out, because what is occupied is in pixels. Where no offset is free, the first is used.
+    """
+    texts = [_beside(ax, label, offset) for offset in label.offsets]
+    boxes = [text.get_window_extent() for text in texts]
+    free = (
+        number
+        for number, box in enumerate(boxes)
+        if ax.bbox.x0 < box.x0 and box.x1 < ax.bbox.x1 and not any(box.overlaps(other) for other in occupied)
+    )
+    chosen = next(free, 0)
+    occupied.append(boxes[chosen])
+    for number, text in enumerate(texts):
+        if number != chosen:
+            text.remove()
+
+
+def _beside(ax: Axes, label: Label, offset: tuple[float, float]) -> Annotation:
+    """Write a label some points away from its place, aligned to the side on which that place is."""
+    align = "right" if offset[0] < 0 else "left" if offset[0] > 0 else "center"
+    return write_at(ax, label.text, label.at, offset, ha=align, **label.style)
 
 
 def add_footnotes(ax: Axes, lines: Sequence[str], *, below: float) -> None:
