@@ -123,6 +123,9 @@ class Capabilities:
     step_changes = _Offer[Callable[..., dict[str, torch.Tensor]]](
         "Changes of the gradients of poses if the steps of their differences are doubled."
     )
+    range_changes = _Offer[Callable[..., dict[str, torch.Tensor]]](
+        "Mean gradients over the ranges of poses whose gradients are those at their values."
+    )
     collisions = _Offer[Callable[[Mapping[str, torch.Tensor]], Iterable[tuple[str, str]]]](
         "The poses that move objects into others, each with the name of the other."
     )

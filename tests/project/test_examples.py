@@ -90,7 +90,7 @@ def test_desk_and_lamp_move_until_the_glare_is_low(
     )
     glare = metrics.UnifiedGlareRating(renderer.camera)
     falls = torch.stack(
-        [glare(renderer(seed=seed)) - glare(renderer(found.values, seed=seed)) for seed in seeds(100, 116)]
+        [glare(renderer(seed=seed)) - glare(renderer(found.values, seed=seed)) for seed in seeds(100, 108)]
     )
     assert falls.mean() > allowed(len(falls)) * falls.std() / math.sqrt(len(falls))
     assert {moved.name for moved in found.moved} == {example.DESK, example.SHADE}

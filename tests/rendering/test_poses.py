@@ -482,6 +482,27 @@ def test_the_camera_turns_and_zooms_before_a_wall(mi: Any, kind: str) -> None:
     assert not found.info["jumps"]
 
 
+def test_a_turn_whose_gradient_holds_for_a_part_of_a_pixel_only_is_marked(mi: Any) -> None:
+    """The wall is wide over the range of a turn, a pixel at the edge of the lamp is not: renders say the same."""
+    renderer = SceneRenderer("cornell-box", ["camera.pose.rotation", "camera.fov"], resolution=(32, 32), spp=64)
+    turn = "camera.pose.rotation"
+    metrics = {"wall": lambda image: image[10:20, 3:9].mean(), "edge": lambda image: image[4, 18].mean()}
+    for name, metric in metrics.items():
+        found = VanillaSceneGradient(renderer, metric).attribute(seed=shifted())
+        gradient = found[turn].norm().item()
+        step = math.radians(2.5) * found[turn] / gradient
+        with torch.no_grad():
+            ends = [metric(renderer({turn: end}, seed=shifted(1), spp=1024)).item() for end in (step, -step)]
+        over_range = (ends[0] - ends[1]) / (2 * math.radians(2.5))
+        if name == "wall":
+            assert found.info["local"] == []
+            assert over_range == pytest.approx(gradient, rel=0.15)
+        else:
+            assert turn in found.info["local"]
+            assert abs(over_range) < 0.1 * gradient
+            assert "does not hold over its range" in str(found)
+
+
 def test_a_turned_camera_turns_on(mi: Any) -> None:
     """The derivative at another rotation is that of the axis–angle vector, not of a further rotation."""
     turned = {"camera.pose.rotation": torch.tensor([0.1, 0.8, 0.05])}

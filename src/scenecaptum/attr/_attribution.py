@@ -21,7 +21,7 @@ from ._data import AttributionData, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
 from ._ranges import extents, lights_off, unit_ranges
-from ._steps import StepErrors, step_errors
+from ._steps import StepErrors, local_poses, step_errors
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
 
@@ -306,13 +306,15 @@ def make_attribution(
     bias = (
         None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
-    steps = StepErrors()
+    steps, local = StepErrors(), list[str]()
     if has_errors and bias is not None and info.get("spp") and info.get("quantity") == ResultKind.GRADIENT:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
         mean = {name: scaled(value, scale) for name, value in gradients.mean.items()}
         samples = {name: info["spp"] * gradients.share_of_samples(name) for name in names}
         steps = step_errors(renderer, mean, values, adjoint, samples, info["seed"])
         bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
+        errors = {name: _error(gradients, name, bias[name]) for name in names}
+        local = local_poses(renderer, mean, errors, values, adjoint, samples, info["seed"])
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
         standard_error={n: _error(gradients, n, None if bias is None else bias[n]) for n in names}
@@ -336,6 +338,7 @@ def make_attribution(
             "metric_bias": adjoints.bias,
             "seen_through": seen_through(renderer, surfaces, names, values),
             "jumps": steps.jumps,
+            "local": local,
             "unit_ranges": unit_ranges(renderer, values),
             # Only a linear metric grows with a light as its derivative at 0 says.
             "lights_off": [] if adjoints.bias_adjoint is None else lights_off(renderer, values),

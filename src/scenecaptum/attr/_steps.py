@@ -91,6 +91,39 @@ def step_errors(
     return found
 
 
+def local_poses(
+    renderer: Renderer,
+    gradients: Tensors,
+    errors: Tensors,
+    values: Tensors,
+    adjoint: torch.Tensor,
+    samples: Mapping[str, float],
+    seed: int,
+) -> list[str]:
+    """Return the poses whose gradient, exact at its value, is not that over their range.
+
+    Turning a camera moves the picture by several pixels over the range. Where the metric looks at edges, as a
+    rating of glare does, or a network, the first fraction of a pixel does not say what the others do.
+    """
+    measure = Capabilities(renderer).range_changes
+    lengths = {name: gradient.double().norm() for name, gradient in gradients.items() if name in samples}
+    directions = {name: gradients[name].double() / length for name, length in lengths.items() if length > 0}
+    if measure is None or not directions:
+        return []
+    spp = max(1, math.ceil(max(samples[name] for name in directions) / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))
+    seeds = derived_seeds(seed, Stream.RANGE_CHANGES, REPLICATES)
+    found = []
+    for name, rows in measure(values, directions, adjoint, seeds=seeds, spp=spp).items():
+        mean, noise = rows.mean(), rows.std() / math.sqrt(len(rows))
+        change = (mean - lengths[name]).abs()
+        error = torch.hypot(noise, (errors[name].double() * directions[name]).norm())
+        if change > SIGNIFICANT * error and change > LARGEST_CHANGE * torch.maximum(
+            lengths[name], mean.abs()
+        ):
+            found.append(name)
+    return found
+
+
 def _reason(renderer: Renderer, name: str, is_far: torch.Tensor) -> str:
     axes = (
         ""

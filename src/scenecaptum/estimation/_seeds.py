@@ -34,6 +34,7 @@ class Stream(IntEnum):
     EXPLANATION = 19
     PILOT = 20
     STEP_CHANGES = 21
+    RANGE_CHANGES = 22
 
 
 def random_generator(seed: int, stream: Stream, *path: int) -> np.random.Generator:

@@ -55,6 +55,17 @@ class CheckpointedEngine:
         )
         return dict(zip(names, changes, strict=True))
 
+    def range_changes(
+        self, values: Values, directions: Mapping[str, torch.Tensor], *arguments: Any
+    ) -> dict[str, torch.Tensor]:
+        """Return the mean gradients of poses over their ranges."""
+        changes = self._take(
+            "range changes",
+            (values, directions, *arguments),
+            lambda: tuple(self.engine.range_changes(values, directions, *arguments).values()),
+        )
+        return dict(zip(directions, changes, strict=True))
+
     @property
     def camera(self) -> TurningCamera:
         """What the engine knows of its camera."""

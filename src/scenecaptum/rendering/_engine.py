@@ -237,6 +237,29 @@ class Engine:
             changes[name] = double - own
         return changes
 
+    def range_changes(
+        self,
+        values: Values,
+        directions: Mapping[str, torch.Tensor],
+        adjoint: torch.Tensor,
+        seeds: Sequence[int],
+        spp: int,
+    ) -> dict[str, torch.Tensor]:
+        """Return for each pose the mean gradient over its range in a direction, one for each seed."""
+        values = self._live.snapshot(values)
+        weighted = adjoint.double()
+        changes = {}
+        for name, direction in directions.items():
+            difference = pose_difference(self._parameters[name], values[name])
+            products = []
+            for shift, weight in difference.points:
+                point = values[name] + direction.to(values[name]) * shift
+                images = self._moved_images(name, difference, values, point, seeds, spp)
+                sums = torch.stack([(weighted * image).sum() for image in images])
+                products.append(sums * weight.reshape(-1)[0])
+            changes[name] = _sum(products)
+        return changes
+
     def _difference_quotients(
         self, name: str, difference: FiniteDifference, values: Snapshot, seed: int, spp: int
     ) -> Iterator[torch.Tensor]:

@@ -1009,6 +1009,38 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         moving = [name for name in wanted if self._table[name].moves and not engine.camera.moves(name)]
         return engine.step_changes(values, moving, adjoint, seeds, spp) if moving else {}
 
+    def range_changes(
+        self,
+        values: Mapping[str, torch.Tensor],
+        directions: Mapping[str, torch.Tensor],
+        adjoint: torch.Tensor,
+        *,
+        seeds: Sequence[int],
+        spp: int,
+    ) -> dict[str, torch.Tensor]:
+        """Return the mean gradient over the range of each pose whose gradient is that at its value.
+
+        Parameters
+        ----------
+        values
+            The differentiated parameters and their values.
+        directions
+            A unit vector for each pose, 1 or -1 for a number. Only the rotation and the field of view of a pinhole
+            camera have gradients at their values; other poses are left out.
+        adjoint
+            The derivative of a metric with respect to the image.
+        seeds, spp
+            The seed of each replicate, and the samples per pixel of each.
+
+        Returns
+        -------
+        dict
+            ``(replicates,)`` tensors: derivatives in the directions, from the differences over the ranges.
+        """
+        engine = self._views[0].engine
+        local = {name: one for name, one in directions.items() if engine.camera.moves(name)}
+        return engine.range_changes(values, local, adjoint, seeds, spp) if local else {}
+
     def collisions(self, values: Mapping[str, torch.Tensor]) -> list[tuple[str, str]]:
         """Return the poses among ``values`` of objects whose bounds overlap others, each with the other's name."""
         own = {name: value for name, value in self._own_values().items() if self._table[name].moves}

@@ -291,6 +291,7 @@ def range_notes(
             **_off_notes(attribution, shown),
             **_light_notes(attribution, shown),
             **_contradicted_notes(attribution, shown),
+            **_local_notes(attribution, shown),
         }
     return notes
 
@@ -362,6 +363,18 @@ def _contradicted_notes(attribution: Attribution, shown: Sequence[str]) -> dict[
     notes: Mapping[str, Sequence[str]] = attribution.info.get("contradicted") or {}
     of_shown = {note: [name for name in names if name in shown] for note, names in notes.items()}
     return {note: names for note, names in of_shown.items() if names}
+
+
+def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on the turns and zooms of a camera whose gradients do not hold over their ranges."""
+    local = [name for name in attribution.info.get("local", ()) if name in shown]
+    if not local:
+        return {}
+    note = (
+        f"{_named(attribution, local)}: the gradient at this value does not hold over its range, over which the "
+        "picture moves by several pixels; the effect may be quite different: render the change"
+    )
+    return {note: local}
 
 
 def _roughness_notes(
