@@ -484,7 +484,9 @@ def test_the_camera_turns_and_zooms_before_a_wall(mi: Any, kind: str) -> None:
 
 def test_a_turn_whose_gradient_holds_for_a_part_of_a_pixel_only_is_marked(mi: Any) -> None:
     """The wall is wide over the range of a turn, a pixel at the edge of the lamp is not: renders say the same."""
-    renderer = SceneRenderer("cornell-box", ["camera.pose.rotation", "camera.fov"], resolution=(32, 32), spp=64)
+    renderer = SceneRenderer(
+        "cornell-box", ["camera.pose.rotation", "camera.fov"], resolution=(32, 32), spp=64
+    )
     turn = "camera.pose.rotation"
     metrics = {"wall": lambda image: image[10:20, 3:9].mean(), "edge": lambda image: image[4, 18].mean()}
     for name, metric in metrics.items():
