@@ -22,8 +22,8 @@ from ._texels import Indices, ShownTexture
 # within 1/16 of a pixel, and the map is the same at every call.
 RAYS = 16
 
-# Rays traced at once: the results of each take about 100 bytes.
-BATCH = 2**20
+# Rays traced at once: each takes about 250 bytes while it is followed through panes and counted.
+BATCH = 2**18
 
 # Maximum number of mirrors and panes along a ray.
 MAX_SPECULAR_BOUNCES = 12
