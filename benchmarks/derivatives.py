@@ -519,8 +519,8 @@ scene or does not track the parameter.
 
 Each parameter is in a small scene: a ball or two, a floor, a block, a lamp, and a non-uniform sky; or a floor that
 reflects a lamp into the camera. Measured by `python benchmarks/derivatives.py --write docs/derivatives.md` with
-{versions}. Rows are sampled for a time that `--budget` sets; here 8 seconds, and 25 in
-the cases where that left a row unresolved.
+{versions}. Rows are sampled for a time that `--budget` sets; here 8 seconds, 20 for textures of
+roughness, and 25 in the cases where 8 left a row unresolved.
 
 - *Ours* is the derivative of a weighted mean of the image from `SceneRenderer`, summed over all elements of the
   parameter (for a bump map, weighted by their values). It is taken with `seed_grad`, as in every attribution

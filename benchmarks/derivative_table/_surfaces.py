@@ -59,6 +59,16 @@ def _brushed(plugin: str, **fixed: Any) -> Case:
     )
 
 
+def _textured(plugin: str, role: str, low: float, high: float, **fixed: Any) -> Case:
+    """Return a floor with a highlight, whose roughness is a bitmap of random texels; α is 0.15 on average."""
+
+    def scene() -> Scene:
+        return highlight({"type": plugin, role: picture(low, high, channels=1), **fixed}, 0.15)
+
+    values = {role: (low + high) / 2}
+    return Case(plugin, f"lamp in the floor, textured {role}", scene, rows("ball0.bsdf", values))
+
+
 def _index_cases(plugin: str, **fixed: Any) -> list[Case]:
     """Return balls, and floors that reflect a lamp, for each index.
 
@@ -109,6 +119,7 @@ def _conductors() -> list[Case]:
             ball("roughconductor", {"specular_reflectance": 1.0, "eta": 0.0, "k": 1.0}, alpha=0.3),
             rough({"alpha": 0.3}, distribution="ggx"),
         ),
+        _textured("roughconductor", "alpha", 0.1, 0.2, eta=1.2, k=3.0),
         *(_highlight("roughconductor", "alpha", a, a, eta=1.2, k=3.0) for a in (0.001, 0.01, 0.05, 0.3)),
         _brushed("roughconductor", eta=1.2, k=3.0),
     ]
@@ -144,6 +155,7 @@ def _dielectrics() -> list[Case]:
             "roughness",
             *(ball("roughdielectric", {"alpha": a}) for a in (0.1, 0.3, 1.0)),
         ),
+        _textured("roughdielectric", "alpha", 0.1, 0.2),
         *(_highlight("roughdielectric", "alpha", a, a) for a in (0.001, 0.01, 0.05, 0.3)),
         _brushed("roughdielectric"),
     ]
@@ -242,6 +254,7 @@ def _principled() -> list[Case]:
             ball("principled", dict.fromkeys(("sheen", "flatness"), 1.0), **plain),
             ball("principled", dict.fromkeys(("spec_tint", "sheen_tint"), 1.0), **plain, **tints),
         ),
+        _textured("principled", "roughness", 0.33, 0.44, base_color=0.6, metallic=0.8),
         *(
             _highlight("principled", "roughness", r, r**2, base_color=0.6, metallic=0.8)
             for r in (0.03, 0.1, 0.3)

@@ -78,6 +78,46 @@ def test_derivatives_of_a_whole_picture(mi: Any, ball: dict[str, Any]) -> None:
     assert_agree(*both(renderer, torch.ones(height, width, 3) / (3 * height * width)))
 
 
+UNEVEN = np.linspace(0.08, 0.3, 64, dtype=np.float32).reshape(8, 8, 1)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "role", "texels", "inputs"),
+    [
+        ("roughconductor", "alpha", UNEVEN, "roughness"),
+        ("roughdielectric", "alpha", UNEVEN.repeat(3, 2), "ball.*"),
+        ("principled", "roughness", np.full((1, 1, 1), 0.4, np.float32), "roughness"),
+    ],
+    ids=["metal", "frosted glass among other inputs", "principled, one texel"],
+)
+def test_derivatives_of_a_low_roughness_texture(
+    mi: Any, plugin: str, role: str, texels: np.ndarray, inputs: str
+) -> None:
+    """Of all texels together, and of half of the rows, against differences of renders."""
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
+    renderer = SceneRenderer(room(mi, {"type": plugin, role: texture}), [inputs], spp=64)
+    assert "1 of them by light tracing" in str(renderer.plan)
+    name = f"ball.bsdf.{role}.data"
+    own = renderer.inputs[name]
+    half = torch.ones_like(own)
+    half[: len(own) // 2] = 0
+    changes = [own, own * half]
+
+    def differences(seed: int) -> torch.Tensor:
+        def metric(change: torch.Tensor) -> torch.Tensor:
+            return renderer({name: own + change}, seed=seed).double().mean()
+
+        return torch.stack([(metric(0.05 * c) - metric(-0.05 * c)) / 0.1 for c in changes])
+
+    def gradients(seed: int) -> torch.Tensor:
+        leaves = renderer.leaves()
+        renderer(leaves, seed=shifted(), seed_grad=seed).mean().backward()
+        return torch.stack([(leaves[name].grad * change).double().sum() for change in changes])
+
+    expected = torch.stack([differences(seed) for seed in seeds(SEEDS)])
+    assert_agree(expected, torch.stack([gradients(100 + seed) for seed in seeds(SEEDS)]))
+
+
 @pytest.mark.parametrize("cosine", [0.9, -0.9], ids=["from outside", "from inside"])
 def test_the_value_of_a_valid_sample_is_its_weight_times_its_density(mi: Any, cosine: float) -> None:
     """Frosted glass also returns samples on the wrong side, with a density that is not that of the direction."""

@@ -183,6 +183,27 @@ def test_the_plan_in_a_notebook_is_a_table() -> None:
     assert "Caution: floor.reflectance.data: texels" in page.text
 
 
+def test_the_plan_names_the_first_of_many_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "400")
+    names = [f"material_{number}" for number in range(46)]
+    many = dataclasses.replace(
+        plan(),
+        differences=tuple((name, "at its bound") for name in names),
+        cautions=tuple((name, "too dark") for name in names),
+        noisy_roughness=tuple(names),
+    )
+    some = "material_0, material_1, material_2 and 43 more"
+    assert str(many).splitlines()[2:] == [
+        f"finite difference for {some}: at its bound",
+        f"caution: {some}: too dark",
+        f"low roughness among other inputs: {some}",
+    ]
+    page = Page(many._repr_html_())
+    for said in (f"Finite difference for {some}:", f"Caution: {some}:", f"among other inputs: {some}"):
+        assert said in page.text
+    assert "material_3" not in page.text
+
+
 def test_an_attribution_in_a_notebook_is_well_formed() -> None:
     page = Page(table_html(make(cautions={"lamp": NASTY})))
     assert page.open == []

@@ -348,6 +348,19 @@ def test_the_cheapest_setting_within_a_tolerance_is_recommended(trade):
     assert "spp should suffice" in few.recommendation(0.01)
 
 
+@pytest.mark.parametrize(
+    ("changes", "has_error_bars"), [({}, True), ({"replicates": 1}, False), ({"gradient_spp": 1}, False)]
+)
+def test_a_recommendation_says_that_one_replicate_has_no_error_bars(trade, changes, has_error_bars):
+    own = trade.rows[0]
+    row = dataclasses.replace(own, setting=dataclasses.replace(own.setting, **changes))
+    said = dataclasses.replace(trade, rows=(row,)).recommendation(0.9)
+    assert said.startswith("For an error of 90 %: 16 spp")
+    assert said.endswith(
+        " % of the top five correct." if has_error_bars else " (1 replicate: no error bars)."
+    )
+
+
 def spp_row(row, spp, error, noise):
     """Return a row with so many samples and such an error, and no significant bias."""
     return dataclasses.replace(

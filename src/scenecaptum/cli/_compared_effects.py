@@ -14,6 +14,7 @@ from ..report import different_values
 from ..visualization import (
     Format,
     axis_label,
+    first_few,
     grid,
     metric_unit,
     pluralize,
@@ -31,7 +32,6 @@ SMALL = 0.01  # of the largest change of an effect: smaller ones are shown of le
 SIGNIFICANT = 2.0  # standard errors
 ROUNDING = 1e-5  # of both effects: a difference in single precision below this is not a change
 MANY_TIMES = 2.0  # the rendered change: a change to first order that is larger contradicts it
-NAMED = 3
 NOISE = "◆"  # as in reports
 
 
@@ -252,9 +252,8 @@ def _notes(
 
 def _named(one: SceneAttribution, names: Sequence[str]) -> str:
     """Return the labels of the first few parameters, and how many more there are."""
-    labels = [one.labels.get(name, name) for name in names[:NAMED]]
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{'; '.join(labels)}{more}"  # a label may have a comma or a colon
+    # A label may have a comma or a colon.
+    return first_few([one.labels.get(name, name) for name in names], "; ")
 
 
 def _is(names: Sequence[str]) -> str:

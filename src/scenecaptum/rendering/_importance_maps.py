@@ -123,7 +123,7 @@ class ImportanceMaps:
         scene, sensor, state = self.live.scene, self.live.sensor, self.live.state
 
         def rms_derivative() -> Any:
-            state.set_tangents({name: mi.TensorXf(1.0, value.shape) for name, value in values.items()})
+            state.set_tangents({name: dr.ones(mi.TensorXf, value.shape) for name, value in values.items()})
             render = self.integrator.rms_derivative
             return evaluate(render(scene, sensor, spp, dr.opaque(mi.UInt32, 0), light_traced.mask))
 

@@ -15,7 +15,7 @@ import torch
 from ..backend import activate
 from ..errors import SceneCaptumError
 from ..scene import SceneGraph, SceneParameters
-from ..visualization import STYLE, group_by_text, html_cells, pluralize, terminal_width, wrap
+from ..visualization import STYLE, first_few, group_by_text, html_cells, pluralize, terminal_width, wrap
 from ._derivative_routes import Routes, derivative_routes, low_roughness_names, noisy_roughness_names
 from ._integrators import INTEGRATORS, IntegratorKind, check_integrator, choose_integrator
 from ._memory import format_bytes
@@ -30,6 +30,8 @@ DEFAULT_DEPTH = 6
 @dataclass(frozen=True)
 class RenderPlan:
     """How a scene is rendered and differentiated; prints one decision per line, with its reason.
+
+    Printed lists of parameters are cut after the first few names; the attributes have all of them.
 
     Attributes
     ----------
@@ -74,23 +76,23 @@ class RenderPlan:
         width, column = terminal_width(), max(len(decision) for decision, _ in self.decisions)
         lines = [(f"{decision.ljust(column)}  {reason}", column + 2) for decision, reason in self.decisions]
         for text, names in group_by_text(self.differences).items():
-            lines.append((f"finite difference for {', '.join(names)}: {text}", 4))
+            lines.append((f"finite difference for {first_few(names)}: {text}", 4))
         for text, names in group_by_text(self.cautions).items():
-            lines.append((f"caution: {', '.join(names)}: {text}", 4))
+            lines.append((f"caution: {first_few(names)}: {text}", 4))
         if self.noisy_roughness:
-            lines.append((f"low roughness among other inputs: {', '.join(self.noisy_roughness)}", 4))
+            lines.append((f"low roughness among other inputs: {first_few(self.noisy_roughness)}", 4))
         return "\n".join(text if width is None else wrap(text, width, indent) for text, indent in lines)
 
     def _repr_html_(self) -> str:
         """Return a table of the decisions and their reasons, with finite differences and cautions below it."""
         rows = "\n".join(f"<tr>{html_cells(pair, 'td')}</tr>" for pair in self.decisions)
         notes = [
-            f"<div><b>{html.escape(title)}</b> {html.escape(', '.join(names))}: {html.escape(text)}</div>"
+            f"<div><b>{html.escape(title)}</b> {html.escape(first_few(names))}: {html.escape(text)}</div>"
             for title, pairs in (("Finite difference for", self.differences), ("Caution:", self.cautions))
             for text, names in group_by_text(pairs).items()
         ]
         if self.noisy_roughness:
-            names = html.escape(", ".join(self.noisy_roughness))
+            names = html.escape(first_few(self.noisy_roughness))
             notes.append(f"<div><b>Low roughness among other inputs:</b> {names}</div>")
         return (
             f'<div class="scenecaptum">\n{STYLE}\n'

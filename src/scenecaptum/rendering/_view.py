@@ -14,6 +14,7 @@ from ..checkpoint import Checkpoint
 from ..daylight import SkyPatches
 from ..projection import SurfaceMap
 from ..scene import Moved, SceneParameters
+from ..visualization import first_few
 from ._checkpointed import CheckpointedEngine
 from ._engine import Engine, StockEngine
 from ._importance_maps import ImportanceMaps
@@ -50,8 +51,7 @@ class View(SceneOwner):
     def describe_pixels(self, pixels: torch.Tensor) -> str:
         """Return a sentence that names the objects on a mask of pixels ``(H, W)``."""
         names = self.surface_map((), False, ()).objects_on(pixels.numpy(force=True))
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        return f" They show {', '.join(names[:3])}{more}: look for an extreme value there, or in the lights."
+        return f" They show {first_few(names)}: look for an extreme value there, or in the lights."
 
 
 def make_view(

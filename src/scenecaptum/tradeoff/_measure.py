@@ -177,8 +177,7 @@ class SettingRunner:
             spp=setting.primal_spp,
             picture_spp=setting.primal_spp,
             denoise=self._denoise,
-            # A replicate has at least one sample of either kind.
-            replicates=min(setting.replicates, setting.gradient_spp),
+            replicates=setting.used_replicates,
             show_progress=show_progress,
         )
         return attribution

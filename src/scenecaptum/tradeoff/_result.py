@@ -195,9 +195,11 @@ class Tradeoff:
         """Return the recommended setting for a relative error of ``tolerance``, or why there is none."""
         best = self.cheapest(tolerance)
         if best is not None:
+            caution = " (1 replicate: no error bars)" if best.setting.used_replicates == 1 else ""
             return (
                 f"For an error of {_percent_of(tolerance)}: {best.setting} ({rounded(best.seconds, 2)} s), "
-                f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct."
+                f"error {_percent(*best.relative_error)}, {100 * best.top.value:.0f} % of the top five correct"
+                f"{caution}."
             )
         if not self.is_comparable:
             return self._too_noisy()

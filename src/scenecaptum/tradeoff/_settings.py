@@ -58,6 +58,11 @@ class Setting:
         return math.prod(self.resolution) if self.resolution else 0
 
     @property
+    def used_replicates(self) -> int:
+        """Minimum number of replicates that are run, each with at least one sample."""
+        return min(self.replicates, self.gradient_spp)
+
+    @property
     def renderer_options(self) -> tuple[Any, ...]:
         """The options that belong to the renderer."""
         return self.max_depth, self.resolution, self.integrator

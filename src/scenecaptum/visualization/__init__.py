@@ -45,6 +45,7 @@ from ._figures import style_axes as style_axes
 from ._figures import write_at as write_at
 from ._figures import write_clear as write_clear
 from ._figures import write_header as write_header
+from ._layout import first_few as first_few
 from ._layout import grid as grid
 from ._layout import group_by_text as group_by_text
 from ._layout import html_cells as html_cells

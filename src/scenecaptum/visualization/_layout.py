@@ -11,6 +11,8 @@ from collections.abc import Iterable, Sequence
 
 from ._numbers import columns, pad
 
+_NAMED = 3  # of a list of names
+
 
 def grid(headers: Sequence[str], rows: Sequence[Sequence[str]], *, right: bool = False) -> list[str]:
     """Return the headers and rows as lines with aligned columns; with ``right`` only the first is on the left."""
@@ -30,6 +32,12 @@ def group_by_text(pairs: Iterable[tuple[str, str | None]]) -> dict[str, list[str
         if text:
             groups.setdefault(text, []).append(name)
     return groups
+
+
+def first_few(names: Sequence[str], separator: str = ", ") -> str:
+    """Return the first few names, and how many more there are."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{separator.join(names[:_NAMED])}{more}"
 
 
 def wrap(text: str, width: int, indent: int = 4) -> str:

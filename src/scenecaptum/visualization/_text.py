@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
-from ._layout import group_by_text
+from ._layout import first_few, group_by_text
 from ._numbers import format_with_error, rounded, rounded_up, shorten, with_error
 
 _MAX_CAUTIONS = 5
@@ -19,7 +19,6 @@ _LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "rou
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
 _MAP_NDIM = 3
 _NOTABLE = 0.1  # of the largest effect
-_NAMED = 3
 _ROUNDING = 1e-6  # relative to the explained difference
 FINDING_WIDTH = 60  # maximum length of a name in a figure's title
 METRIC_WIDTH = FINDING_WIDTH  # and of a metric's on an axis, which keeps both classes of a difference
@@ -323,9 +322,8 @@ def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
 
 def _named(attribution: Attribution, names: Sequence[str]) -> str:
     """Return the labels of the first few parameters, and how many more there are."""
-    labels = [attribution.labels.get(name, name) for name in names[:_NAMED]]
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{'; '.join(labels)}{more}"  # a label may have a comma or a colon
+    # A label may have a comma or a colon.
+    return first_few([attribution.labels.get(name, name) for name in names], "; ")
 
 
 def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
