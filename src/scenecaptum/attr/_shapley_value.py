@@ -16,6 +16,7 @@ from ..checkpoint import Folder
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Stream, input_values, random_generator
 from ..protocols import ResultKind
+from ._baseline_words import describe_baselines
 from ._baselines import Baselines, Values, resolve_baselines
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
@@ -81,7 +82,8 @@ class ShapleyValueScene(Perturbation):
         inputs, target, denoise, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         baselines
-            Values of players that have not joined, as for ``FeatureAblationScene``.
+            Values of players that have not joined, as for ``FeatureAblationScene``: inputs that a mapping does not
+            name take the default, 0 for emitters and reflectances.
         groups
             The players: ``"kind"``, ``"material"``, ``"object"``, or a mapping from a player's name to the
             names or globs of its parameters. Parameters in no group are players of their own.
@@ -132,6 +134,7 @@ class ShapleyValueScene(Perturbation):
             target,
             effects_of,
             quantity=ResultKind.SHAPLEY_VALUE.value,
+            **describe_baselines(self.renderer, values, baselines, absent),
             groups={group: list(names) for group, names in members.items()},
             permutations="all" if orders is None else 2 * pairs,
             # These set the degrees of freedom of the errors.

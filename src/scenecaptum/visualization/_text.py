@@ -227,6 +227,12 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     return [note]
 
 
+def baseline_notes(attribution: Attribution) -> list[str]:
+    """Return a note on what contributions are compared with, if the user chose it."""
+    compared = attribution.info.get("compared_with")
+    return [f"compared with: {compared}"] if compared else []
+
+
 def _comparison_notes(attribution: Attribution) -> list[str]:
     """Return a note on the change by another renderer, if it was measured."""
     against = (attribution.info.get("planner") or {}).get("against")
