@@ -182,6 +182,10 @@ def _table(
             if is_occlusion
             else "Σ totals over the texels, vertices or faces"
         )
+    if not attribution.kind.has_sign and any(min(row.total) < 0 for row in shown):
+        notes.append(
+            "below 0: not above the noise of rendering, which is subtracted; more samples would show the value"
+        )
     if attribution.kind is ResultKind.ABLATION and any(len(row.total) > 1 for row in shown):
         notes.append(
             'of a colour, the sum of the losses of its channels, each alone: groups="object" ablates together'
