@@ -86,9 +86,9 @@ class IntegratedGradientsScene(GradientMethod):
         return_convergence_delta
             Return ``(attribution, delta)``.
         spp
-            Total samples per pixel, split over the steps. Non-linear metrics use at least 16 at each step
-            (``info["budget"]``). Each end of the path takes another eighth, for a non-linear metric as many as the
-            pictures of all steps together.
+            Total samples per pixel, split over the steps and rounded up to at least one for each replicate: 16 for
+            32 steps are 40. Non-linear metrics use at least 16 at each step (``info["budget"]``). Each end of the
+            path takes another eighth, for a non-linear metric as many as the pictures of all steps together.
         picture_spp
             Samples per pixel of the metric images over all steps, and of that of each end, for non-linear
             metrics; by default the minimum.

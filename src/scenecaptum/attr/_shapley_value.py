@@ -93,8 +93,11 @@ class ShapleyValueScene(Perturbation):
             their baselines do not count.
         seed
             Random seed, for the permutations and the renders. All subsets use common random numbers.
-        spp, replicates
-            As for ``FeatureAblationScene``, with the subsets of players that are rendered as scenes.
+        spp
+            Total samples per pixel over all subsets of players that are rendered, split evenly over subsets and
+            replicates and rounded up to at least one each, so that ``info["spp"]`` may be a multiple of it.
+        replicates
+            As for ``FeatureAblationScene``.
 
         Returns
         -------
