@@ -138,7 +138,7 @@ def test_integrated_gradients_of_a_network_advise_samples_of_the_pictures_too():
         found = dataclasses.replace(found, covariance=large)
         text = " ".join(str(found).split())
         assert "smoothing=0.3" in text
-        assert ("picture_spp=" in text) is more
+        assert ("picture_spp= in Python, --picture-spp on the command line" in text) is more
 
 
 def test_a_network_advises_smoothing_until_it_is_smoothed():
@@ -190,4 +190,6 @@ def test_large_errors_of_differences_of_values_advise_more_samples_not_smoothing
         str(FeatureAblationScene(renderer, jumping).attribute(seed=shifted(), denoise=False)).split()
     )
     assert "smooth it" not in text
-    assert ("more samples, spp=, lower them" in text) != ("caution" in text)
+    assert ("more samples lower them, spp= in Python, --spp on the command line" in text) != (
+        "caution" in text
+    )

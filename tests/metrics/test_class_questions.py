@@ -102,6 +102,21 @@ def test_a_probability_is_the_softmax_of_the_logits():
     assert metric.verdict(WHITE) == "probability 0.18 of class 2, but 0.79 of class 1"
 
 
+@pytest.mark.parametrize(
+    ("probabilities", "verdict"),
+    [
+        ((0.01002, 0.01004, 0.97994), "probability 0.01 of class 0, but 0.98 of class 2"),
+        ((0.331, 0.334, 0.335), "probability 0.33 of class 0, but 0.34 of class 2"),
+        ((0.3312, 0.3341, 0.3347), "probability 0.331 of class 0, but 0.335 of class 2"),
+        ((0.33330, 0.33334, 0.33336), "probability 0.33 of class 0, about equal to that of class 2"),
+        ((0.35, 0.33, 0.32), "probability 0.35 of class 0"),
+    ],
+)
+def test_a_verdict_writes_as_many_digits_as_tell_two_probabilities_apart(probabilities, verdict):
+    logits = [math.log(share) for share in probabilities]
+    assert ClassProbability(logits_of(logits), 0, UNCHANGED).verdict(WHITE) == verdict
+
+
 def test_the_gradient_of_a_probability_is_p_times_q_that_of_the_contrast_with_all_others():
     image, model = ordinary(), small_network(3)
 

@@ -265,6 +265,9 @@ def by_hand():
 
 def test_table_and_figure_mark_insignificant_elements(by_hand):
     assert by_hand.significant.tolist() == [[True, False], [False, False]]
+    assert str(by_hand).startswith(
+        "second derivatives of Glare, per unit along each parameter's own gradient"
+    )
     assert "1 of 3 second derivatives of Glare differ from 0" in str(by_hand)
     (line,) = [line for line in str(by_hand).splitlines() if line.startswith("1 lamp")]
     assert line.split() == ["1", "lamp", "2.000", "0.1(4)?"]

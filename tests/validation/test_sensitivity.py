@@ -14,7 +14,7 @@ from seeds import seeds, shifted
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.validation import compare_sensitivity, dgsm
-from scenecaptum.validation._scalars import find_scalars
+from scenecaptum.validation._scalars import INTERVAL_NOTE, find_scalars
 from scenecaptum.validation._sensitivity import _samples_until_stable
 
 
@@ -334,6 +334,9 @@ def test_tables_and_figure(mi):
     text = str(found)
     assert "back_wall: reflectance" in text
     assert "renders until the top 3 is stable" in text
+    assert text.splitlines()[-4].startswith("mean luminance; *")  # the metric's name, not that of its class
+    assert "a render has spp samples per pixel" in text
+    assert text.endswith(INTERVAL_NOTE)
     assert len({line.index("Sobol total") for line in text.splitlines() if line.startswith("parameter")}) == 1
     figure = found.plot()
     assert [ax.get_title(loc="left") for ax in figure.axes] == [one.method for one in found.methods]
@@ -344,3 +347,4 @@ def test_tables_and_figure(mi):
     assert sum(bar.get_facecolor() == bars[0].get_facecolor() for bar in bars) == 3
     lines = str(dgsm(renderer, metrics.MeanLuminance(), points=4)).splitlines()
     assert lines[0].split()[:3] == ["parameter", "from", "to"]
+    assert "\n".join(lines[-2:]) == INTERVAL_NOTE

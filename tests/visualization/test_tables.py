@@ -129,6 +129,17 @@ def test_table_says_whether_effects_are_extrapolated(quantity: str, note: str) -
     assert note in table_text(make(quantity=quantity)).splitlines()
 
 
+@pytest.mark.parametrize("quantity", [ResultKind.GRADIENT_VARIANCE, ResultKind.MEAN_SQUARED_GRADIENT])
+def test_table_explains_squares_below_0(quantity: ResultKind) -> None:
+    note = "below 0: not above the noise of rendering, which is subtracted"
+    result = make(quantity=quantity.value)
+    assert table_text(result).count(note) == 1
+    assert note in table_html(result)
+    positive = dataclasses.replace(result, attributions={n: v.abs() for n, v in result.items()})
+    assert note not in table_text(positive)
+    assert note not in table_text(make())
+
+
 def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
     def text(value: float, extent: float, top: int | None = None, effect: float = -2.0) -> str:
         name = "metal.alpha.value"

@@ -49,7 +49,8 @@ def resolve_baselines(
         - A mapping whose keys are exact names, globs, or kinds (``"emitters"``, ``"reflectance"``,
           ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"``, ``"media"``), and whose values are numbers or
           tensors that broadcast to the parameter. Names take precedence over globs, globs over kinds, and earlier
-          globs over later ones. Parameters that no key matches are treated as with None.
+          globs over later ones. Parameters that no key matches are treated as with None; to leave them unchanged,
+          start from the values: ``{**renderer.inputs, "floor.reflectance.value": 0.2}``.
         - Another scene (any object with ``inputs``): its values of the same names.
     default
         Replaces the rule for None, by parameter name.
@@ -140,12 +141,12 @@ def _other_scene(values: Values, others: Values) -> dict[str, Any]:
 
 def _from_mapping(renderer: Renderer, values: Values, baselines: Mapping[Any, Any]) -> dict[str, Any]:
     """Return the baselines given by a mapping; more specific keys override less specific ones."""
-    matched = [(*_matches(renderer, values, key), baselines[key]) for key in reversed(list(baselines))]
+    matched = [(*matches(renderer, values, key), baselines[key]) for key in reversed(list(baselines))]
     matched.sort(key=lambda entry: entry[0])
     return {name: baseline for _, names, baseline in matched for name in names}
 
 
-def _matches(renderer: Renderer, values: Values, key: Any) -> tuple[int, list[str]]:
+def matches(renderer: Renderer, values: Values, key: Any) -> tuple[int, list[str]]:
     """Return how specific a key is (0: a kind, 1: a glob, 2: a name), and the parameters that it matches."""
     if not isinstance(key, str):
         raise SceneCaptumError(f"baselines must be keyed by names, globs or kinds, not {type(key).__name__}.")

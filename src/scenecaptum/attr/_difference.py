@@ -89,6 +89,8 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error", "metric_bias")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
+    if a.info.get("compared_with") != b.info.get("compared_with"):
+        info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)
     explained_a, explained_b = a.info.get("explained"), b.info.get("explained")
     if delta is None or explained_a is None or explained_b is None:

@@ -13,6 +13,7 @@ from ..checkpoint import Folder
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, channel_totals, input_values
 from ..protocols import ResultKind
+from ._baseline_words import describe_baselines
 from ._baselines import Baselines, Values, resolve_baselines
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
@@ -71,7 +72,9 @@ class FeatureAblationScene(Perturbation):
             As for ``VanillaSceneGradient``.
         baselines
             Values of ablated features: None (emitters and reflectances 0, everything else unchanged), ``"dark"``,
-            ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer.
+            ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer. Inputs that a
+            mapping does not name take the default; ``{**renderer.inputs, "floor.reflectance.value": 0.2}`` leaves
+            them unchanged. ``info["baselines"]`` has what each input was compared with.
         groups
             ``"kind"``, ``"material"``, ``"object"``, or a mapping from a group's name to the names or globs of its
             members; parameters in no group are ablated one by one.
@@ -121,7 +124,10 @@ class FeatureAblationScene(Perturbation):
             drops = measured_drops(pseudo_values, parts, sizes)
             return {owner: Effect.of_totals(own, templates[owner]) for owner, own in drops.items()}, None
 
-        info = {"quantity": ResultKind.ABLATION.value}
+        info = {
+            "quantity": ResultKind.ABLATION.value,
+            **describe_baselines(self.renderer, values, baselines, absent),
+        }
         grouped = {} if members is None else {"groups": {g: list(names) for g, names in members.items()}}
         return self._results(measured, target, effects_of, **info, **grouped)
 

@@ -12,6 +12,7 @@ from ..checkpoint import Folder
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Point, Stream, interpolated_point, random_generator
 from ..protocols import ResultKind
+from ._baseline_words import describe_baselines, describe_several
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
 from ._groups import Groups
@@ -69,7 +70,8 @@ class GradientShapScene(GradientMethod):
         Parameters
         ----------
         baselines
-            A baseline as for ``IntegratedGradientsScene``, or a list of baselines with equal probability.
+            A baseline as for ``IntegratedGradientsScene``, or a list of baselines with equal probability. Inputs
+            that a mapping does not name take the default, 0 for emitters and reflectances.
         n_samples
             Number of random scenes.
         stdevs
@@ -101,15 +103,21 @@ class GradientShapScene(GradientMethod):
         if not given:
             raise SceneCaptumError("baselines is an empty list: give at least one scene to compare with.")
         starts = [resolve_baselines(self.renderer, run.values, baseline) for baseline in given]
+        info = {
+            "quantity": ResultKind.CONTRIBUTION.value,
+            **(
+                describe_several(len(given))
+                if len(given) > 1
+                else describe_baselines(self.renderer, run.values, given[0], starts[0])
+            ),
+        }
         noise = Noise(self.renderer, run.values, stdevs)
         points = _points(noise, starts, count, seed)
         sums, gradients, interrupted = run.sums(points, count, pairs=1, random_points=True)
         images, *references = run.render_scenes([run.values, *starts], gradients)
         results = [
             with_convergence(
-                run.result(
-                    metric, total, evaluation, gradients, interrupted, quantity=ResultKind.CONTRIBUTION.value
-                ),
+                run.result(metric, total, evaluation, gradients, interrupted, **info),
                 metric_difference(evaluation.metric, images, references),
             )
             for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True)

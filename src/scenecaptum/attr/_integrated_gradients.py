@@ -10,6 +10,7 @@ import torch
 from ..checkpoint import Folder
 from ..estimation import DEFAULT_REPLICATES, Denoise, Method, interpolated_point, quadrature
 from ..protocols import ResultKind
+from ._baseline_words import describe_baselines
 from ._baselines import Baselines, resolve_baselines
 from ._completeness import metric_difference, return_with_delta, with_convergence
 from ._groups import Groups
@@ -72,6 +73,9 @@ class IntegratedGradientsScene(GradientMethod):
             The scene to compare with: ``"dark"`` (emitters off), ``"black"`` (reflectances 0), ``"grey"`` (each
             reflectance its mean), a number, a mapping from names, globs or kinds to values, or another scene. By
             default emitters and reflectances are 0 and everything else is unchanged, with an attribution of 0.
+            Inputs that a mapping does not name take this default too; to leave them unchanged, start from their
+            values: ``{**renderer.inputs, "floor.reflectance.value": 0.2}``. ``info["baselines"]`` has what each
+            input was compared with.
         n_steps
             Number of quadrature points, each with its own seed. With fewer than 8 the estimated quadrature error
             is large.
@@ -82,9 +86,9 @@ class IntegratedGradientsScene(GradientMethod):
         return_convergence_delta
             Return ``(attribution, delta)``.
         spp
-            Total samples per pixel, split over the steps. Non-linear metrics use at least 16 at each step
-            (``info["budget"]``). Each end of the path takes another eighth, for a non-linear metric as many as the
-            pictures of all steps together.
+            Total samples per pixel, split over the steps and rounded up to at least one for each replicate: 16 for
+            32 steps are 40. Non-linear metrics use at least 16 at each step (``info["budget"]``). Each end of the
+            path takes another eighth, for a non-linear metric as many as the pictures of all steps together.
         picture_spp
             Samples per pixel of the metric images over all steps, and of that of each end, for non-linear
             metrics; by default the minimum.
@@ -110,6 +114,7 @@ class IntegratedGradientsScene(GradientMethod):
         )
         run = self._start(inputs, target, settings)
         start = resolve_baselines(self.renderer, run.values, baselines)
+        compared = describe_baselines(self.renderer, run.values, baselines, start)
         points = (
             interpolated_point(start, run.values, node, weight)
             for node, weight in zip(rule.nodes, rule.weights, strict=True)
@@ -119,7 +124,7 @@ class IntegratedGradientsScene(GradientMethod):
         images, reference = run.render_scenes([run.values, start], gradients)
         results = []
         for metric, total, evaluation in zip(run.metrics, sums, run.evaluate_inputs(images), strict=True):
-            info = {"quadrature": method, "quantity": ResultKind.CONTRIBUTION.value}
+            info = {"quadrature": method, "quantity": ResultKind.CONTRIBUTION.value, **compared}
             result = run.result(metric, total, evaluation, gradients, interrupted, **info)
             result = with_quadrature_error(result, rule, total, run.members)
             explained = metric_difference(evaluation.metric, images, [reference])

@@ -17,6 +17,7 @@ from ..checkpoint import Folder
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, covariance_of_mean, input_values
 from ..protocols import ResultKind
+from ._baseline_words import describe_baselines
 from ._baselines import Baselines, Values, resolve_baselines
 from ._method import Result, Settings, Targets
 from ._perturbation import Arm, Effect, Effects, Perturbation, measured_drops
@@ -83,7 +84,8 @@ class OcclusionScene(Perturbation):
         strides
             Strides of the window, in the same format; by default the window size, without overlap.
         baselines
-            Values of occluded patches, as for ``FeatureAblationScene``; by default each channel's mean.
+            Values of occluded patches, as for ``FeatureAblationScene``; by default each channel's mean, also of
+            textures that a mapping does not name.
         target, seed, spp, replicates, denoise, checkpoint, executor, show_progress
             As for ``FeatureAblationScene``.
 
@@ -130,7 +132,10 @@ class OcclusionScene(Perturbation):
             drops = measured_drops(pseudo_values, parts, sizes)
             return {name: _effect(own, windows[name], textures[name]) for name, own in drops.items()}, None
 
-        return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION.value)
+        info = describe_baselines(
+            self.renderer, textures, baselines, occluded, default="the mean of each channel"
+        )
+        return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION.value, **info)
 
 
 @dataclass(frozen=True)

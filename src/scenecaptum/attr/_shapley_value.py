@@ -16,6 +16,7 @@ from ..checkpoint import Folder
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, Stream, input_values, random_generator
 from ..protocols import ResultKind
+from ._baseline_words import describe_baselines
 from ._baselines import Baselines, Values, resolve_baselines
 from ._groups import Groups, resolve_groups
 from ._method import Result, Settings, Targets
@@ -81,7 +82,8 @@ class ShapleyValueScene(Perturbation):
         inputs, target, denoise, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         baselines
-            Values of players that have not joined, as for ``FeatureAblationScene``.
+            Values of players that have not joined, as for ``FeatureAblationScene``: inputs that a mapping does not
+            name take the default, 0 for emitters and reflectances.
         groups
             The players: ``"kind"``, ``"material"``, ``"object"``, or a mapping from a player's name to the
             names or globs of its parameters. Parameters in no group are players of their own.
@@ -91,8 +93,11 @@ class ShapleyValueScene(Perturbation):
             their baselines do not count.
         seed
             Random seed, for the permutations and the renders. All subsets use common random numbers.
-        spp, replicates
-            As for ``FeatureAblationScene``, with the subsets of players that are rendered as scenes.
+        spp
+            Total samples per pixel over all subsets of players that are rendered, split evenly over subsets and
+            replicates and rounded up to at least one each, so that ``info["spp"]`` may be a multiple of it.
+        replicates
+            As for ``FeatureAblationScene``.
 
         Returns
         -------
@@ -132,6 +137,7 @@ class ShapleyValueScene(Perturbation):
             target,
             effects_of,
             quantity=ResultKind.SHAPLEY_VALUE.value,
+            **describe_baselines(self.renderer, values, baselines, absent),
             groups={group: list(names) for group, names in members.items()},
             permutations="all" if orders is None else 2 * pairs,
             # These set the degrees of freedom of the errors.

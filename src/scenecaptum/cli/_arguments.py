@@ -69,7 +69,11 @@ def add_objects(parser: argparse.ArgumentParser) -> None:
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """Add the number of samples, the depth and the seed."""
     parser.add_argument(
-        "--spp", type=int, metavar="N", help="total samples per pixel (default: the scene's own)"
+        "--spp",
+        type=int,
+        metavar="N",
+        help="total samples per pixel, at least: rounded up for each scene and step of a method (default: the "
+        "scene's own)",
     )
     parser.add_argument(
         "--max-depth",

@@ -88,12 +88,21 @@ class ClassifierMetric(NetworkMetric):
         return text if self.noise is None else without_smoothing(self.values(logits)[0, index].item(), text)
 
     def _probabilities(self, probabilities: torch.Tensor, index: int) -> str:
-        """Return the probability of a class and, if another is more likely, which."""
-        text = f"probability {_probability(probabilities[index].item())} of {class_name(index, self.classes)}"
+        """Return the probability of a class and, if another is more likely, which.
+
+        With a third digit where two do not tell the probabilities apart.
+        """
         best = int(probabilities.argmax())
+        name, likelier = class_name(index, self.classes), class_name(best, self.classes)
+        own, largest = probabilities[index].item(), probabilities[best].item()
+        text = f"probability {_probability(own)} of {name}"
         if best == index:
             return text
-        return f"{text}, but {_probability(probabilities[best].item())} of {class_name(best, self.classes)}"
+        for digits in (2, 3):
+            written = [_probability(share, digits) for share in (own, largest)]
+            if written[0] != written[1]:
+                return f"probability {written[0]} of {name}, but {written[1]} of {likelier}"
+        return f"{text}, about equal to that of {likelier}"
 
     def extra_repr(self) -> str:
         """Show the class and the settings."""
@@ -118,5 +127,5 @@ def _not_logits(model: object, output: Any) -> str:
     )
 
 
-def _probability(share: float) -> str:
-    return "above 0.99" if share > 0.99 else rounded(share, 2)
+def _probability(share: float, digits: int = 2) -> str:
+    return "above 0.99" if share > 0.99 else rounded(share, digits)

@@ -28,7 +28,7 @@ from ..estimation import (
 )
 from ..protocols import Capabilities, Renderer
 from ..visualization import align_with_errors, format_with_error, grid, pluralize, rounded, shorten
-from ._scalars import Intervals, Scalar, Values, find_scalars, point_at
+from ._scalars import INTERVAL_NOTE, Intervals, Scalar, Values, find_scalars, point_at
 
 P = TypeVar("P", bound="Problem")
 
@@ -330,7 +330,8 @@ class DGSM:
         )
         hidden = len(self.rows) - len(rows)
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
-        return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", summary])
+        rows_of_text = grid([*columns], list(zip(*columns.values(), strict=True)))
+        return "\n".join([*rows_of_text, *more, "", summary, INTERVAL_NOTE])
 
     def __str__(self) -> str:
         return self.text()

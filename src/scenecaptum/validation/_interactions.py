@@ -84,16 +84,16 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     top
         Number of parameters. Each costs the gradients of four scenes.
     scale
-        ``"unit"``: per unit of both parameters. ``"range"``: times the physical ranges of both, which makes an
-        albedo and a radiance comparable; an infinite range is replaced by the parameter's largest value.
+        ``"unit"``: per unit step of both parameters. ``"range"``: times the physical ranges of both, which makes
+        an albedo and a radiance comparable; an infinite range is replaced by the parameter's largest value.
     seed, spp, replicates, checkpoint
         As for ``ablation_test``.
 
     Returns
     -------
     Interactions
-        The matrix ``(P, P)`` in the metric's unit per unit of both parameters, or in the metric's unit for
-        ``scale="range"``, with standard errors and a symmetry test.
+        The matrix ``(P, P)`` in the metric's unit per unit step of both parameters along their gradients, or in
+        the metric's unit for ``scale="range"``, with standard errors and a symmetry test.
 
     Raises
     ------
@@ -277,8 +277,8 @@ class Interactions:
 
     @property
     def _heading(self) -> str:
-        unit = "per unit of either" if self.scale == "unit" else "over the range of either"
-        return f"second derivatives of {self.metric} {unit}"
+        unit = "per unit" if self.scale == "unit" else "over the range"
+        return f"second derivatives of {self.metric}, {unit} along each parameter's own gradient"
 
     def _formatted(self) -> dict[tuple[int, int], str]:
         indices = range(len(self.names))

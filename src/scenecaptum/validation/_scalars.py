@@ -20,6 +20,11 @@ from ..scene import OPEN_MARGIN
 Values: TypeAlias = "Mapping[str, torch.Tensor]"
 Intervals: TypeAlias = "Mapping[str, tuple[float, float]] | None"
 
+INTERVAL_NOTE = (  # below the tables of all that vary a ``Scalar``
+    "a colour or texture keeps its hue or pattern, and only its largest number goes through the interval,\n"
+    'so no column is the "effect over the range" of other tables, where every channel goes through its range'
+)
+
 
 @dataclass(frozen=True)
 class Scalar:

@@ -120,7 +120,7 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
     for k, one in enumerate(black_box.metrics):
         order = np.argsort([-value for value in sobol[k].values.values()], kind="stable")
         ordered = tuple(scalars[i] for i in order)
-        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], one.name))
+        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], one.label))
     return results if isinstance(target, list) else results[0]
 
 

@@ -28,7 +28,7 @@ from ..visualization import (
     shorten,
     style_axes,
 )
-from ._scalars import Scalar
+from ._scalars import INTERVAL_NOTE, Scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,7 +88,8 @@ class SensitivityComparison:
     parameters
         The parameters with their intervals, in order of decreasing total Sobol index.
     local
-        Plain gradient at the current values, scaled to the interval: ``|∂M/∂θ| (high − low)``.
+        Plain gradient at the current values, scaled to the interval: ``|∂M/∂θ| (high − low)``. Of a colour, θ
+        is its largest channel and the hue stays, so this is not the effect over the range of an attribution.
     dgsm
         Upper bound of the total Sobol index from gradients at points over the intervals, relative to the variance
         of the metric in Sobol's samples.
@@ -163,8 +164,12 @@ class SensitivityComparison:
             marked = map(str.__add__, values, marks)
             columns.append((method.method, *marked, *([""] * len(more)), "", *self._cost(method)))
         headers, *rows = zip(*columns, strict=True)
-        note = f"{self.metric}; * the top {size} of each method; a backward pass counts as a render"
-        return "\n".join([*grid(headers, rows), "", note])
+        notes = [
+            f"{self.metric}; * the top {size} of each method",
+            "a render has spp samples per pixel, and fewer are a part of one; a backward pass counts as a render",
+            INTERVAL_NOTE,
+        ]
+        return "\n".join([*grid(headers, rows), "", *notes])
 
     def _cost(self, method: SensitivityIndex) -> list[str]:
         tau = self.agreement.get((method.method, self.sobol.method))

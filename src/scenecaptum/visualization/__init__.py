@@ -80,6 +80,7 @@ from ._table import STYLE as STYLE
 from ._table import table_html as table_html
 from ._table import table_text as table_text
 from ._text import axis_label as axis_label
+from ._text import baseline_notes as baseline_notes
 from ._text import caution_groups as caution_groups
 from ._text import convergence_notes as convergence_notes
 from ._text import count_of as count_of

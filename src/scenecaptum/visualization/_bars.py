@@ -32,6 +32,7 @@ from ._layout import wrapped_lines
 from ._numbers import shorten
 from ._text import (
     axis_label,
+    baseline_notes,
     caution_groups,
     convergence_notes,
     method_name,
@@ -203,7 +204,7 @@ def _footnotes(
         "" if any(row.saliency for row in rows) else "all effects are 0",
         f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",
     ]
-    lines = pack([note for note in notes if note], width)
+    lines = [*pack([note for note in notes if note], width), *baseline_notes(attribution)]
     for text, names in cautions.items():
         labels = shorten([attribution.labels.get(name, name) for name in names[:_MAX_NAMES]], _NAME_WIDTH)
         more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []

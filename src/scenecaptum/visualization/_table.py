@@ -14,6 +14,7 @@ from ._layout import grid, wrap
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
 from ._text import (
     axis_label,
+    baseline_notes,
     caution_groups,
     convergence_notes,
     count_of,
@@ -164,6 +165,7 @@ def _table(
     channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
+    notes += baseline_notes(attribution)
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")
@@ -179,6 +181,10 @@ def _table(
             "Σ grows with the number of texels, each of which has the effect of its patch: see the map"
             if is_occlusion
             else "Σ totals over the texels, vertices or faces"
+        )
+    if not attribution.kind.has_sign and any(min(row.total) < 0 for row in shown):
+        notes.append(
+            "below 0: not above the noise of rendering, which is subtracted; more samples would show the value"
         )
     if attribution.kind is ResultKind.ABLATION and any(len(row.total) > 1 for row in shown):
         notes.append(

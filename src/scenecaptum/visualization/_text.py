@@ -199,9 +199,16 @@ def _advice(attribution: Attribution) -> list[str]:
     if not are_large:
         return []
     if attribution.kind in _OF_DIFFERENCES:  # the metric's advice is about its gradient
-        return [] if noise_notes(attribution) else ["the errors are large: more samples, spp=, lower them"]
+        large = f"the errors are large: more samples lower them, {_option('spp')}"
+        return [] if noise_notes(attribution) else [large]
     has_path = ((attribution.info.get("budget") or {}).get("points") or 1) > 1
-    return [f"{advice}, and so do more samples of the pictures, picture_spp=" if has_path else str(advice)]
+    more = f", and so do more samples of the pictures, {_option('picture_spp')}" if has_path else ""
+    return [f"{advice}{more}"]
+
+
+def _option(keyword: str) -> str:
+    """Return how to set a number, for the readers of both languages: a table may be of either."""
+    return f"{keyword}= in Python, --{keyword.replace('_', '-')} on the command line"
 
 
 def convergence_notes(attribution: Attribution) -> list[str]:
@@ -224,6 +231,12 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     if error and quadrature and quadrature > error / 2:
         note += ", mostly quadrature error: use more steps"
     return [note]
+
+
+def baseline_notes(attribution: Attribution) -> list[str]:
+    """Return a note on what contributions are compared with, if the user chose it."""
+    compared = attribution.info.get("compared_with")
+    return [f"compared with: {compared}"] if compared else []
 
 
 def _comparison_notes(attribution: Attribution) -> list[str]:

@@ -1,0 +1,92 @@
+"""What a result is compared with, in words: for ``info`` and for the note below its table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from ..protocols import Capabilities, Renderer
+from ._baselines import Baselines, Values, matches, table_of
+from ._wording import value_in_words
+
+_UNCHANGED = "unchanged"
+_MAX_CHANNELS = 4
+_MAX_NAMED = 4
+_PRESETS = {
+    "dark": "all lights off, everything else unchanged",
+    "black": "all reflectances 0, everything else unchanged",
+    "grey": "each reflectance at its own mean, everything else unchanged",
+}
+
+
+def describe_baselines(
+    renderer: Renderer,
+    values: Values,
+    baselines: Baselines,
+    resolved: Values,
+    *,
+    default: str = "lights and reflectances 0",
+) -> dict[str, Any]:
+    """Return ``"baselines"``, that of each input in words, and ``"compared_with"`` if any is given.
+
+    ``resolved`` are the tensors that ``resolve_baselines`` returned, ``default`` says what those of None are.
+    """
+    info: dict[str, Any] = {"baselines": {n: _written(resolved[n], value) for n, value in values.items()}}
+    if baselines is None:
+        return info
+    if isinstance(baselines, str):
+        return info | {"compared_with": _PRESETS[baselines]}
+    if Capabilities(baselines).inputs is not None:
+        return info | {"compared_with": "the values of another scene"}
+    if isinstance(baselines, Mapping):
+        return info | {"compared_with": _of_mapping(renderer, values, baselines, resolved, default)}
+    return info | {
+        "compared_with": f"all inputs at {_written(torch.as_tensor(baselines, dtype=torch.float32))}"
+    }
+
+
+def describe_several(count: int) -> dict[str, Any]:
+    """Return the same for a list of baselines."""
+    return {"baselines": f"{count} baselines", "compared_with": f"{count} baselines with equal probability"}
+
+
+def _of_mapping(
+    renderer: Renderer, values: Values, baselines: Mapping[str, Any], resolved: Values, default: str
+) -> str:
+    """Return what the inputs that a mapping names are compared with, and the others."""
+    changed = {name for name, value in values.items() if not torch.equal(resolved[name], value)}
+    labels = Capabilities(renderer).labels or {}
+    named: set[str] = set()
+    moved, kept = [], []
+    for key, given in baselines.items():
+        names = matches(renderer, values, key)[1]
+        named |= set(names)
+        if changed.isdisjoint(names):
+            kept.append(labels.get(key, key))
+        else:
+            moved.append(f"{labels.get(key, key)} {_written(torch.as_tensor(given, dtype=torch.float32))}")
+    parts = moved[:_MAX_NAMED]
+    if len(moved) > _MAX_NAMED:
+        parts.append(f"{len(moved) - _MAX_NAMED} more at the given values")
+    others = "all other inputs" if moved or kept else "all inputs"
+    if changed - named:
+        parts += [f"{name} unchanged" for name in kept[:_MAX_NAMED]]
+        parts += [f"{len(kept) - _MAX_NAMED} more unchanged"] if len(kept) > _MAX_NAMED else []
+        zero = default if table_of(renderer) is not None else "0"
+        parts.append(f"{others} at their default baselines ({zero})")
+    elif kept or named != set(values):
+        parts.append(f"{others if moved else 'all inputs'} unchanged")
+    return "; ".join(parts)
+
+
+def _written(baseline: torch.Tensor, value: torch.Tensor | None = None) -> str:
+    """Return a baseline in words: a number, a colour, or the mean of a map."""
+    if value is not None and torch.equal(baseline, value):
+        return _UNCHANGED
+    channels = baseline.reshape(-1, baseline.shape[-1]) if baseline.ndim > 1 else baseline.reshape(1, -1)
+    if channels.shape[-1] > _MAX_CHANNELS:
+        return "the given values"
+    is_uniform = torch.equal(channels, channels[:1].expand_as(channels))
+    return f"{'' if is_uniform else 'a mean of '}{value_in_words(baseline)}"
