@@ -165,7 +165,7 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale:
 
     labels, signed = sign_labels(attribution), _is_signed(attribution, scale)
     present = {color_of(row, attribution, scale) for row in rows if row.saliency}
-    meanings = {UNCLEAR: "never negative: it has no sign"}
+    meanings = {UNCLEAR: "a square or variance: it has no sign"}
     if labels is not None:
         meanings = {
             RAISES: labels[0],
