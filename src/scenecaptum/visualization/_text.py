@@ -71,8 +71,8 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
 def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
-    If the third may be the first as well, "and others" follows. If no effect exceeds two standard errors, it says
-    so. It names no effect with a note (``~``), which may be overstated.
+    If the third may be the first as well, "and others" follows. It names only effects that exceed two standard
+    errors, and says so if the largest does not. It names no effect with a note (``~``), which may be overstated.
     """
     metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     noted = range_marked(range_notes(attribution, scale))
@@ -80,10 +80,10 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
         return f"{metric} depends on none of these parameters"
     if ranking[0].saliency and not _is_clear(ranking[0]):
         return f"{metric}: the largest effect is within the noise"
-    leaders = [row for row in ranking if row.name not in noted][:3]
-    if not leaders or not _is_clear(leaders[0]):
+    unmarked = [row for row in ranking if row.name not in noted]
+    if not unmarked or not _is_clear(unmarked[0]):
         return f"{metric}: see the notes on the effects marked ~"
-    first, *others = leaders
+    first, *others = [row for row in unmarked if _is_clear(row)][:3]
     tied = [row for row in others if not _are_apart(first, row)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
