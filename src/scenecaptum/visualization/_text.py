@@ -171,6 +171,23 @@ def noise_notes(attribution: Attribution) -> list[str]:
     return [f"caution: {caution}"] if caution else []
 
 
+def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
+    """Return what a group named after several shapes is, if there is one among the named rows.
+
+    Its shapes are in other rows as well, with what belongs to each of them alone.
+    """
+    groups, surfaces = attribution.info.get("groups") or {}, attribution.surfaces
+    if surfaces is None:
+        return []
+    for name in names:
+        members = set(groups.get(name, ()))
+        using = zip(surfaces.objects, surfaces.parameters, strict=True)
+        shapes = [shape for shape, used in using if members.intersection(used)]
+        if len(shapes) > 1 and ", ".join(shapes[:2]) in name:
+            return ["a material that several shapes share is one row, with these shapes in parentheses"]
+    return []
+
+
 def jump_notes(attribution: Attribution) -> list[str]:
     """Return a note on each pose that has no derivative and is not ranked, or not in some directions."""
     labels, info = attribution.labels, attribution.info
