@@ -194,6 +194,22 @@ def test_of_many_effects_none_is_stated_because_one_is_beyond_two_errors_by_chan
     assert not stated(4.4, 20)
 
 
+def test_where_no_effect_can_be_ranked_the_changes_that_are_clear_as_rendered_are_named():
+    noisy = of_range(**{f"wall_{index}": (torch.tensor(3e-3), torch.tensor(0.5)) for index in range(30)})
+    unranked = "which of 30 parameters matter most: no effect is clear enough to rank"
+
+    def said(*changes: Change) -> list[str]:
+        return lines(Explanation(noisy, changes=changes))["Too noisy to say"]
+
+    assert said() == [f"{unranked}; use more samples"]
+    assert said(change(None)) == said()
+    within_noise, *others = said(change(-0.03))
+    assert ("within its noise" in within_noise, others) == (True, said())
+    assert said(change(-0.68)) == [
+        f"{unranked}, but rendered changes are clear: wall_left reflectance (−0.680 ± 0.020); use more samples"
+    ]
+
+
 def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_stated():
     inputs = {f"a_{index}": (torch.tensor(0.01), torch.tensor(0.5)) for index in range(20)}
     found = of_range(**inputs, other=(torch.tensor(0.04), torch.tensor(0.5)))

@@ -373,17 +373,7 @@ class Explanation:
         if not clear and self._saturated():
             return lines
         if not clear:
-            return [
-                *lines,
-                *(
-                    [
-                        f"which of {pluralize(len(unclear), 'parameter')} matter: no effect is clear of the "
-                        "noise; use more samples"
-                    ]
-                    if unclear
-                    else []
-                ),
-            ]
+            return [*lines, self._unranked_line(len(unclear))] if unclear else lines
         smallest = min(abs(row.effect) for row in clear[: self.count])
         # An effect as large as the smallest that is stated may hide in the error of another.
         hiding = [
@@ -392,6 +382,17 @@ class Explanation:
         if not hiding:
             return lines
         return [*lines, self._hiding_line(hiding, smallest)]
+
+    def _unranked_line(self, count: int) -> str:
+        """Say that no effect stands out among all of them, and which changes are clear, as rendered."""
+        unranked = f"which of {pluralize(count, 'parameter')} matter most: no effect is clear enough to rank"
+        rendered = [
+            f"{in_words(change.label)} ({self._by(change.measured, change.measured_error)})"
+            for change in self.changes
+            if change.measured is not None and change.is_clear
+        ]
+        seen = f", but rendered changes are clear: {', '.join(rendered)}" if rendered else ""
+        return f"{unranked}{seen}; use more samples"
 
     def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
         """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""
