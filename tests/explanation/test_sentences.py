@@ -50,6 +50,19 @@ def test_only_the_quoted_value_is_too_close_to_a_limit():
     assert near.rating().endswith("too close to 19 to be sure")
 
 
+def test_the_error_of_a_rating_without_a_glare_source_is_explained():
+    def notes(value: float, error: float, verdict: str = "no glare source found") -> list[str]:
+        attribution = rated(value, error)
+        return Explanation(
+            dataclasses.replace(attribution, info={**attribution.info, "verdict": verdict})
+        ).notes()
+
+    note = "the error of 0.13 is noise: in single replicates a pixel is bright enough to count"
+    assert notes(0.0, 0.13) == [note]
+    assert notes(0.0, 0.0) == []
+    assert notes(12.0, 0.13, "within 16") == []
+
+
 def test_the_rating_of_a_picture_names_its_resolution():
     rating = rated(17.5, 0.1)
     assert Explanation(rating).headline() == "unified glare rating = 17.50 ± 0.10 at 6×4 pixels"

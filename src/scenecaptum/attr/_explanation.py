@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from ..estimation import student_t
+from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import (
@@ -155,7 +156,16 @@ class Explanation:
             *([f"{metric_symbol(self.attribution)}: {definition}"] if definition else []),
             *([] if self.definition is None else [self._which_to_quote()]),
             *self.premises,
+            *self._error_notes(),
         ]
+
+    def _error_notes(self) -> list[str]:
+        """Say what the error of a rating of 0 is, where the picture has no glare source."""
+        value, error = self.attribution.metric_value, self.attribution.metric_standard_error
+        if value or not error or self.definition is not None or verdict(self.attribution) != NO_SOURCE:
+            return []
+        _, written = with_error(value, error)
+        return [f"the error of {written} is noise: in single replicates a pixel is bright enough to count"]
 
     def rating(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
