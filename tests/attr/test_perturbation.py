@@ -18,6 +18,7 @@ from scenecaptum import (
     SceneCaptumError,
     SceneRenderer,
     ShapleyValueScene,
+    VanillaSceneGradient,
     metrics,
 )
 from scenecaptum.attr._baselines import resolve_baselines
@@ -564,6 +565,27 @@ def test_groups_hold_every_parameter_once(stage):
     for groups in (None, "kind", "material", "object", {"all of the sky": "sky.*"}):
         grouped = resolve_groups(stage, stage.inputs, groups)
         assert sorted(name for members in grouped.values() for name in members) == sorted(stage.inputs)
+
+
+def test_a_material_of_several_shapes_is_a_group_named_by_it(mi):
+    room = lamps(mi, [-1.0, 1.0], 0.5)
+    shared = {"type": "ref", "id": "diffuser"}
+    room = {"type": room.pop("type"), "diffuser": {"type": "diffuse"}, **room}
+    renderer = SceneRenderer(
+        {name: {**part, "bsdf": shared} if name.startswith("lamp_") else part for name, part in room.items()},
+        inputs="all",
+        spp=4,
+    )
+    assert resolve_groups(renderer, renderer.inputs, "object") == {
+        "diffuser (lamp_0, lamp_1)": ("diffuser.reflectance.value",),
+        "lamp_0": ("lamp_0.emitter.radiance.value",),
+        "lamp_1": ("lamp_1.emitter.radiance.value",),
+        "floor": ("floor.bsdf.reflectance.value",),
+    }
+    note = "a material that several shapes share is one row"
+    for groups, count in {"object": 1, "material": 0}.items():
+        result = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(groups=groups)
+        assert str(result).count(note) == count, groups
 
 
 BAD_BASELINES = {

@@ -50,6 +50,19 @@ def test_only_the_quoted_value_is_too_close_to_a_limit():
     assert near.rating().endswith("too close to 19 to be sure")
 
 
+def test_the_error_of_a_rating_without_a_glare_source_is_explained():
+    def notes(value: float, error: float, verdict: str = "no glare source found") -> list[str]:
+        attribution = rated(value, error)
+        return Explanation(
+            dataclasses.replace(attribution, info={**attribution.info, "verdict": verdict})
+        ).notes()
+
+    note = "the error of 0.13 is noise: in single replicates a pixel is bright enough to count"
+    assert notes(0.0, 0.13) == [note]
+    assert notes(0.0, 0.0) == []
+    assert notes(12.0, 0.13, "within 16") == []
+
+
 def test_the_rating_of_a_picture_names_its_resolution():
     rating = rated(17.5, 0.1)
     assert Explanation(rating).headline() == "unified glare rating = 17.50 ± 0.10 at 6×4 pixels"
@@ -192,6 +205,22 @@ def test_of_many_effects_none_is_stated_because_one_is_beyond_two_errors_by_chan
     assert not stated(2.3, 1)
     assert stated(4.6, 20)
     assert not stated(4.4, 20)
+
+
+def test_where_no_effect_can_be_ranked_the_changes_that_are_clear_as_rendered_are_named():
+    noisy = of_range(**{f"wall_{index}": (torch.tensor(3e-3), torch.tensor(0.5)) for index in range(30)})
+    unranked = "which of 30 parameters matter most: no effect is clear enough to rank"
+
+    def said(*changes: Change) -> list[str]:
+        return lines(Explanation(noisy, changes=changes))["Too noisy to say"]
+
+    assert said() == [f"{unranked}; use more samples"]
+    assert said(change(None)) == said()
+    within_noise, *others = said(change(-0.03))
+    assert ("within its noise" in within_noise, others) == (True, said())
+    assert said(change(-0.68)) == [
+        f"{unranked}, but rendered changes are clear: wall_left reflectance (−0.680 ± 0.020); use more samples"
+    ]
 
 
 def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_stated():

@@ -160,8 +160,24 @@ def test_the_headline_is_the_value_by_the_definition_with_the_weather(browser, t
     assert quoted.startswith("quote 2, the value by")
     assert "the relaxed value 2.3369 ± 0.0005 only serves the derivatives" in quoted
     assert weather == "weather: Oslo"
+    effect = "over the range of the parameter, of the relaxed value"
+    for part in ("#notes", "#caption"):
+        assert effect in page.page.locator(part).inner_text()
     page.check(path)
     page.context.close()
+
+
+def test_a_phone_has_one_card_in_a_row(browser, tmp_path):
+    path = written(tmp_path, make(), make("Brightness"), make("Contrast"))
+    for width, is_narrow in ((390, True), (600, False)):
+        context = browser.new_context(viewport={"width": width, "height": 800})
+        page = context.new_page()
+        page.goto(path.as_uri())
+        tops = page.locator(".result").evaluate_all(
+            "(cards) => cards.map((one) => one.getBoundingClientRect().top)"
+        )
+        assert (len(set(tops)) == len(tops)) == is_narrow, width
+        context.close()
 
 
 def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
@@ -622,7 +638,7 @@ def test_a_map_of_noise_says_so(browser, tmp_path, size):
     values["chair.alpha"] += size
     values["sky.radiance.value"] = torch.tensor(1.0)  # no pixel shows it
     page = Page(browser, written(tmp_path, ranged(attributions=values)))
-    assert ("differs from noise" in page.page.locator("#caption").inner_text()) == (size == 0)
+    assert ("may be due to chance" in page.page.locator("#caption").inner_text()) == (size == 0)
     page.context.close()
 
 

@@ -157,6 +157,26 @@ def test_groups_and_results_without_error_bars_are_reported(tmp_path):
     assert result["rows"][0]["members"] == ["floor.reflectance.value", "lamp.radiance.value"]
     assert result["rows"][0]["error"] is None
     assert result["value"] is None
+    assert result["groupNotes"] == []
+    named = {"paint (floor, wall)": ["floor.reflectance.value"], "lamp": ["lamp.radiance.value"]}
+    shared = dataclasses.replace(
+        grouped,
+        attributions={name: torch.tensor(1.0) for name in named},
+        surfaces=dataclasses.replace(
+            quarters(HEIGHT, WIDTH),
+            objects=("floor", "wall", "lamp", "chair"),
+            parameters=(
+                ("floor.reflectance.value",),
+                ("floor.reflectance.value",),
+                ("lamp.radiance.value",),
+                (),
+            ),
+        ),
+        info={"groups": named},
+    )
+    write_report(shared, tmp_path / "shared.html")
+    (result,) = data_of(tmp_path / "shared.html")["results"]
+    assert [note[:40] for note in result["groupNotes"]] == ["a material that several shapes share is "]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import torch
 from seeds import seeds
 
 from scenecaptum.studies import Study, StudyResult
+from scenecaptum.visualization import rounded
 
 SMALL = {"inputs": "emitters", "resolution": (32, 18), "spp": 16, "max_depth": 3}
 # A sky just above 2000 cd/m², which counts in full by the definition and in part in the relaxed rating.
@@ -36,11 +37,20 @@ def test_a_rating_near_its_threshold_is_called_relaxed_and_has_no_class(
             assert bool(numbers["verdict"]) != relaxed
             assert (NOTE in " ".join(numbers["notes"])) == relaxed
             assert "valid if the scene's lights are in W/(m² sr)" in " ".join(numbers["notes"])
+            assert (numbers.get("relative_rating") is not None) == relaxed
     assert NOTE in str(result)
     assert NOTE in " ".join(result.summary(design="dim").notes())
     assert NOTE not in " ".join(result.summary(design="bright").notes())
     index = result.write_report(tmp_path / "report")
     assert NOTE in index.read_text(encoding="utf-8")
+    # The rating by the other threshold is a number of the table, and its sentence is there once.
+    rating = rounded(result.numbers(dim[0])["relative_rating"])
+    assert f"UGR is {rating}" in " ".join(result.numbers(dim[0])["notes"])
+    assert f"UGR is {rating}" not in str(result)
+    text = index.read_text(encoding="utf-8")
+    assert text.count("a source that is dimmed below it stops counting at once") == 1
+    assert text.count(f">{rating}</td>") == len(dim)
+    assert result.values()["relative_rating"].notna().sum() == len(dim)
     pages = {cell: index.parent / "cells" / f"{result.cells[cell]}.html" for cell in (dim[1], bright[1])}
     assert NOTE in pages[dim[1]].read_text(encoding="utf-8")
     assert NOTE not in pages[bright[1]].read_text(encoding="utf-8")

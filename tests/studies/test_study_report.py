@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 from browsers import browser
 from pages import NASTY, PHONE
+from PIL import Image
 
 from scenecaptum import SceneCaptumError
 from scenecaptum.studies import StudyResult
@@ -171,4 +173,27 @@ def test_a_phone_scrolls_down_only(browser: Any, index: Path, scheme: str) -> No
     dark = opened.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (dark == "rgb(19, 21, 23)") == (scheme == "dark")
     assert not problems
+    context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_table_that_is_wider_than_its_box_has_a_shaded_edge(browser: Any, index: Path, scheme: str) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 800}, color_scheme=scheme)
+    page = context.new_page()
+    page.goto(index.as_uri())
+
+    def shaded(scrolled: str) -> tuple[bool, bool]:
+        """Whether the left and the right edge are shaded, in the padding of the first row."""
+        wide = page.locator(".wide", has=page.locator("#cells"))
+        wide.evaluate(f"(one) => {{ one.scrollLeft = {scrolled}; }}")
+        picture = Image.open(io.BytesIO(wide.screenshot())).convert("L")
+        left, right = (picture.getpixel((x, 2)) for x in (0, picture.width - 1))
+        page_color = picture.getpixel((picture.width // 2, 2))
+        return abs(left - page_color) > 15, abs(right - page_color) > 15
+
+    assert shaded("0") == (False, True)
+    assert shaded("40") == (True, True)
+    assert shaded("one.scrollWidth") == (True, False)
+    page.set_viewport_size({"width": 1600, "height": 800})
+    assert shaded("0") == (False, False)
     context.close()

@@ -259,7 +259,9 @@ def test_what_cannot_be_estimated_is_said(tmp_path: Path) -> None:
 def test_effects_whose_errors_may_be_too_small_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    result = made.study(tmp_path, made.random_effects(made.cells(["office", "kitchen"]), 0))
+    rooms = ["office", "kitchen"]
+    result = made.study(tmp_path / "one", made.random_effects(made.cells(rooms, ["0"]), 0))
+    several = made.study(tmp_path / "several", made.random_effects(made.cells(rooms, ["0", "left"]), 0))
     assert not result.summary().doubts
     rare = {"desk.alpha": 0}  # samples behind its variance
     original = StudyResult.attribution
@@ -271,7 +273,8 @@ def test_effects_whose_errors_may_be_too_small_are_named(
 
     monkeypatch.setattr(StudyResult, "attribution", with_few_samples)
     (note,) = [line for line in result.summary(None).notes() if line.startswith("?")]
-    assert note.startswith("? the error of 1 effect may be too small (desk.alpha in office, ")
+    assert note.startswith("? the error of 1 effect may be too small (desk.alpha in office): ")
+    assert "(desk.alpha in office, camera 0" in " ".join(several.summary(None).notes())
 
 
 def test_no_effect_at_all_is_zero(tmp_path: Path) -> None:

@@ -179,13 +179,17 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     assert f"depends most on {first.label}\n" in all_text(plot_bars(make()))
     apart = {name: 0 * value for name, value in make().items()}
     assert "depends on none of these" in all_text(plot_bars(dataclasses.replace(make(), attributions=apart)))
-    noisy = {name: 1e6 * value for name, value in make().covariance.items()}
-    one_noisy = {**make().covariance, second.name: noisy[second.name]}
-    text = all_text(plot_bars(dataclasses.replace(make(), covariance=one_noisy)))
-    assert f"depends most on {first.label} and {second.label}\n" in text
-    two_noisy = {**one_noisy, third.name: noisy[third.name]}
-    text = all_text(plot_bars(dataclasses.replace(make(), covariance=two_noisy)))
+    # The first is clear of its error, and the second and the third are within it.
+    covariance = {**make().covariance, first.name: 37**2 * make().covariance[first.name]}
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
     assert f"depends most on {first.label}, {second.label} and others\n" in text
+    noisy = {name: 1e6 * value for name, value in make().covariance.items()}
+    covariance[second.name] = noisy[second.name]
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
+    assert f"depends most on {first.label} and {third.label}\n" in text, "names an effect lost in the noise"
+    covariance[third.name] = noisy[third.name]
+    text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
+    assert f"depends most on {first.label}\n" in text, "names an effect lost in the noise"
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
     assert "the largest effect is within the noise\n" in text
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from ..estimation import student_t
+from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import (
@@ -155,7 +156,16 @@ class Explanation:
             *([f"{metric_symbol(self.attribution)}: {definition}"] if definition else []),
             *([] if self.definition is None else [self._which_to_quote()]),
             *self.premises,
+            *self._error_notes(),
         ]
+
+    def _error_notes(self) -> list[str]:
+        """Say what the error of a rating of 0 is, where the picture has no glare source."""
+        value, error = self.attribution.metric_value, self.attribution.metric_standard_error
+        if value or not error or self.definition is not None or verdict(self.attribution) != NO_SOURCE:
+            return []
+        _, written = with_error(value, error)
+        return [f"the error of {written} is noise: in single replicates a pixel is bright enough to count"]
 
     def rating(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
@@ -373,17 +383,7 @@ class Explanation:
         if not clear and self._saturated():
             return lines
         if not clear:
-            return [
-                *lines,
-                *(
-                    [
-                        f"which of {pluralize(len(unclear), 'parameter')} matter: no effect is clear of the "
-                        "noise; use more samples"
-                    ]
-                    if unclear
-                    else []
-                ),
-            ]
+            return [*lines, self._unranked_line(len(unclear))] if unclear else lines
         smallest = min(abs(row.effect) for row in clear[: self.count])
         # An effect as large as the smallest that is stated may hide in the error of another.
         hiding = [
@@ -392,6 +392,17 @@ class Explanation:
         if not hiding:
             return lines
         return [*lines, self._hiding_line(hiding, smallest)]
+
+    def _unranked_line(self, count: int) -> str:
+        """Say that no effect stands out among all of them, and which changes are clear, as rendered."""
+        unranked = f"which of {pluralize(count, 'parameter')} matter most: no effect is clear enough to rank"
+        rendered = [
+            f"{in_words(change.label)} ({self._by(change.measured, change.measured_error)})"
+            for change in self.changes
+            if change.measured is not None and change.is_clear
+        ]
+        seen = f", but rendered changes are clear: {', '.join(rendered)}" if rendered else ""
+        return f"{unranked}{seen}; use more samples"
 
     def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
         """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""

@@ -44,7 +44,8 @@ def resolve_groups(
         - ``"kind"``: reflectances, roughnesses, emitters, ….
         - ``"material"``: by the materials, emitters or media that own the parameter.
         - ``"object"``: by the set of objects that use the parameter. A parameter that no object uses is grouped
-          with its owner.
+          with its owner. A material that several objects share is a group of its own: its name, with these
+          objects in parentheses.
         - A mapping from a group's name to the names or globs of its members. Other parameters stay separate.
 
     Raises
@@ -122,7 +123,14 @@ def _by_object(
     for object_name, parameters in zip(surfaces.objects, surfaces.parameters, strict=True):
         for name in parameters:
             objects_using.setdefault(name, []).append(object_name)
-    return _group_by(names, lambda name: tuple(objects_using.get(name) or table[name].owners or (name,)))
+    grouped = _group_by(names, lambda name: tuple(objects_using.get(name) or table[name].owners or (name,)))
+
+    def named(group: str, members: tuple[str, ...]) -> str:
+        owners = {table[name].owners for name in members}
+        is_shared = len(owners) == 1 and len(objects_using.get(members[0], ())) > 1
+        return f"{', '.join(owners.pop())} ({group})" if is_shared else group
+
+    return {named(group, members): members for group, members in grouped.items()}
 
 
 def _group_by(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 
 from ..estimation import Metric
@@ -27,12 +29,29 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
             f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
             f"source; {remedy}"
         ]
-    if factor is None and is_near_threshold(metric, image):
-        return [
-            f"only pixels brighter than {limit} count, and a source that is dimmed below it stops counting at "
-            f"once; {relative_rating(metric, image)}"
-        ]
+    if found := other_threshold(metric, image):
+        return [f"{found.note}; {relative_rating(metric, image)}"]
     return []
+
+
+class OtherThreshold(NamedTuple):
+    """What a threshold near the main source means, and the rating by the other usual threshold."""
+
+    note: str
+    rating: float
+
+
+def other_threshold(metric: Metric, image: torch.Tensor) -> OtherThreshold | None:
+    """Return the rating of a picture by the other threshold, where its main source is close to an absolute one."""
+    if not isinstance(metric, GlareRating) or metric.threshold_factor is not None:
+        return None
+    if not is_near_threshold(metric, image):
+        return None
+    note = (
+        f"only pixels brighter than {metric.threshold:g} cd/m² count, and a source that is dimmed below it stops "
+        "counting at once"
+    )
+    return OtherThreshold(note, metric.relative_to_mean(FACTOR).hard(image).item())
 
 
 def single_sample_notes(metric: GlareRating, image: torch.Tensor, other: torch.Tensor) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ from ._detection import DetectionScore as DetectionScore
 from ._dgi import DaylightGlareIndex as DaylightGlareIndex
 from ._dgp import DaylightGlareProbability as DaylightGlareProbability
 from ._embedding import EmbeddingDistance as EmbeddingDistance
+from ._glare import NO_SOURCE as NO_SOURCE
 from ._glare import GlareRating as GlareRating
 from ._illuminance import VerticalIlluminance as VerticalIlluminance
 from ._luminance import MeanLuminance as MeanLuminance

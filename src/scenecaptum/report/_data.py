@@ -29,6 +29,7 @@ from ..visualization import (
     caution_groups,
     color_of,
     convergence_notes,
+    group_notes,
     is_of_camera,
     method_name,
     metric_name,
@@ -209,7 +210,7 @@ def _result(
         # The first section is the headline, which stands on top anyway.
         "explanation": [] if explanation is None else explanation.sections()[1:],
         "quantity": attribution.kind.value,
-        "axis": axis_label(attribution),
+        "axis": _axis(attribution, explanation),
         "signs": sign_labels(attribution),
         "value": _number(attribution.metric_value),
         "error": _number(attribution.metric_standard_error),
@@ -217,6 +218,7 @@ def _result(
         "method": method_name(attribution),
         "sampling": sampling_notes(attribution),
         "convergence": [*convergence_notes(attribution), *baseline_notes(attribution)],
+        "groupNotes": group_notes(attribution, attribution),
         "cautions": list(cautions),
         "rangeNotes": list(of_range),
         "sceneCautions": scene_cautions(attribution),
@@ -246,6 +248,12 @@ def _result(
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(attribution.info),
     }
+
+
+def _axis(attribution: Attribution, explanation: Explanation | None) -> str:
+    """Return what the effects are: those of the relaxed value, where the one by the definition is stated."""
+    is_relaxed = explanation is not None and explanation.definition is not None
+    return f"{axis_label(attribution, width=None)}{', of the relaxed value' if is_relaxed else ''}"
 
 
 def _effect_unit(attribution: Attribution) -> str:

@@ -166,7 +166,7 @@ function drawScale(result, scale) {
 function captionOf(result, scale) {
   const axis = result.axis.charAt(0).toUpperCase() + result.axis.slice(1);
   const pointing = result.arrows.length ? ["; arrows: where moving an object raises the metric most"] : [];
-  if (result.isNoise && !scale.texels) pointing.push(". No pixel differs from noise: no effect is larger than its error explains.");
+  if (result.isNoise && !scale.texels) pointing.push(". No effect is clear enough to stand out among so many: a colour may be due to chance.");
   if (!scale.signed) return [axis, ...pointing];
   const unclear = result.objects.filter((one) => one.magnitude && !one.signed).length;
   if (unclear && !scale.texels) pointing.unshift(`; white: sign lost in the noise (${unclear} ${unclear === 1 ? "object" : "objects"})`);

@@ -134,6 +134,7 @@ function cautionsOf({ sampling }) {
 
 function drawNotes(result) {
   const notes = [make("p", {}, `${result.ranked}: ${result.axis}`)];
+  notes.push(...result.groupNotes.map((text) => make("p", {}, text)));
   notes.push(...result.cautions.map((text, index) => {
     const count = result.rows.filter((row) => row.caution === index).length;
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);

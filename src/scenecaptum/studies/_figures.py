@@ -45,7 +45,7 @@ from ..visualization import (
 )
 from ._cell_effects import KIND, CellResults, Group, cell_effects, selected_cells
 from ._random_effects import RoomEffect
-from ._recipe import Cell
+from ._recipe import Cell, camera_name
 from ._summary import GroupEffect, Summary
 
 if TYPE_CHECKING:
@@ -407,8 +407,8 @@ def _draw_gallery(
 
 
 def _camera_name(camera: str) -> str:
-    """Return the name above a column; one without a name is a number."""
-    return f"camera {camera}" if camera.isdigit() else shorten([camera], 24)[0]
+    """Return the name above a column."""
+    return shorten([camera_name(camera)], 24)[0]
 
 
 def _value(attribution: SceneAttribution) -> str:

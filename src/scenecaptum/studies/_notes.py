@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from ..estimation import TargetedMetric
-from ..explanation import photometric_premises, states_definition
+from ..explanation import FACTOR, other_threshold, photometric_premises, states_definition
 from ..metrics import GlareRating
 from ..rendering import SceneRenderer
 from ..visualization import group_by_text, pluralize
@@ -19,6 +19,7 @@ RELAXED = (
     "this rating is relaxed near the threshold, and has no class here: explain and compare state the value by "
     "the definition"
 )
+IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
 
 
@@ -32,23 +33,32 @@ def described(
     """Return measure, verdict and notes of a cell; ``info`` has what the metric says of the value itself.
 
     A glare rating with its main source near the threshold is called relaxed. It has no class: that of the value by
-    the definition may be another one.
+    the definition may be another one. The rating by the other threshold is a number of its own, too, for tables.
     """
     measure, verdict = info["measure"], info["verdict"] or ""
     notes = photometric_premises(metric.metric, image, value, renderer=renderer)
     if isinstance(metric.metric, GlareRating) and states_definition(metric, image):
         measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
         notes = (RELAXED, *notes)
-    return {"measure": measure, "verdict": verdict, "notes": list(notes)}
+    said = {"measure": measure, "verdict": verdict, "notes": list(notes)}
+    if (found := other_threshold(metric.metric, image)) is None:
+        return said
+    return {**said, "relative_rating": found.rating, "threshold_note": found.note}
 
 
 def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:
     """Return the notes on the values of some cells, each with the cells that it is of."""
-    pairs = [(str(cell), note) for cell in cells for note in result.numbers(cell).get("notes", ())]
+    pairs = [(str(cell), note) for cell in cells for note in _notes(result.numbers(cell))]
     grouped = group_by_text(pairs)
     lines = [f"{note} ({_which(names)})" for note, names in grouped.items()]
     more = len(lines) - MOST_NOTES
     return lines if more <= 0 else [*lines[:MOST_NOTES], f"{pluralize(more, 'more note')} on single cells"]
+
+
+def _notes(numbers: Mapping[str, Any]) -> list[str]:
+    """Return the notes of a cell, with the rating by the other threshold left to the table."""
+    notes, near = numbers.get("notes", []), numbers.get("threshold_note")
+    return [f"{near}; {IN_TABLE}" if near and note.startswith(near) else note for note in notes]
 
 
 def _which(names: list[str]) -> str:

@@ -37,8 +37,12 @@ class Cell(NamedTuple):
 
     def __str__(self) -> str:
         """Return the names; a number says what it is of."""
-        camera = f"camera {self.camera}" if self.camera.isdecimal() else self.camera
-        return " · ".join([*self._replace(camera=camera)[:-1], f"seed {self.seed}"])
+        return " · ".join([*self._replace(camera=camera_name(self.camera))[:-1], f"seed {self.seed}"])
+
+
+def camera_name(camera: str) -> str:
+    """Return the name of a camera: ``"camera 0"`` of one that has only a number."""
+    return f"camera {camera}" if camera.isdecimal() else camera
 
 
 AXES = Cell._fields[:-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import html
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,6 +16,7 @@ from tqdm import tqdm
 
 from ..attr import Explanation, SceneAttribution, versions
 from ..errors import SceneCaptumError
+from ..explanation import FACTOR
 from ..files import atomic_write, write_error
 from ..report import encode_figure, fill_template, write_report
 from ..visualization import format_with_error, pluralize, rounded
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INDEX, PAGES = "index.html", "cells"
+RELATIVE = f"at {FACTOR:g} × the mean"  # the other threshold of a glare rating
 MAX_EFFECTS = 4  # figures for each metric, design and method
 
 _AXES = {
@@ -96,10 +99,12 @@ def _index(result: Reported, index: Path, group: Group) -> str:
     has_effects = any(result.numbers(cell)["rows"] for cell in result.cells)
     summary = summarize_effects(result, group) if has_effects else None
     axes = [axis for axis in _AXES if axis in ("scene", "metric") or len(_names(result, axis)) > 1]
-    columns = [*(_AXES[axis] for axis in axes), "value", "verdict", "seconds", "status"]
-    numeric = ("value", "seconds", "seed")
+    is_relative = any("relative_rating" in result.numbers(cell) for cell in result.cells)
+    values = ["value", *([RELATIVE] if is_relative else [])]
+    columns = [*(_AXES[axis] for axis in axes), *values, "verdict", "seconds", "status"]
+    numeric = (*values, "seconds", "seed")
     script = _resource("index.js")
-    rows = [*_rows(result, index, axes)]
+    rows = [*_rows(result, index, axes, values)]
     name = html.escape(result.folder.resolve().name or str(result.folder))
     parts = {
         "title": f"{name} · study",
@@ -138,7 +143,9 @@ def _counts(result: Reported) -> str:
 
 def _summary(summary: Summary) -> str:
     tables = "\n".join(_table(rows, f"summary-{n}") for n, (_, rows) in enumerate(summary.by_question()))
-    notes = "".join(f"<p>{html.escape(note)}</p>" for note in summary.notes())
+    # What the values take for granted stands below the table that has them.
+    shown = dataclasses.replace(summary, premises=()).notes()
+    notes = "".join(f"<p>{html.escape(note)}</p>" for note in shown)
     return (
         f'<section aria-labelledby="summary-heading"><h2 id="summary-heading">Over all rooms</h2>\n{tables}\n'
         f'<div class="notes">{notes}</div></section>'
@@ -219,13 +226,14 @@ def _image(figure: Figure) -> str:
     return f'<figure><img src="{source}" alt="{text}" width="{width}" height="{height}"></figure>'
 
 
-def _rows(result: Reported, index: Path, axes: Sequence[str]) -> Iterator[str]:
-    """Yield a row of the table for each cell, those with an error first."""
+def _rows(result: Reported, index: Path, axes: Sequence[str], values: Sequence[str]) -> Iterator[str]:
+    """Yield a row of the table for each cell, those with an error first; ``values`` are columns of numbers."""
+    unknown = "<td></td>" * len(values)
     for cell, error in result.failures.items():
         yield _row(
             cell,
             axes,
-            "",
+            unknown,
             "",
             "",
             f'<td class="words failed" data-key="failed">failed: {html.escape(error)}</td>',
@@ -233,23 +241,31 @@ def _rows(result: Reported, index: Path, axes: Sequence[str]) -> Iterator[str]:
     for cell, key in result.cells.items():
         numbers = result.numbers(cell)
         value = f"{format_with_error(numbers['value'], numbers['standard_error'])} {numbers['unit']}".strip()
+        relative = numbers.get("relative_rating")
+        written = [(numbers["value"], value), (relative, "" if relative is None else rounded(relative))]
         yield _row(
             cell,
             axes,
-            f"""<td class="number" data-key="{numbers["value"]!r}">{html.escape(value)}</td>""",
+            "".join(_number(*one) for one in written[: len(values)]),
             numbers["verdict"],
             rounded(numbers["seconds"], 2),
             "<td>finished</td>",
             f"{PAGES}/{key}.html" if _page_of(index, key).is_file() else "",
         )
     for cell in result.missing:
-        yield _row(cell, axes, "", "", "", "<td>missing</td>")
+        yield _row(cell, axes, unknown, "", "", "<td>missing</td>")
+
+
+def _number(number: float | None, written: str) -> str:
+    """Return a cell of the table that is sorted by its number."""
+    key = "" if number is None else repr(number)
+    return f'<td class="number" data-key="{key}">{html.escape(written)}</td>'
 
 
 def _row(
-    cell: Cell, axes: Sequence[str], value: str, verdict: str, seconds: str, status: str, link: str = ""
+    cell: Cell, axes: Sequence[str], values: str, verdict: str, seconds: str, status: str, link: str = ""
 ) -> str:
-    """Return a row; ``value`` and ``status`` are cells, the others text."""
+    """Return a row; ``values`` and ``status`` are cells, the others text."""
     names = [html.escape(str(getattr(cell, axis))) for axis in axes]
     first = f'<a href="{link}">{names[0]}</a>' if link else names[0]
     others = "".join(
@@ -257,6 +273,6 @@ def _row(
         for axis, name in zip(axes[1:], names[1:], strict=True)
     )
     return (
-        f'<tr><th scope="row" class="name">{first}</th>{others}{value or "<td></td>"}'
+        f'<tr><th scope="row" class="name">{first}</th>{others}{values}'
         f'<td class="words">{html.escape(verdict)}</td><td class="number">{seconds}</td>{status}</tr>'
     )

@@ -96,6 +96,9 @@ class StudyResult:
     def values(self) -> pandas.DataFrame:
         """Return a row for each cell of the study, also for the failed ones: the metric and its standard error.
 
+        A glare rating that hangs on its threshold has beside it the ``relative_rating``, which has a threshold of
+        5 times the mean luminance.
+
         Raises
         ------
         SceneCaptumError
@@ -117,6 +120,7 @@ class StudyResult:
             "value",
             "standard_error",
             "verdict",
+            "relative_rating",
             "seconds",
         ]
         frame = extras.pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])

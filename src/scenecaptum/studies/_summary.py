@@ -24,6 +24,7 @@ from . import _extras as extras
 from ._cell_effects import KIND, CellEffect, CellResults, Group, Quantity, cell_effects, selected_cells
 from ._notes import notes_of
 from ._random_effects import MIN_ROOMS_FOR_NEW_ROOM, Combined, Observation, combine
+from ._recipe import Cell, camera_name
 
 if TYPE_CHECKING:
     import pandas
@@ -138,7 +139,10 @@ class Summary:
     def text(self) -> str:
         """Return the tables that ``print`` shows, one for each metric, design and method."""
         tables = [part for _, rows in self.by_question() for part in [*_table(rows), ""]]
-        return "\n".join([*tables, *self.notes()])
+        width = terminal_width() or _NOTE_WIDTH
+        return "\n".join(
+            [*tables, *(line for note in self.notes() for line in wrapped_lines(note, width, 2))]
+        )
 
     def by_question(self) -> Iterator[tuple[tuple[str, str, str], list[GroupEffect]]]:
         """Yield each metric, design and method with its rows."""
@@ -216,7 +220,7 @@ class Summary:
         return frame.astype(dict.fromkeys(numbers, float))
 
     def notes(self) -> list[str]:
-        """Return what the columns are, and what cannot be estimated, as lines."""
+        """Return what the columns are, and what cannot be estimated."""
         notes = [
             f"from {pluralize(self.cells, 'cell')}",
             "± one standard error; 95 % intervals of the mean, and of the effect in a new room",
@@ -237,8 +241,7 @@ class Summary:
         notes += self.premises
         if self.left_out:
             notes.append(f"! {pluralize(self.left_out, 'cell')} failed or missing, and left out")
-        width = terminal_width() or _NOTE_WIDTH
-        return [line for note in notes for line in wrapped_lines(note, width, 2)]
+        return notes
 
     def __str__(self) -> str:
         return self.text()
@@ -263,11 +266,14 @@ def summarize_effects(
     rows = [_row(result, names, effects) for names, effects in questions.items()]
     order = list(dict.fromkeys(names[:3] for names in questions))
     rows.sort(key=lambda row: (order.index((row.metric, row.design, row.method)), -abs(row.mean)))
-    doubts = tuple(
-        (f"{one.group} in {one.cell.scene}, {one.cell.camera}", one.doubt) for one in effects if one.doubt
-    )
+    several = len({one.cell.camera for one in effects}) > 1
+    doubts = tuple((f"{one.group} in {_place(one.cell, several)}", one.doubt) for one in effects if one.doubt)
     left_out = len(result.failures) + len(result.missing)
     return Summary(tuple(rows), len(cells), left_out, doubts, tuple(notes_of(result, cells)))
+
+
+def _place(cell: Cell, with_camera: bool) -> str:
+    return f"{cell.scene}, {camera_name(cell.camera)}" if with_camera else cell.scene
 
 
 def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffect]) -> GroupEffect:

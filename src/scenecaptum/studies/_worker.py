@@ -6,6 +6,7 @@ import dataclasses
 import platform
 import time
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -93,12 +94,16 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
         "unit": metric_unit(attribution),
         "value": attribution.metric_value,
         "standard_error": attribution.metric_standard_error,
-        "verdict": said["verdict"],
-        "notes": said["notes"],
+        **_beside(said),
         "host": host_name(),
         "rows": rows,
     }
     return numbers, attribution
+
+
+def _beside(said: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what stands beside the value of a cell: its class, notes, and a rating by another threshold."""
+    return {name: item for name, item in said.items() if name != "measure"}
 
 
 def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict[str, Any]) -> dict[str, Any]:
@@ -121,8 +126,7 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
         "unit": measure.get("unit", ""),
         "value": found.value,
         "standard_error": found.error,
-        "verdict": said["verdict"],
-        "notes": said["notes"],
+        **_beside(said),
         "host": host_name(),
         "rows": [],
     }

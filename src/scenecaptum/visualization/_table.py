@@ -18,6 +18,7 @@ from ._text import (
     caution_groups,
     convergence_notes,
     count_of,
+    group_notes,
     hidden_of,
     jump_notes,
     method_name,
@@ -169,6 +170,7 @@ def _table(
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")
+    notes += group_notes(attribution, with_rows)
     if any(row.name in vectors for row in shown):
         in_noise = any(row.name in vectors and row.effect == 0 and row.effect_error for row in shown)
         notes.append(

@@ -70,8 +70,8 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
 def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
-    If the third may be the first as well, "and others" follows. If no effect exceeds two standard errors, it says
-    so. It names no effect with a note (``~``), which may be overstated.
+    If the third may be the first as well, "and others" follows. It names only effects that exceed two standard
+    errors, and says so if the largest does not. It names no effect with a note (``~``), which may be overstated.
     """
     metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     noted = range_marked(range_notes(attribution, scale))
@@ -79,10 +79,10 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
         return f"{metric} depends on none of these parameters"
     if ranking[0].saliency and not _is_clear(ranking[0]):
         return f"{metric}: the largest effect is within the noise"
-    leaders = [row for row in ranking if row.name not in noted][:3]
-    if not leaders or not _is_clear(leaders[0]):
+    unmarked = [row for row in ranking if row.name not in noted]
+    if not unmarked or not _is_clear(unmarked[0]):
         return f"{metric}: see the notes on the effects marked ~"
-    first, *others = leaders
+    first, *others = [row for row in unmarked if _is_clear(row)][:3]
     tied = [row for row in others if not _are_apart(first, row)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
@@ -168,6 +168,23 @@ def noise_notes(attribution: Attribution) -> list[str]:
     """Return a caution if the metric image is too noisy for the metric."""
     caution = (attribution.info.get("picture") or {}).get("caution")
     return [f"caution: {caution}"] if caution else []
+
+
+def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
+    """Return what a group named after several shapes is, if there is one among the named rows.
+
+    Its shapes are in other rows as well, with what belongs to each of them alone.
+    """
+    groups, surfaces = attribution.info.get("groups") or {}, attribution.surfaces
+    if surfaces is None:
+        return []
+    for name in names:
+        members = set(groups.get(name, ()))
+        using = zip(surfaces.objects, surfaces.parameters, strict=True)
+        shapes = [shape for shape, used in using if members.intersection(used)]
+        if len(shapes) > 1 and ", ".join(shapes[:2]) in name:
+            return ["a material that several shapes share is one row, with these shapes in parentheses"]
+    return []
 
 
 def jump_notes(attribution: Attribution) -> list[str]:
