@@ -8,12 +8,14 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum import Camera, daylight, metrics
+from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, daylight, metrics
+from scenecaptum.denoising import denoise
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import (
     definition_of,
     difference_by_definition,
     photometric_premises,
+    rated_image,
     states_definition,
 )
 
@@ -91,3 +93,17 @@ def test_a_glare_rating_near_its_threshold_is_stated_by_the_definition() -> None
     assert not states_definition(metric, bright[0])
     assert metric.value(bright[0]) == pytest.approx(hard(bright[0]).item())
     assert not states_definition(TargetedMetric(hard), images[0])
+
+
+def test_the_rated_image_is_the_denoised_one_of_the_camera_of_the_values(mi):
+    """What is said of the threshold is of the picture whose rating is quoted, not of its bright single samples."""
+    renderer = SceneRenderer("office", ["camera.pose.*", "emitters"], resolution=(32, 18), spp=8)
+    turned = {**renderer.inputs, "camera.pose.rotation": torch.tensor([0.0, 0.0, 0.3])}
+    glare = metrics.UnifiedGlareRating(renderer.camera)
+    options = {"seed": shifted(), "replicates": 2}
+    result = VanillaSceneGradient(renderer, glare).attribute(turned, denoise=True, **options)
+    rated = rated_image(result, renderer)
+    torch.testing.assert_close(rated, denoise(result.image, renderer.guides_of(turned)))
+    assert not torch.equal(rated, denoise(result.image, renderer.guides_of({})))
+    plain = VanillaSceneGradient(renderer, glare).attribute(turned, denoise=False, **options)
+    assert rated_image(plain, renderer) is plain.image

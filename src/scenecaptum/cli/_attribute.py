@@ -13,7 +13,7 @@ from ..attr import GROUPS, METHODS, AttributionInterrupted, Explanation, SceneAt
 from ..daylight import DaylightMetric
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
-from ..explanation import photometric_premises, states_definition
+from ..explanation import photometric_premises, rated_image, states_definition
 from ..metrics import GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
@@ -258,8 +258,9 @@ def _explained(
     image, definition = attribution.image, by_definition(attribution, metric)
     if image is None or (attribution.surfaces is None and not isinstance(metric, DaylightMetric)):
         return None
-    notes = photometric_premises(metric, image, attribution.metric_value, renderer=renderer)
-    if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), image):
+    shown = rated_image(attribution, renderer)
+    notes = photometric_premises(metric, image, attribution.metric_value, shown, renderer)
+    if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
         notes += (BY_EXPLANATION,)
     if not notes and definition is None:
         return None

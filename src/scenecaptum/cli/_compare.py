@@ -15,7 +15,13 @@ from ..attr import SceneAttribution, VanillaSceneGradient
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
-from ..explanation import definition_of, difference_by_definition, photometric_premises, states_definition
+from ..explanation import (
+    definition_of,
+    difference_by_definition,
+    photometric_premises,
+    rated_image,
+    states_definition,
+)
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
 from ..validation import Scenes, denoise_of
@@ -177,7 +183,7 @@ def _side(
     if renderer is None or metric is None:
         return Side(is_saved=True)
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
-    definition, of_value, shown = None, attribution.image, None
+    definition, of_value, shown = None, attribution.image, rated_image(attribution, renderer)
     if of_definition is not None:
         targeted, images = of_definition
         definition, of_value = definition_of(targeted, images), images.mean(0)

@@ -10,6 +10,8 @@ import torch
 
 from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import AnnualSunlightExposure, DaylightMetric
+from ..denoising import denoise as denoised
+from ..denoising import guides_of
 from ..errors import whole_number
 from ..estimation import (
     DEFAULT_REPLICATES,
@@ -177,6 +179,22 @@ def _threshold_at(
         return ()
     whose = "at the goal" if goal.reached else "of the design that was tried"
     return (f"{whose}: {relative_rating(metric, after)}",)
+
+
+def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tensor:
+    """Return the picture of a result that its metric rated: the denoised one where its value is of that."""
+    image = attribution.image
+    assert image is not None, "every attribution of a SceneRenderer has its image"
+    if not (attribution.info.get("picture") or {}).get("denoised"):
+        return image
+    own = Capabilities(renderer).inputs or {}
+    # Textures are kept as their means, but no pose is one.
+    values = {
+        name: value.reshape(own[name].shape)
+        for name, value in attribution.parameter_values.items()
+        if name in own and own[name].numel() == value.numel()
+    }
+    return denoised(image, guides_of(renderer, values))
 
 
 def photometric_premises(

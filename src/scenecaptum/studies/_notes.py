@@ -26,22 +26,25 @@ MOST_NOTES = 8  # of a study: some have a number of their own in each cell
 def described(
     metric: TargetedMetric,
     image: torch.Tensor,
+    shown: torch.Tensor,
     value: float,
     info: Mapping[str, Any],
     renderer: SceneRenderer,
 ) -> dict[str, Any]:
     """Return measure, verdict and notes of a cell; ``info`` has what the metric says of the value itself.
 
+    ``shown`` is the picture that is rated, if the image is denoised for that.
+
     A glare rating with its main source near the threshold is called relaxed. It has no class: that of the value by
     the definition may be another one. The rating by the other threshold is a number of its own, too, for tables.
     """
     measure, verdict = info["measure"], info["verdict"] or ""
-    notes = photometric_premises(metric.metric, image, value, renderer=renderer)
-    if isinstance(metric.metric, GlareRating) and states_definition(metric, image):
+    notes = photometric_premises(metric.metric, image, value, shown, renderer)
+    if isinstance(metric.metric, GlareRating) and states_definition(metric, shown):
         measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
         notes = (RELAXED, *notes)
     said = {"measure": measure, "verdict": verdict, "notes": list(notes)}
-    if (found := other_threshold(metric.metric, image)) is None:
+    if (found := other_threshold(metric.metric, shown)) is None:
         return said
     return {**said, "relative_rating": found.rating, "threshold_note": found.note}
 

@@ -18,6 +18,7 @@ from ..designs import design_of
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, Sampling, TargetedMetric, input_values, metric_value
 from ..executors import made
+from ..explanation import rated_image
 from ..protocols import Capabilities
 from ..rendering import SceneRenderer
 from ..scene import restored
@@ -72,7 +73,8 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     attribution = METHODS[recipe.method].create(renderer, metric).attribute(values, **options)
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
     targeted = TargetedMetric(metric, options.get("target"))
-    said = described(targeted, attribution.image, attribution.metric_value, attribution.info, renderer)
+    shown = rated_image(attribution, renderer)
+    said = described(targeted, attribution.image, shown, attribution.metric_value, attribution.info, renderer)
     info = {**attribution.info, "measure": said["measure"], "verdict": said["verdict"]}
     attribution = dataclasses.replace(attribution, info=info)
     table = renderer.parameters_table()
@@ -119,7 +121,8 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
         renderer, targeted, input_values(renderer, values), sampling, options.get("denoise", "auto")
     )
     info = found.metric.describe(found.value, found.image)
-    said = described(found.metric, found.image, found.value, info, renderer)
+    shown = found.metric.transform(found.image)
+    said = described(targeted, found.image, shown, found.value, info, renderer)
     measure = said["measure"] or {}
     return {
         "measure": measure.get("name", found.metric.name),
