@@ -39,9 +39,7 @@ def main(path: Path, resolution: tuple[int, int] = (640, 360), spp: int = 64) ->
     figure.axes[-1].remove()  # the colour bar: the largest effects are written on the objects
     label_objects(right, attribution)
     left.set_title("the office, rendered", fontsize=11)
-    right.set_title(
-        "first-order change of UGR over each range: blue raises it, orange lowers it", fontsize=11
-    )
+    right.set_title("change of UGR, to first order: blue raises it, orange lowers it", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     print(explanation)

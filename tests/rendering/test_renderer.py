@@ -981,6 +981,26 @@ def test_an_integrator_of_a_user_needs_no_description(mi: Any) -> None:
     plan = SceneRenderer(small_cornell(integrator={"type": "silent"})).plan
     assert "the scene's integrator 'Silent' is not used" in str(plan)
     assert plan.max_depth == 6
+    assert (
+        dict(plan.decisions)["max_depth 6"]
+        == "the scene's integrator does not say its depth: give max_depth="
+    )
+
+
+def test_the_depth_of_an_integrator_of_a_user_is_that_of_its_attribute(mi: Any) -> None:
+    class Deep(mi.SamplingIntegrator):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.max_depth = props.get("max_depth", 3)
+
+        def sample(self, *_: Any, **__: Any) -> Any:
+            raise NotImplementedError
+
+    mi.register_integrator("deep", Deep)
+    for own, depth in (({}, 3), ({"max_depth": 2}, 2), ({"max_depth": -1}, -1)):
+        plan = SceneRenderer(small_cornell(integrator={"type": "deep", **own})).plan
+        assert plan.max_depth == depth
+        assert "as set by the scene's integrator" in str(plan)
 
 
 @pytest.mark.parametrize(("kind", "said"), [("box", None), ("gaussian", "film filter GaussianFilter")])

@@ -294,6 +294,8 @@ def _depth(own: Any, max_depth: int | None) -> tuple[int, str]:
             return max_depth, "as requested"
         return max_depth, f"as requested; the scene's integrator sets {_in_words(in_scene)}"
     if in_scene is None:
+        if own is not None and not _description(own):
+            return DEFAULT_DEPTH, "the scene's integrator does not say its depth: give max_depth="
         return DEFAULT_DEPTH, "the scene sets no depth"
     if _setting(own, "max_depth") is None:
         return in_scene, "the scene's integrator renders direct light only"
@@ -314,9 +316,11 @@ def _scene_depth(own: Any) -> int | None:
 
 
 def _setting(integrator: Any, name: str) -> int | None:
-    """Read a setting of an integrator from its description; C++ integrators do not expose it otherwise."""
-    match = re.search(rf"{name} = (\d+)", _description(integrator))
-    return int(match.group(1)) if match else None
+    """Read a setting of an integrator: in its description, C++ integrators do not expose it otherwise."""
+    if match := re.search(rf"{name} = (\d+)", _description(integrator)):
+        return int(match.group(1))
+    own = getattr(integrator, name, None)  # of an integrator written in Python
+    return own if isinstance(own, int) else None
 
 
 def _description(integrator: Any) -> str:

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 # Reduce a step until the second-order term is at most this fraction of the slope.
 MAX_NONLINEARITY, STEP_REDUCTION, MAX_STEP_REDUCTIONS = 0.2, 4.0, 6
 FIXED_STEP = 0.01  # of the gradient: the step of Beresna and Fiume
+ROUNDING = 2.0**-14  # of the metric: smaller changes are mostly those of single precision
 MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself may be unphysical
 AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
 SIGNIFICANCE_LEVEL = 0.95  # confidence that a measurement differs from 0 or from another one
@@ -207,6 +208,8 @@ def _ablate(
     fixed_step = min(FIXED_STEP * predicted, MAX_BOUND_FRACTION * distance)
     if math.isinf(distance) and abs(chosen.length) < fixed_step:
         fixed_step = 0.0  # beyond what a pose is judged by
+    if predicted * fixed_step < ROUNDING * abs(scenes.unmodified.mean().item()):
+        fixed_step = 0.0  # too short for single precision
     fixed, fixed_error = mean_and_error(slope(-fixed_step)) if fixed_step > 0 else (None, None)
     return Ablated(
         name=row.name,
@@ -243,7 +246,8 @@ class Ablated:
         Of the standard errors.
     fixed, fixed_error
         Slope measured with the step of the paper, one hundredth of the gradient, down the gradient and inside the
-        bounds, including the second-order term; None where the parameter is at its bound.
+        bounds, including the second-order term; None where the parameter is at its bound, and where the metric
+        would change by no more than the rounding of single precision.
     """
 
     name: str
@@ -376,20 +380,30 @@ def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:
     lower = 0.5 * min(
         value
         for row in rows
-        for value in (row.predicted, row.noise or row.predicted, abs(row.fixed or row.predicted))
+        for value in (
+            row.predicted,
+            row.noise or row.predicted,
+            row.fixed if row.fixed and row.fixed > 0 else row.predicted,
+        )
     )
-    upper = 2 * max(max(row.predicted, abs(row.measured), abs(row.fixed or 0)) for row in rows)
+    upper = 2 * max(max(row.predicted, abs(row.measured), row.fixed or 0) for row in rows)
     log_axis(ax, "x", lower, upper)
     positions = range(len(rows))
     lengths = [max(row.noise - lower, 0) for row in rows]
     ax.barh(positions, lengths, left=lower, height=0.7, color="0.88", label="noise")
     style: dict[str, Any] = {"marker": "D", "s": 34, "facecolors": "none", "edgecolors": "black", "zorder": 3}
     ax.scatter([row.predicted for row in rows], positions, label="predicted: the saliency", **style)
-    fixed = {y: abs(row.fixed) for y, row in enumerate(rows) if row.fixed}
-    style = {"marker": "x", "s": 44, "linewidths": 1.3, "color": "0.45", "zorder": 2}  # seen behind a dot
-    ax.scatter(
-        list(fixed.values()), list(fixed), label="measured with a step of 0.01 of the gradient", **style
-    )
+    # A negative one is within its noise, or contradicts the prediction, as the table says.
+    fixed = [
+        (y, row.fixed, row.fixed_error or 0.0)
+        for y, row in enumerate(rows)
+        if row.fixed is not None and row.fixed > 0
+    ]
+    if fixed:
+        y, x, xerr = zip(*fixed, strict=True)
+        style = {"fmt": "x", "markersize": 6.5, "markeredgewidth": 1.3, "color": "0.45", "elinewidth": 1}
+        label = "measured with a step of 0.01 of the gradient"
+        ax.errorbar(x, y, xerr=xerr, label=label, zorder=2, **style)  # seen behind a dot
     style = {"fmt": "o", "markersize": 4, "elinewidth": 1.2, "capsize": 3, "zorder": 4}
     for color, label in _OUTCOMES.items():
         shown = {y: row for y, row in enumerate(rows) if _color(row) == color}
