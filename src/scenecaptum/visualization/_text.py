@@ -220,7 +220,7 @@ def _advice(attribution: Attribution) -> list[str]:
         return [] if noise_notes(attribution) else [large]
     has_path = ((attribution.info.get("budget") or {}).get("points") or 1) > 1
     more = f", and so do more samples of the pictures, {_option('picture_spp')}" if has_path else ""
-    return [f"{advice}{more}"]
+    return [f"the errors are large: {advice}{more}"]
 
 
 def _option(keyword: str) -> str:
