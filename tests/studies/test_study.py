@@ -371,12 +371,12 @@ def test_names_are_as_written_and_numbers_say_what_they_are_of(tmp_path: Path) -
     (tmp_path / "mine.py").write_text("def channels(image):\n    return image.mean((0, 1))\n")
     (tmp_path / "place.epw").write_text("")
     (tmp_path / "rooms.toml").write_text(
-        'scenes = ["office"]\nmetrics = [{ metric = "mine.py:channels", target = 2 }, '
+        'scenes = ["office"]\ncameras = ["grid"]\nmetrics = [{ metric = "mine.py:channels", target = 2 }, '
         '{ metric = "da", weather = "place.epw" }]\n'
     )
     cells = Study.from_file(tmp_path / "rooms.toml").cells
     assert [cell.metric for cell in cells] == ["mine.py:channels target=2", "da weather=place.epw"]
-    assert str(cells[0]) == "office · camera 0 · mine.py:channels target=2 · as it is · gradient · seed 0"
+    assert str(cells[0]) == "office · grid · mine.py:channels target=2 · as it is · gradient · seed 0"
 
 
 def test_metrics_of_daylight_have_their_coefficients(run: Run, tmp_path: Path) -> None:
@@ -394,6 +394,23 @@ def test_metrics_of_daylight_have_their_coefficients(run: Run, tmp_path: Path) -
     (numbers,) = (result.numbers(cell) for cell in result.cells)
     assert numbers["unit"] == "%"
     assert numbers["value"] > 0
+
+
+def test_a_share_of_points_is_relaxed_and_has_the_depth_of_daylight(run: Run, tmp_path: Path) -> None:
+    options = {"metrics": ["sda"], "inputs": "reflectance", "spp": 1, "methods": {"value": VALUE}}
+    with pytest.raises(SceneCaptumError, match=r"'sda' is one of points.*cameras = \[\"grid\"\]"):
+        Study(["classroom"], **options)
+    study = Study(["classroom"], cameras=["grid"], **options)
+    result = run(study, tmp_path)
+    (numbers,) = (result.numbers(cell) for cell in result.cells)
+    assert numbers["measure"].endswith("relaxed")
+    assert not numbers["verdict"]
+    said = "; ".join(numbers["notes"])
+    assert "this value is relaxed" in said
+    assert "blinds are not modeled" in said
+    assert "weather: SYNTHETIC" in said
+    (recipe,) = (study._recipe(cell) for cell in study.cells)
+    assert recipe.renderer_options["max_depth"] == 10
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], mi: Any) -> None:

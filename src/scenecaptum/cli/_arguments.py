@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from .. import daylight
 from ..rendering import SceneRenderer, named_sensors
 from ..scene import BUNDLED
 from ._design import designed_names
@@ -17,8 +18,6 @@ from ._once import Once, named_once
 from ._points import Coefficients, chosen_sensor
 
 MAX_DEPTH = 6
-# In the bundled classroom, sDA is 59.4 % with 10 segments, 59.3 % with 20, and 56.9 % with 6.
-DAYLIGHT_DEPTH = 10
 
 
 def add_file(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +78,7 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
         "--max-depth",
         type=int,
         metavar="N",
-        help=f"maximum path depth in segments, -1 for no limit (default: {MAX_DEPTH}, and {DAYLIGHT_DEPTH} for "
+        help=f"maximum path depth in segments, -1 for no limit (default: {MAX_DEPTH}, and {daylight.DEPTH} for "
         "daylight, which crosses panes and several surfaces)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: %(default)s)")
@@ -176,7 +175,7 @@ def selection(options: argparse.Namespace) -> list[str]:
 
 def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None = None) -> SceneRenderer:
     """Create the renderer from the arguments; that of daylight coefficients, if a metric needs these."""
-    default_depth = MAX_DEPTH if coefficients is None else DAYLIGHT_DEPTH
+    default_depth = MAX_DEPTH if coefficients is None else daylight.DEPTH
     renderer = SceneRenderer(
         options.scene,
         selection(options),

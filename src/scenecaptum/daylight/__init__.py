@@ -33,6 +33,7 @@ from ._illuminance import illuminance as illuminance
 from ._metric import DaylightMetric as DaylightMetric
 from ._metric import PointMetric as PointMetric
 from ._named import BY_NAME as BY_NAME
+from ._named import DEPTH as DEPTH
 from ._named import NamedDaylightMetric as NamedDaylightMetric
 from ._patches import PatchRows as PatchRows
 from ._patches import SkyPatches as SkyPatches

@@ -17,6 +17,9 @@ from ._total_annual_illumination import TotalAnnualIllumination
 from ._useful_daylight_illuminance import UsefulDaylightIlluminance
 from ._weather import Weather
 
+# Segments of a path. In the bundled classroom, sDA is 59.4 % with 10 segments, 59.3 % with 20, and 56.9 % with 6.
+DEPTH = 10
+
 
 class NamedDaylightMetric(NamedTuple):
     """A metric of daylight that can be created from a sky alone; ``description`` says what it measures.

@@ -9,10 +9,12 @@ from .. import daylight, metrics
 from ..daylight import SkyPatches, Weather, synthetic_weather
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import Metric, Target, TargetedMetric
+from ..grid import SensorGrid
 from ..rendering import SceneRenderer
 
 # Options of metrics of daylight; those of others are parameters of their classes.
 SKY_OPTIONS = ("weather", "north", "subdivision")
+DEPTH = 6  # of paths, in segments
 OWN_OPTIONS = ("target",)  # of the user's own functions
 
 
@@ -38,6 +40,21 @@ def check_metric(name: str, metric: Any, options: Mapping[str, Any]) -> None:
         )
     for option in options.keys() - set(known):
         raise SceneCaptumError(f"{option!r} has no effect on the metric {name!r}: remove it.")
+
+
+def check_camera(name: str, metric: Any, camera: Any) -> None:
+    """Raise if a metric of daylight is to be measured in a picture."""
+    is_grid = isinstance(camera, SensorGrid) or camera == "grid"
+    if isinstance(metric, str) and metric in daylight.BY_NAME and not is_grid:
+        raise SceneCaptumError(
+            f'The metric {name!r} is one of points, and a camera shows a picture: give cameras = ["grid"]. '
+            "Metrics of pictures need a study of their own."
+        )
+
+
+def default_depth(metric: Any) -> int:
+    """Return the depth of the cells of a metric: light of the sky takes longer paths to the points of a room."""
+    return daylight.DEPTH if isinstance(metric, str) and metric in daylight.BY_NAME else DEPTH
 
 
 def check_element(name: str, metric: Any, options: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from ..daylight import DaylightMetric
 from ..estimation import TargetedMetric
 from ..explanation import FACTOR, other_threshold, photometric_premises, states_definition
 from ..metrics import GlareRating
@@ -18,6 +19,9 @@ from ._recipe import Cell
 RELAXED = (
     "this rating is relaxed near the threshold, and has no class here: explain and compare state the value by "
     "the definition"
+)
+RELAXED_DAYLIGHT = (
+    "this value is relaxed, and has no class here: the command daylight states the value by the definition"
 )
 IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
@@ -35,14 +39,19 @@ def described(
 
     ``shown`` is the picture that is rated, if the image is denoised for that.
 
-    A glare rating with its main source near the threshold is called relaxed. It has no class: that of the value by
-    the definition may be another one. The rating by the other threshold is a number of its own, too, for tables.
+    A relaxed metric is called so, a glare rating only with its main source near the threshold. It has no class:
+    that of the value by the definition may be another one. The rating by the other threshold is a number of its
+    own, too, for tables.
     """
     measure, verdict = info["measure"], info["verdict"] or ""
     notes = photometric_premises(metric.metric, image, value, shown, renderer)
-    if isinstance(metric.metric, GlareRating) and states_definition(metric, shown):
+    if states_definition(metric, shown):
         measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
-        notes = (RELAXED, *notes)
+        notes = (RELAXED if isinstance(metric.metric, GlareRating) else RELAXED_DAYLIGHT, *notes)
+    if isinstance(metric.metric, DaylightMetric):
+        weather, caution = metric.metric.sky.weather, getattr(metric.metric, "caution", None)
+        of_sky = None if weather is None else f"weather: {weather.place}"
+        notes = (*notes, *(note for note in (caution, of_sky) if note))
     said = {"measure": measure, "verdict": verdict, "notes": list(notes)}
     if (found := other_threshold(metric.metric, shown)) is None:
         return said

@@ -13,7 +13,7 @@ from concurrent.futures import Executor
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from ..attr import METHODS, versions
 from ..camera import View
@@ -24,7 +24,7 @@ from ..grid import SensorGrid
 from ..scene import portable
 from ._file import read_study
 from ._folder import StudyFolder
-from ._metrics import check_element, check_metric
+from ._metrics import check_camera, check_element, check_metric, default_depth
 from ._progress import Progress
 from ._recipe import AXES, Cell, Recipe, digest_of_scene
 from ._result import StudyResult
@@ -75,7 +75,7 @@ class Study:
     cells
         The cells of the study, if not all of the grid: sequences of five names and a seed, or dicts of these.
     inputs, resolution, spp, max_depth, parameters, ranges, objects
-        As for `SceneRenderer`, of all cells.
+        As for `SceneRenderer`, of all cells. The depth is 6 by default, and 10 for metrics of daylight.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Study:
         inputs: Any = "materials",
         resolution: tuple[int, int] | None = (160, 90),
         spp: int | None = 64,
-        max_depth: int | None = 6,
+        max_depth: int | Literal["auto"] | None = "auto",
         parameters: Mapping[str, Any] | None = None,
         ranges: Mapping[str, tuple[float, float]] | None = None,
         objects: Mapping[str, Sequence[str]] | None = None,
@@ -129,6 +129,8 @@ class Study:
             "objects": objects,
         }
         self.cells = self._grid() if cells is None else [self._cell(one) for one in cells]
+        for cell in self.cells:
+            check_camera(cell.metric, self._axes["metric"][cell.metric][0], self._axes["camera"][cell.camera])
         if len(set(self.cells)) < len(self.cells) or not self.cells:
             raise SceneCaptumError("A study needs at least one cell, and each only once.")
         self._scene_digests = {name: digest_of_scene(one) for name, one in self._axes["scene"].items()}
@@ -175,6 +177,8 @@ class Study:
         sensor, options = self._axes["camera"][cell.camera], dict(self._renderer_options)
         if sensor == "grid" or isinstance(sensor, SensorGrid):
             options["resolution"] = None  # it has a pixel for each point
+        if options["max_depth"] == "auto":
+            options["max_depth"] = default_depth(metric)
         return Recipe(
             cell=cell,
             scene=self._axes["scene"][cell.scene],
