@@ -533,6 +533,15 @@ def test_specificity_sets_bars_above_maps() -> None:
     assert outside(figure) == []
 
 
+def test_specificity_names_the_methods_where_they_differ() -> None:
+    methods = ["VanillaSceneGradient", "IntegratedGradientsScene", "FeatureAblationScene"]
+    figure = plot_specificity([make(method=method) for method in methods])
+    titles = [axes.texts[-1].get_text() for axes in figure.axes[:3]]
+    assert [title.split("\n")[0] for title in titles] == methods
+    assert outside(figure) == []
+    assert methods[0] not in all_text(plot_specificity([make(), make(metric="Luminance")]))
+
+
 def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None:
     from matplotlib.figure import Figure
 
