@@ -25,6 +25,7 @@ from scenecaptum.report import write_report
 from scenecaptum.visualization import plot_bars, table_html, table_text
 
 FLOOR, LIGHT = "floor.reflectance.value", "light.emitter.radiance.value"
+SURFACES = ("left_wall", "right_wall", "floor", "ceiling", "back_wall", "short_box", "tall_box")
 DEFAULTS = "all other inputs at their default baselines (lights and reflectances 0)"
 
 
@@ -77,9 +78,12 @@ def test_a_mapping_says_what_the_other_inputs_are_compared_with(cornell):
         ({"emitters": 0, "*_wall.*": 0.5}, f"emitters 0; *_wall.* 0.5; {DEFAULTS}"),
         ({"emitters": 0, "reflectance": 0.5}, "emitters 0; reflectance 0.5"),
         (
-            {f"{name}.*": 0.5 for name in ("left_wall", "right_wall", "floor", "ceiling", "back_wall")},
-            "left_wall.* 0.5; right_wall.* 0.5; floor.* 0.5; ceiling.* 0.5; 1 more at the given values; "
-            + DEFAULTS,
+            {f"{name}.*": 0.5 for name in SURFACES[:6]},
+            "".join(f"{name}.* 0.5; " for name in SURFACES[:6]) + DEFAULTS,
+        ),
+        (
+            {f"{name}.*": 0.5 for name in SURFACES},
+            "".join(f"{name}.* 0.5; " for name in SURFACES[:6]) + f"1 more at the given values; {DEFAULTS}",
         ),
     ],
     ids=str,

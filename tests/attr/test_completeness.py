@@ -144,6 +144,10 @@ def test_the_verdict_is_printed_with_its_reasons():
     assert "mostly quadrature error: use more steps" in text
     noisy = dataclasses.replace(made, info={**made.info, "quadrature_error": 0.1})
     assert "quadrature" not in str(noisy)
+    assert "mostly noise: use more samples" in " ".join(str(noisy).split())
+    assert "mostly noise" not in text
+    added_up = dataclasses.replace(noisy, info={**noisy.info, "convergence": "adds up"})
+    assert "use more samples" not in str(added_up)
 
 
 def test_completeness_is_undecided_if_the_metric_is_infinite_at_the_baseline():

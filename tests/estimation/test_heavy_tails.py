@@ -46,6 +46,11 @@ def test_errors_of_few_replicates_are_marked():
     assert "?  with 3 replicates the standard error" in str(few)
     assert "(all parameters)" in " ".join(str(few).split())
     assert not attribute(Fireflies(), shifted(), spp=4, replicates=4).untrusted_errors()
+    # Points that contribute unequally: few degrees of freedom of many replicates, whose number is in the heading.
+    for degrees, counted in ((1, "1 degree of freedom"), (2, "2 degrees of freedom")):
+        info = {**few.info, "replicates": 8, "degrees_of_freedom": degrees}
+        [reason] = set(dataclasses.replace(few, info=info).untrusted_errors().values())
+        assert reason.startswith(f"with {counted} the standard error has about"), reason
     alone = attribute(Fireflies(), shifted(), replicates=1)
     assert alone.untrusted_errors() == {}  # there is no error bar
 

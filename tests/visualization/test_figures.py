@@ -27,6 +27,7 @@ from scenecaptum.visualization import (
     plot_rank_comparison,
     plot_specificity,
 )
+from scenecaptum.visualization._text import finding
 
 
 def hexes(colors: Any) -> list[str]:
@@ -184,14 +185,32 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
     assert f"depends most on {first.label}, {second.label} and others\n" in text
     noisy = {name: 1e6 * value for name, value in make().covariance.items()}
-    covariance[second.name] = noisy[second.name]
+    # Within the noise, but with two standard errors still below the first.
+    covariance[second.name] = 43**2 * covariance[second.name]
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
     assert f"depends most on {first.label} and {third.label}\n" in text, "names an effect lost in the noise"
-    covariance[third.name] = noisy[third.name]
+    covariance[third.name] = 65**2 * covariance[third.name]
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
     assert f"depends most on {first.label}\n" in text, "names an effect lost in the noise"
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
     assert "the largest effect is within the noise\n" in text
+
+
+def test_titles_do_not_conclude_where_an_effect_lost_in_the_noise_may_be_the_largest() -> None:
+    ranking = make().ranking()
+    covariance = dict(make().covariance)
+    labels = []
+    for row in (ranking[5], ranking[1], ranking[2]):
+        covariance[row.name] = 1e6 * covariance[row.name]
+        labels.insert(0, row.label)
+        titles = finding(dataclasses.replace(make(), covariance=covariance))
+        assert titles.startswith("Glare: the largest effect is uncertain; the error"), titles
+        assert "depends" not in titles
+        if len(labels) == 1:
+            assert titles.endswith(f"the error of {row.label} is too large")
+        elif len(labels) == 2:
+            assert titles.endswith(f"the errors of {labels[0]} and {labels[1]} are too large")
+    assert titles.endswith(f"the errors of {ranking[1].label} and 2 others are too large")
 
 
 def test_a_render_is_denoised_where_the_metric_image_was() -> None:
@@ -512,6 +531,15 @@ def test_specificity_sets_bars_above_maps() -> None:
     assert "Luminance = 2.3369 ± 0.0005" in text
     assert "in each" in text
     assert outside(figure) == []
+
+
+def test_specificity_names_the_methods_where_they_differ() -> None:
+    methods = ["VanillaSceneGradient", "IntegratedGradientsScene", "FeatureAblationScene"]
+    figure = plot_specificity([make(method=method) for method in methods])
+    titles = [axes.texts[-1].get_text() for axes in figure.axes[:3]]
+    assert [title.split("\n")[0] for title in titles] == methods
+    assert outside(figure) == []
+    assert methods[0] not in all_text(plot_specificity([make(), make(metric="Luminance")]))
 
 
 def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None:

@@ -13,7 +13,7 @@ from ._wording import value_in_words
 
 _UNCHANGED = "unchanged"
 _MAX_CHANNELS = 4
-_MAX_NAMED = 4
+_MAX_NAMED = 6  # of the keys of a mapping, in its order: the effects are not known yet
 _PRESETS = {
     "dark": "all lights off, everything else unchanged",
     "black": "all reflectances 0, everything else unchanged",

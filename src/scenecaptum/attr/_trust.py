@@ -32,10 +32,10 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
     degrees = attribution.info.get("degrees_of_freedom", replicates - 1)
     if degrees < MIN_REPLICATES - 1:
         uncertainty = 100 / math.sqrt(2 * degrees)
-        reason = (
-            f"with {degrees + 1} replicates the standard error has about {uncertainty:.0f} % relative "
-            "uncertainty"
-        )
+        counted = f"{replicates} replicates"
+        if degrees != replicates - 1:  # as of points that contribute unequally to the variance
+            counted = f"{degrees} degree{'' if degrees == 1 else 's'} of freedom"
+        reason = f"with {counted} the standard error has about {uncertainty:.0f} % relative uncertainty"
         return dict.fromkeys(attribution, reason)
     # A difference is as unreliable as either of its sides.
     sides = attribution.info, attribution.info.get("minus", {})

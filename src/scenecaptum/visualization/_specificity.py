@@ -23,7 +23,7 @@ from ._figures import (
 )
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
-from ._text import axis_label
+from ._text import axis_label, method_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -44,7 +44,8 @@ def plot_specificity(
 ) -> Figure:
     """Plot the ranking and, below it, the saliency map of each of several attributions.
 
-    It shows how different metrics of one image depend on different parameters.
+    It shows how different metrics of one image depend on different parameters. Where the methods differ, each
+    column has the name of its own.
 
     Parameters
     ----------
@@ -122,11 +123,14 @@ def _draw_titles(figure: Any, attributions: Sequence[Attribution], scale: Scale 
     """Write each column's title centred over bars and names; a long one would not fit over the bars alone."""
     from matplotlib.transforms import blended_transform_factory
 
+    width = characters_per_line(0.85 * _COLUMN_WIDTH, TITLE)
+    methods_differ = len(set(map(method_name, attributions))) > 1
     for index, (ax, attribution) in enumerate(zip(figure.axes, attributions, strict=True)):
+        method = wrapped_lines(method_name(attribution), width) if methods_differ else []
         ax.text(
             (index + 0.5) / len(attributions),
             1.03,
-            figure_title(attribution, characters_per_line(0.85 * _COLUMN_WIDTH, TITLE), scale),
+            "\n".join([*method, figure_title(attribution, width, scale)]),
             transform=blended_transform_factory(figure.transSubfigure, ax.transAxes),
             ha="center",
             fontsize=TEXT,

@@ -71,7 +71,8 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
     If the third may be the first as well, "and others" follows. It names only effects that exceed two standard
-    errors, and says so if the largest does not. It names no effect with a note (``~``), which may be overstated.
+    errors, and says so if the largest does not, or if one within its noise may be larger. It names no effect with
+    a note (``~``), which may be overstated.
     """
     metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     noted = range_marked(range_notes(attribution, scale))
@@ -83,6 +84,12 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     if not unmarked or not _is_clear(unmarked[0]):
         return f"{metric}: see the notes on the effects marked ~"
     first, *others = [row for row in unmarked if _is_clear(row)][:3]
+    if rivals := [row for row in unmarked if not _is_clear(row) and _reaches(row, first)]:
+        errors = "the error of" if len(rivals) == 1 else "the errors of"
+        rest = f" and {len(rivals) - 1} others" if len(rivals) > 2 else ""
+        named = shorten([row.label for row in rivals[: 1 if rest else 2]], FINDING_WIDTH)
+        verb = "is" if len(rivals) == 1 else "are"
+        return f"{metric}: the largest effect is uncertain; {errors} {' and '.join(named)}{rest} {verb} too large"
     tied = [row for row in others if not _are_apart(first, row)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
@@ -93,6 +100,11 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
 def _is_clear(row: RankedParameter) -> bool:
     """Whether a saliency is not 0 and more than two standard errors from it."""
     return not row.saliency <= 2 * (row.saliency_error or 0.0)
+
+
+def _reaches(noisy: RankedParameter, largest: RankedParameter) -> bool:
+    """Whether a saliency plus two standard errors exceeds the largest one that is clear."""
+    return noisy.saliency + 2 * (noisy.saliency_error or 0.0) > largest.saliency
 
 
 def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
@@ -247,6 +259,8 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     quadrature = attribution.info.get("quadrature_error")
     if error and quadrature and quadrature > error / 2:
         note += ", mostly quadrature error: use more steps"
+    elif error and attribution.info.get("convergence") == "inconclusive":
+        note += ", mostly noise: use more samples"
     return [note]
 
 
