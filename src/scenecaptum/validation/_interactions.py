@@ -24,6 +24,7 @@ from ..visualization import (
     figure_of,
     grid,
     metric_name,
+    minus,
     name_rows,
     shorten,
     wrap,
@@ -291,11 +292,15 @@ def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
 
 
 def _concise(value: float, error: float) -> str:
-    """Format a value with the error of its last digits in brackets, ``'0.0123(4)'``."""
+    """Format a value with the error of its last digits in brackets: ``'0.0123(4)'``, ``'0.00(5)'``, ``'0(9)e−8'``.
+
+    A value far below its error is rounded to zero, but keeps the decimals and the power of ten of the error.
+    """
     style = Format.of(value, error)
-    number, decimals = style.write(value), style.place
     if error == 0:
-        return number
-    head, mark, exponent = number.partition("e")
-    digits = round(error * 10.0**decimals) if decimals > 0 else style._replace(exponent=0).write(error)
-    return f"{head}({digits}){mark}{exponent}"
+        return style.write(value)
+    decimals = style.place + style.exponent  # of what stands before the power of ten
+    scaled = round(value / 10.0**style.exponent, decimals) + 0.0  # + 0.0 turns −0.0 into 0.0
+    is_plain_integer = style.exponent == 0 and style.place <= 0
+    digits = style.write(error) if is_plain_integer else round(error * 10.0**style.place)
+    return minus(f"{scaled:.{max(decimals, 0)}f}({digits}){f'e{style.exponent}' if style.exponent else ''}")
