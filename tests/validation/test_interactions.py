@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -162,6 +163,7 @@ def test_the_matrix_is_symmetric_and_agrees_with_finite_differences(box, metric)
     gradient = VanillaSceneGradient(box, metric).attribute(replicates=PASSES)
     found = interactions(box, metric, gradient, replicates=PASSES)
     assert found.is_symmetric, str(found)
+    assert found.unit == ("cd/m²" if metric is not log_mean else "")
     assert found.significant.sum() > 4, f"too noisy to show anything:\n{found}"
     scenes = Scenes(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
     ways = {name: unit_gradient(gradient[name], box.inputs[name]) for name in found.names}
@@ -269,6 +271,8 @@ def test_table_and_figure_mark_insignificant_elements(by_hand):
     assert str(by_hand).startswith(
         "second derivatives of Glare, per unit along each parameter's own gradient"
     )
+    in_unit = dataclasses.replace(by_hand, metric="mean luminance", unit="cd/m²")
+    assert str(in_unit).startswith("second derivatives of mean luminance (cd/m²), per unit along")
     assert "1 of 3 second derivatives of Glare differ from 0" in str(by_hand)
     (line,) = [line for line in str(by_hand).splitlines() if line.startswith("1 lamp")]
     assert line.split() == ["1", "lamp", "2.000", "0.1(4)?"]

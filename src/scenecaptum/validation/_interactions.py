@@ -24,9 +24,11 @@ from ..visualization import (
     figure_of,
     grid,
     metric_name,
+    metric_unit,
     minus,
     name_rows,
     shorten,
+    unit_of_change,
     wrap,
     wrapped_lines,
 )
@@ -128,6 +130,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         metric=metric_name(attribution),
         scale=scale,
         left_out=tuple(row.label for row in rows if row.name not in directions),
+        unit=unit_of_change(metric_unit(attribution)),
     )
 
 
@@ -168,6 +171,8 @@ class Interactions:
         Name of the metric, and ``"unit"`` or ``"range"``.
     left_out
         Labels of salient parameters that cannot move either way: textures with texels at both bounds.
+    unit
+        That of a change of the metric; empty if it has none.
     """
 
     names: tuple[str, ...]
@@ -178,6 +183,7 @@ class Interactions:
     metric: str
     scale: HessianScale
     left_out: tuple[str, ...] = ()
+    unit: str = ""
 
     @property
     def measured(self) -> torch.Tensor:
@@ -278,8 +284,9 @@ class Interactions:
 
     @property
     def _heading(self) -> str:
-        unit = "per unit" if self.scale == "unit" else "over the range"
-        return f"second derivatives of {self.metric}, {unit} along each parameter's own gradient"
+        step = "per unit" if self.scale == "unit" else "over the range"
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"second derivatives of {self.metric}{unit}, {step} along each parameter's own gradient"
 
     def _formatted(self) -> dict[tuple[int, int], str]:
         indices = range(len(self.names))
