@@ -255,6 +255,9 @@ def test_the_caution_on_a_wide_interval_is_made_only_where_the_class_is_in_doubt
             0.08,
             "the error of a denoised pixel is 8 %, and more than 5 % biases it: do not denoise",
         ),
+        (False, 0.052, 0.0, "the noise of a pixel is 5.2 %, and more than 5 % biases it: use 2 times"),
+        (False, 0.0503, 0.0, "the noise of a pixel is 5.03 %, and more than 5 % biases it: use 2 times"),
+        (True, 0.12, 0.0516, "the error of a denoised pixel is 5.2 %, and more than 5 % biases it: use 6"),
     ],
 )
 def test_the_caution_is_about_the_picture_that_is_used(denoises, noise, error, said):

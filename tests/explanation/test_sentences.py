@@ -104,6 +104,12 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
 
 
+def test_the_shares_of_other_metrics_say_of_what_they_are():
+    said = lines(Explanation(rated(24.8, 0.05), sources=(Source("wall", "centre", 0.28, 0.01),)))
+    heading = "What it sees in the picture: shares of the sum of |gradient × value| over the pixels"
+    assert said[heading] == ["wall, centre: 28.0 ± 1.0 %", "the rest: 72.0 %"]
+
+
 def test_the_sources_of_a_relaxed_rating_are_said_to_be_its_own():
     sources = (Source("ground", "bottom", 0.8, 0.01, 1800.0),)
     stated = Explanation(rated(24.8, 0.05), sources=sources, definition=Definition(24.6, ""))

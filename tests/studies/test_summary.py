@@ -256,6 +256,27 @@ def test_what_cannot_be_estimated_is_said(tmp_path: Path) -> None:
     assert (unknown.noise, unknown.rooms[0].low, unknown.rooms[0].sign) == (None, None, 0)
 
 
+def test_one_room_with_most_of_the_weight_is_said(tmp_path: Path) -> None:
+    summary = made.study(tmp_path, made.random_effects(made.cells(ROOMS), 0)).summary()
+    advice = "give the noisy rooms more samples"
+    assert advice not in str(summary)
+
+    def weighted(errors: list[float], count: int) -> str:
+        found = combine(observed(np.array([-1.1, 0.1, 0.2])[: len(errors)], np.array(errors)))
+        rows = [dataclasses.replace(row, **vars(found)) for row in summary.rows[:count]]
+        notes = dataclasses.replace(summary, rows=(*rows, *summary.rows[count:])).notes()
+        return " ".join(note for note in notes if advice in note)
+
+    assert len(summary.rows) == 2
+    assert weighted([0.05, 3.0, 3.0], 2) == f"! one room has most of the weight: {advice}"
+    assert (
+        weighted([0.05, 3.0, 3.0], 1)
+        == f"! one room has most of the weight ({summary.rows[0].group}): {advice}"
+    )
+    assert not weighted([0.5, 0.5, 0.5], 2)
+    assert not weighted([0.05, 3.0], 2)  # that of two rooms has a note of its own
+
+
 def test_effects_whose_errors_may_be_too_small_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -15,6 +16,7 @@ from scenecaptum.errors import SceneCaptumError
 from scenecaptum.estimation import channel_totals, mean_and_error
 from scenecaptum.validation import Interactions, _hessian, hessian_vector_product, interactions
 from scenecaptum.validation._hessian import CENTRAL, ONE_SIDED
+from scenecaptum.validation._interactions import _concise
 from scenecaptum.validation._scenes import Scenes, unit_gradient
 
 LAMP = "light.emitter.radiance.value"
@@ -161,6 +163,7 @@ def test_the_matrix_is_symmetric_and_agrees_with_finite_differences(box, metric)
     gradient = VanillaSceneGradient(box, metric).attribute(replicates=PASSES)
     found = interactions(box, metric, gradient, replicates=PASSES)
     assert found.is_symmetric, str(found)
+    assert found.unit == ("cd/m²" if metric is not log_mean else "")
     assert found.significant.sum() > 4, f"too noisy to show anything:\n{found}"
     scenes = Scenes(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
     ways = {name: unit_gradient(gradient[name], box.inputs[name]) for name in found.names}
@@ -268,6 +271,8 @@ def test_table_and_figure_mark_insignificant_elements(by_hand):
     assert str(by_hand).startswith(
         "second derivatives of Glare, per unit along each parameter's own gradient"
     )
+    in_unit = dataclasses.replace(by_hand, metric="mean luminance", unit="cd/m²")
+    assert str(in_unit).startswith("second derivatives of mean luminance (cd/m²), per unit along")
     assert "1 of 3 second derivatives of Glare differ from 0" in str(by_hand)
     (line,) = [line for line in str(by_hand).splitlines() if line.startswith("1 lamp")]
     assert line.split() == ["1", "lamp", "2.000", "0.1(4)?"]
@@ -288,3 +293,31 @@ def test_the_scenes_of_a_stencil_have_their_own_guides(mi):
         assert torch.equal(found.normal[number], expected.normal)
         assert torch.equal(found.albedo[number], expected.albedo)
     assert not torch.equal(found.normal[0], found.normal[1])
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "written"),
+    [
+        (0.0123, 0.0004, "0.0123(4)"),
+        (-0.0123, 0.0004, "−0.0123(4)"),
+        (0.0, 0.05, "0.00(5)"),
+        (-1e-9, 0.05, "0.00(5)"),
+        (0.0, 9e-8, "0(9)e−8"),
+        (1e-12, 9e-8, "0(9)e−8"),
+        (0.0, 1.5e-8, "0.0(15)e−8"),
+        (0.0, 50.0, "0(50)"),
+        (1234.0, 50.0, "1230(50)"),
+        (1.2e8, 5e7, "1.2(5)e8"),
+        (2.0, 0.0, "2.000"),
+        (0.0, 0.0, "0"),
+    ],
+)
+def test_brackets_have_the_size_of_the_error(value, error, written):
+    assert _concise(value, error) == written
+    digits = written.rpartition("(")[2].partition(")")[0]
+    if error:
+        # Read as metrologists do: the digits in brackets stand in the last places of the mantissa.
+        head, _, exponent = written.partition("e")
+        mantissa = head.partition("(")[0].partition(".")[2]
+        read = int(digits) * 10.0 ** (int(exponent.replace("−", "-") or 0) - len(mantissa))
+        assert read == pytest.approx(error)

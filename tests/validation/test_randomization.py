@@ -236,6 +236,21 @@ def test_table_and_figure():
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["0", "1", "2", "3"]
 
 
+def test_correlations_have_minus_signs_and_no_negative_zero():
+    check = RandomizationCheck(
+        layers=("last",),
+        randomized=(0, 1),
+        magnitudes=torch.tensor([[1.0, 0.9], [-0.001, 0.0]]),
+        signed=torch.tensor([[1.0, 0.9], [-0.02, -0.4]]),
+        metric="logit",
+        method="VanillaSceneGradient",
+    )
+    assert "0.00 (0.00 to 0.00)" in str(check)
+    assert "−0.21 (−0.40 to −0.02)" in check.verdict
+    assert "-0" not in str(check)
+    assert "−0.00" not in str(check)
+
+
 def test_on_the_shape_classifier(mi, cornell):
     logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), target="cube")
     metric = metrics.Smoothed(logit, 0.3, n=16)

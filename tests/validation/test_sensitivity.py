@@ -334,7 +334,9 @@ def test_tables_and_figure(mi):
     text = str(found)
     assert "back_wall: reflectance" in text
     assert "renders until the top 3 is stable" in text
-    assert text.splitlines()[-4].startswith("mean luminance; *")  # the metric's name, not that of its class
+    assert text.splitlines()[-4] == (  # the metric's name, not that of its class
+        "mean luminance; * the top 3 of each method; gradient × range and Morris μ* in cd/m²"
+    )
     assert "a render has spp samples per pixel" in text
     assert text.endswith(INTERVAL_NOTE)
     assert len({line.index("Sobol total") for line in text.splitlines() if line.startswith("parameter")}) == 1
@@ -342,9 +344,13 @@ def test_tables_and_figure(mi):
     assert [ax.get_title(loc="left") for ax in figure.axes] == [one.method for one in found.methods]
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert labels == [one.label for one in found.parameters]
+    in_unit = [ax.get_xlabel().splitlines()[1] for ax in figure.axes]
+    assert in_unit == ["in cd/m²", "", "in cd/m²", ""]
     bars = figure.axes[3].patches
     assert [bar.get_width() for bar in bars] == [found.sobol.values[one.name] for one in found.parameters]
     assert sum(bar.get_facecolor() == bars[0].get_facecolor() for bar in bars) == 3
     lines = str(dgsm(renderer, metrics.MeanLuminance(), points=4)).splitlines()
     assert lines[0].split()[:3] == ["parameter", "from", "to"]
+    assert "ν, (cd/m²)² per unit squared" in lines[0]
+    assert " (cd/m²)² over the intervals" in lines[-3]
     assert "\n".join(lines[-2:]) == INTERVAL_NOTE

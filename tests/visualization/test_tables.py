@@ -109,6 +109,19 @@ def test_a_difference_of_two_classes_keeps_both_in_notes_and_on_axes() -> None:
     assert name in axis_label(result)
 
 
+@pytest.mark.parametrize(
+    ("quantity", "said"),
+    [
+        (ResultKind.GRADIENT_VARIANCE, "variance of the change of mean luminance (cd/m²)² per unit"),
+        (ResultKind.MEAN_SQUARED_GRADIENT, "mean squared change of mean luminance (cd/m²)² per unit"),
+        (ResultKind.MEAN_GRADIENT, "mean change of mean luminance (cd/m²) per unit"),
+    ],
+)
+def test_squares_have_the_unit_squared(quantity: ResultKind, said: str) -> None:
+    result = make(quantity=quantity.value, measure={"name": "mean luminance", "unit": "cd/m²"})
+    assert said in axis_label(result, "unit")
+
+
 # -- tables ----------------------------------------------------------------------------------------------
 
 

@@ -41,6 +41,8 @@ FALSE_ALARMS = 0.05  # allowed for all effects together
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 MOST_NAMED = 3  # of the effects that may be large
 DEFAULT_EFFECTS = 5
+GLARE_SOURCES = "Where the glare comes from"
+PICTURE_SOURCES = "What it sees in the picture: shares of the sum of |gradient × value| over the pixels"
 FOUR_DIGITS = 5e-4  # of a value
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
 
@@ -93,7 +95,7 @@ class Explanation:
                 self.notes(),
             ),
             (
-                f"{'Where the glare comes from' if is_glare else 'What it sees in the picture'}{relaxed}",
+                f"{GLARE_SOURCES if is_glare else PICTURE_SOURCES}{relaxed}",
                 self._source_lines(),
             ),
             (

@@ -119,8 +119,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--picture-spp",
         type=int,
         metavar="N",
-        help="samples per pixel of the image for a non-linear metric (default: 2 times --spp, or 4 times if the "
-        "image is denoised)",
+        help="samples per pixel of the image for a non-linear metric (default: 2 times --spp, 4 times if the "
+        "image is denoised, and 16 times if the metric is smoothed)",
     )
     add_results(parser)
 

@@ -114,9 +114,10 @@ def _above_tolerance(noise: float | None, transform: ImageTransform, tolerated: 
     if used <= tolerated:
         return None
     factor = math.ceil((noise / tolerated) ** 2)
+    decimals = next((d for d in range(3) if round(100 * used, d) > round(100 * tolerated, 3)), 3)
     return (
-        f"the {'error of a denoised' if is_denoised else 'noise of a'} pixel is {100 * used:.0f} %, and more than "
-        f"{100 * tolerated:.0f} % biases it: "
+        f"the {'error of a denoised' if is_denoised else 'noise of a'} pixel is {100 * used:.{decimals}f} %, and "
+        f"more than {rounded(100 * tolerated)} % biases it: "
         f"{f'use {factor} times the samples' if factor > 1 else 'do not denoise'}"
     )
 

@@ -116,6 +116,12 @@ class TargetedMetric:
         return getattr(self.metric, "measure", None)
 
     @property
+    def unit(self) -> str:
+        """The unit of the attributed value; empty if it has none, or none is known."""
+        described = {} if self.measure is None else self.measure.describe()
+        return str(described.get("unit") or "")
+
+    @property
     def caution(self) -> str | None:
         """Why the metric is not valid for these images, if it says so."""
         return getattr(self.metric, "caution", None)

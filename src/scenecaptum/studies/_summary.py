@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 _NAME_WIDTH = 32
 _NOTE_WIDTH = 100  # without a terminal
 _UNKNOWN = "–"
+_FEW_EFFECTIVE_ROOMS = 2.0  # below, one room has more than half of the weight
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,11 @@ class GroupEffect(Combined):
     def lowers(self) -> int:
         """Number of rooms in which the effect is clearly negative."""
         return sum(room.sign < 0 for room in self.rooms)
+
+    @property
+    def is_lopsided(self) -> bool:
+        """Whether one of three or more rooms has most of the weight; the 95 % interval is then very wide."""
+        return len(self.rooms) >= MIN_ROOMS_FOR_NEW_ROOM and self.effective_rooms < _FEW_EFFECTIVE_ROOMS
 
     @property
     def unknowns(self) -> list[str]:
@@ -230,9 +236,11 @@ class Summary:
         unknown = group_by_text((row.group, note) for row in self.rows for note in row.unknowns)
         groups = {row.group for row in self.rows}
         for note, names in unknown.items():
-            which = list(dict.fromkeys(names))
-            where = "" if len(which) == len(groups) else f" ({', '.join(which)})"
-            notes.append(f"{_UNKNOWN} {note}{where}")
+            notes.append(f"{_UNKNOWN} {note}{_where(names, groups)}")
+        if lopsided := [row.group for row in self.rows if row.is_lopsided]:
+            notes.append(
+                f"! one room has most of the weight{_where(lopsided, groups)}: give the noisy rooms more samples"
+            )
         for reason, names in group_by_text(self.doubts).items():
             some = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
             notes.append(
@@ -270,6 +278,12 @@ def summarize_effects(
     doubts = tuple((f"{one.group} in {_place(one.cell, several)}", one.doubt) for one in effects if one.doubt)
     left_out = len(result.failures) + len(result.missing)
     return Summary(tuple(rows), len(cells), left_out, doubts, tuple(notes_of(result, cells)))
+
+
+def _where(names: Sequence[str], groups: set[str]) -> str:
+    """Return the groups that a note is about, in parentheses; empty if it is about all."""
+    which = list(dict.fromkeys(names))
+    return "" if len(which) == len(groups) else f" ({', '.join(which)})"
 
 
 def _place(cell: Cell, with_camera: bool) -> str:

@@ -27,7 +27,15 @@ from ..estimation import (
     input_values,
 )
 from ..protocols import Capabilities, Renderer
-from ..visualization import align_with_errors, format_with_error, grid, pluralize, rounded, shorten
+from ..visualization import (
+    align_with_errors,
+    format_with_error,
+    grid,
+    pluralize,
+    rounded,
+    shorten,
+    unit_of_change,
+)
 from ._scalars import INTERVAL_NOTE, Intervals, Scalar, Values, find_scalars, point_at
 
 P = TypeVar("P", bound="Problem")
@@ -103,7 +111,7 @@ def dgsm(  # noqa: PLR0913 -- the options of every check, and its own
     options: dict[str, Any] = {"seed": seed, "spp": spp, "show_progress": show_progress}
     problem = Problem.of(renderer, metric, target, parameters, bounds, **options)
     pairs = zip(sample_derivatives(problem, points), problem.metrics, strict=True)
-    results = [summarise_derivatives(sampled, problem.scalars, one.label) for sampled, one in pairs]
+    results = [summarise_derivatives(sampled, problem.scalars, one) for sampled, one in pairs]
     return results if isinstance(target, list) else results[0]
 
 
@@ -217,7 +225,9 @@ def _derivatives(
     )
 
 
-def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], metric: str) -> DGSM:
+def summarise_derivatives(
+    derivatives: Derivatives, scalars: Sequence[Scalar], metric: TargetedMetric
+) -> DGSM:
     """Average over the points, with jackknife standard errors."""
     count = len(derivatives.values)
 
@@ -249,12 +259,13 @@ def summarise_derivatives(derivatives: Derivatives, scalars: Sequence[Scalar], m
     ]
     return DGSM(
         rows=tuple(rows[k] for k in nu.argsort(descending=True, stable=True).tolist()),
-        metric=metric,
+        metric=metric.label,
         variance=variance.item(),
         variance_error=variance_error.item(),
         points=count,
         renders=derivatives.renders * count,
         seconds=derivatives.seconds,
+        unit=unit_of_change(metric.unit),
     )
 
 
@@ -303,6 +314,8 @@ class DGSM:
         Total number of renders and backward passes, in units of ``spp`` samples per pixel.
     seconds
         Wall-clock time.
+    unit
+        That of a change of the metric; empty if it has none. The variance has its square.
     """
 
     rows: tuple[GlobalDerivative, ...]
@@ -312,21 +325,22 @@ class DGSM:
     points: int
     renders: float
     seconds: float
+    unit: str = ""
 
     def text(self, top: int | None = _MAX_ROWS) -> str:
         """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
-        rows = self.rows[:top]
+        rows, squared = self.rows[:top], f"({self.unit})² " if self.unit else ""
         columns = {
             "parameter": shorten([row.label for row in rows], _NAME_WIDTH),
             "from": [rounded(row.low) for row in rows],
             "to": [rounded(row.high) for row in rows],
-            "ν, per unit squared": align_with_errors([(row.nu, row.nu_error) for row in rows]),
+            f"ν, {squared}per unit squared": align_with_errors([(row.nu, row.nu_error) for row in rows]),
             "Sobol total at most": align_with_errors([(row.bound, row.bound_error) for row in rows]),
         }
         variance = format_with_error(self.variance, self.variance_error)
         summary = (
-            f"{self.metric}: variance {variance} over the intervals, from gradients at {self.points} points "
-            f"({self.renders:g} renders and backward passes)"
+            f"{self.metric}: variance {variance} {squared}over the intervals, from gradients at {self.points} "
+            f"points ({self.renders:g} renders and backward passes)"
         )
         hidden = len(self.rows) - len(rows)
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []

@@ -24,8 +24,11 @@ from ..visualization import (
     figure_of,
     grid,
     metric_name,
+    metric_unit,
+    minus,
     name_rows,
     shorten,
+    unit_of_change,
     wrap,
     wrapped_lines,
 )
@@ -127,6 +130,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         metric=metric_name(attribution),
         scale=scale,
         left_out=tuple(row.label for row in rows if row.name not in directions),
+        unit=unit_of_change(metric_unit(attribution)),
     )
 
 
@@ -167,6 +171,8 @@ class Interactions:
         Name of the metric, and ``"unit"`` or ``"range"``.
     left_out
         Labels of salient parameters that cannot move either way: textures with texels at both bounds.
+    unit
+        That of a change of the metric; empty if it has none.
     """
 
     names: tuple[str, ...]
@@ -177,6 +183,7 @@ class Interactions:
     metric: str
     scale: HessianScale
     left_out: tuple[str, ...] = ()
+    unit: str = ""
 
     @property
     def measured(self) -> torch.Tensor:
@@ -277,8 +284,9 @@ class Interactions:
 
     @property
     def _heading(self) -> str:
-        unit = "per unit" if self.scale == "unit" else "over the range"
-        return f"second derivatives of {self.metric}, {unit} along each parameter's own gradient"
+        step = "per unit" if self.scale == "unit" else "over the range"
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"second derivatives of {self.metric}{unit}, {step} along each parameter's own gradient"
 
     def _formatted(self) -> dict[tuple[int, int], str]:
         indices = range(len(self.names))
@@ -291,11 +299,15 @@ def _standard_error(replicates: torch.Tensor) -> torch.Tensor:
 
 
 def _concise(value: float, error: float) -> str:
-    """Format a value with the error of its last digits in brackets, ``'0.0123(4)'``."""
+    """Format a value with the error of its last digits in brackets: ``'0.0123(4)'``, ``'0.00(5)'``, ``'0(9)e−8'``.
+
+    A value far below its error is rounded to zero, but keeps the decimals and the power of ten of the error.
+    """
     style = Format.of(value, error)
-    number, decimals = style.write(value), style.place
     if error == 0:
-        return number
-    head, mark, exponent = number.partition("e")
-    digits = round(error * 10.0**decimals) if decimals > 0 else style._replace(exponent=0).write(error)
-    return f"{head}({digits}){mark}{exponent}"
+        return style.write(value)
+    decimals = style.place + style.exponent  # of what stands before the power of ten
+    scaled = round(value / 10.0**style.exponent, decimals) + 0.0  # + 0.0 turns −0.0 into 0.0
+    is_plain_integer = style.exponent == 0 and style.place <= 0
+    digits = style.write(error) if is_plain_integer else round(error * 10.0**style.place)
+    return minus(f"{scaled:.{max(decimals, 0)}f}({digits}){f'e{style.exponent}' if style.exponent else ''}")

@@ -25,6 +25,7 @@ from ..visualization import (
     figure_of,
     grid,
     metric_name,
+    minus,
     pluralize,
     shorten,
     style_axes,
@@ -343,4 +344,9 @@ def _all(layers: Sequence[str]) -> str:
 
 
 def _mean_and_range(values: torch.Tensor) -> str:
-    return f"{values.mean():.2f} ({values.min():.2f} to {values.max():.2f})"
+    mean, low, high = (_written(one.item()) for one in (values.mean(), values.min(), values.max()))
+    return f"{mean} ({low} to {high})"
+
+
+def _written(correlation: float) -> str:
+    return minus(f"{round(correlation, 2) + 0.0:.2f}")  # + 0.0 turns −0.0 into 0.0

@@ -27,6 +27,7 @@ from ..estimation import (
     derived_seeds,
 )
 from ..protocols import Renderer
+from ..visualization import unit_of_change
 from ._dgsm import Derivatives, Problem, interval_gradients, render_count, sample_derivatives
 from ._scalars import Intervals, Scalar, position_factors, values_at
 from ._sensitivity_result import SensitivityComparison, SensitivityIndex
@@ -120,7 +121,11 @@ def compare_sensitivity(  # noqa: PLR0913 -- the options of dgsm, and three samp
     for k, one in enumerate(black_box.metrics):
         order = np.argsort([-value for value in sobol[k].values.values()], kind="stable")
         ordered = tuple(scalars[i] for i in order)
-        results.append(SensitivityComparison(ordered, local[k], bounded[k], morris[k], sobol[k], one.label))
+        results.append(
+            SensitivityComparison(
+                ordered, local[k], bounded[k], morris[k], sobol[k], one.label, unit_of_change(one.unit)
+            )
+        )
     return results if isinstance(target, list) else results[0]
 
 

@@ -35,10 +35,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 _NAME_WIDTH, _MAX_ROWS = 34, 40
+_CHANGE = "change of the metric"
 _AXIS_WORDS = {
-    "gradient × range": "change of the metric",
+    "gradient × range": _CHANGE,
     "DGSM bound": "fraction of its variance",
-    "Morris μ*": "change of the metric",
+    "Morris μ*": _CHANGE,
     "Sobol total": "fraction of its variance",
 }
 
@@ -99,6 +100,8 @@ class SensitivityComparison:
         The total Sobol index.
     metric
         Name of the metric.
+    unit
+        That of a change of the metric; empty if it has none.
     """
 
     parameters: tuple[Scalar, ...]
@@ -107,6 +110,7 @@ class SensitivityComparison:
     morris: SensitivityIndex
     sobol: SensitivityIndex
     metric: str
+    unit: str = ""
 
     @property
     def methods(self) -> tuple[SensitivityIndex, ...]:
@@ -137,7 +141,7 @@ class SensitivityComparison:
         part: Any = figure or new_figure(WIDTH + 1.4, 1.3 + 0.2 * len(shown))
         axes = part.subplots(1, len(self.methods), sharey=True)
         for ax, method in zip(axes, self.methods, strict=True):
-            _draw_index(ax, method, [scalar.name for scalar in shown])
+            _draw_index(ax, method, [scalar.name for scalar in shown], self.unit)
         name_rows(axes[0], shorten([scalar.label for scalar in shown], _NAME_WIDTH), SMALL)
         title = f"Sensitivity of {self.metric}, the top {len(self.sobol.top)} of each method in blue"
         part.suptitle(title, fontsize=TITLE, parse_math=False)
@@ -165,11 +169,14 @@ class SensitivityComparison:
             columns.append((method.method, *marked, *([""] * len(more)), "", *self._cost(method)))
         headers, *rows = zip(*columns, strict=True)
         notes = [
-            f"{self.metric}; * the top {size} of each method",
+            f"{self.metric}; * the top {size} of each method{self._units()}",
             "a render has spp samples per pixel, and fewer are a part of one; a backward pass counts as a render",
             INTERVAL_NOTE,
         ]
         return "\n".join([*grid(headers, rows), "", *notes])
+
+    def _units(self) -> str:
+        return f"; {self.local.method} and {self.morris.method} in {self.unit}" if self.unit else ""
 
     def _cost(self, method: SensitivityIndex) -> list[str]:
         tau = self.agreement.get((method.method, self.sobol.method))
@@ -187,7 +194,7 @@ class SensitivityComparison:
     __repr__ = __str__
 
 
-def _draw_index(ax: Axes, method: SensitivityIndex, names: list[str]) -> None:
+def _draw_index(ax: Axes, method: SensitivityIndex, names: list[str], unit: str) -> None:
     values = [method.values[name] for name in names]
     errors = [2 * method.errors[name] for name in names]
     colors = [RAISES if name in method.top else UNCLEAR for name in names]
@@ -198,5 +205,7 @@ def _draw_index(ax: Axes, method: SensitivityIndex, names: list[str]) -> None:
     stable = f"top {len(method.top)} stable after" if method.stable else "not stable after"
     renders = rounded(method.renders_until_stable) if method.stable else rounded(method.renders, 4)
     style_axes(ax, method.method, size=TEXT)
-    ax.set_xlabel(f"{_AXIS_WORDS[method.method]}\n\n{stable}\n{renders} renders", fontsize=SMALL)
+    words = _AXIS_WORDS[method.method]
+    in_unit = f"in {unit}\n" if unit and words == _CHANGE else "\n"
+    ax.set_xlabel(f"{words}\n{in_unit}{stable}\n{renders} renders", fontsize=SMALL)
     ax.tick_params(axis="y", length=0)

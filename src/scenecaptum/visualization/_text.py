@@ -127,9 +127,9 @@ def axis_label(
 ) -> str:
     """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
-    unit = unit_of_change(metric_unit(attribution))
     if metric is None:
-        metric = f"{metric_name(attribution, width)}{f' ({unit})' if unit else ''}"
+        unit, square = metric_unit(attribution), "" if kind.has_sign else "²"
+        metric = f"{metric_name(attribution, width)}{f' ({unit_of_change(unit)}){square}' if unit else ''}"
     label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 
