@@ -52,11 +52,13 @@ def sentence(explanation: Explanation) -> str:
     *first, last = (row.label.partition(":")[0].replace("_", " ") for row in lowering)
     (change,) = explanation.changes
     less = 1 - (change.after.sum() / change.before.sum()).item()
+    definition = explanation.definition  # of a rating whose source is near the threshold
+    lowers = -change.measured if definition is None else definition.value - change.exact
     excess = "above" if rating > LIMIT else "below"
     return (
         f"The {source.name} causes {100 * source.share:.0f} % of this office's glare: UGR {rating:.1f}, {excess} "
         f"the limit of {LIMIT} for offices.\n{100 * less:.0f} % less {change.label.replace(':', '')} lowers it by "
-        f"{-change.measured:.1f}; a lighter {', '.join(first)} or {last} by {-lowering[0].effect:.1f} at most."
+        f"{lowers:.1f}; a lighter {', '.join(first)} or {last} by {-lowering[0].effect:.1f} at most."
     )
 
 

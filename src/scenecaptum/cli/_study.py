@@ -63,7 +63,8 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--report",
         action="store_true",
-        help="also write report/index.html: the summary over the rooms, figures, and a page for each cell",
+        help="also write report/index.html: the summary over the rooms, figures, and a page for each cell with a "
+        "picture",
     )
     parser.add_argument("--retry-failed", action="store_true", help="compute failed cells again")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -99,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
             f"{options.out / 'study.json'}  what the study is; a file for each cell is in {options.out / 'cells'}"
         )
         if report is not None:
-            print(f"{report}  summary, figures, and a page for each cell")
+            print(f"{report}  summary, figures, and a page for each cell with a picture")
     return 1 if result.failures else 0
 
 

@@ -188,8 +188,10 @@ def _figures(result: Reported, summary: Summary, group: Group) -> str:
             partial(plot_effect_by_room, summary, row.group, metric=metric, design=design, method=method)
             for row in rows[:MAX_EFFECTS]
         ]
-        gallery = partial(plot_gallery, result, metric=metric, design=design, method=method)
-        parts.append(_section(heading(rows), map(_figure, [*draws, gallery])))
+        drawn = list(map(_figure, draws))
+        with contextlib.suppress(SceneCaptumError):  # points of a sensor grid are no picture
+            drawn.append(_image(plot_gallery(result, metric=metric, design=design, method=method)))
+        parts.append(_section(heading(rows), drawn))
     return "\n".join([*parts, _rankings(result, group)])
 
 
