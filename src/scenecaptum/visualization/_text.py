@@ -84,12 +84,9 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     if not unmarked or not _is_clear(unmarked[0]):
         return f"{metric}: see the notes on the effects marked ~"
     first, *others = [row for row in unmarked if _is_clear(row)][:3]
-    if rivals := [row for row in unmarked if not _is_clear(row) and _reaches(row, first)]:
-        errors = "the error of" if len(rivals) == 1 else "the errors of"
-        rest = f" and {len(rivals) - 1} others" if len(rivals) > 2 else ""
-        named = shorten([row.label for row in rivals[: 1 if rest else 2]], FINDING_WIDTH)
-        verb = "is" if len(rivals) == 1 else "are"
-        return f"{metric}: the largest effect is uncertain; {errors} {' and '.join(named)}{rest} {verb} too large"
+    noisy = [row for row in unmarked if not _is_clear(row) and _upper_end(row) > first.saliency]
+    if noisy:
+        return f"{metric}: the largest effect is uncertain; {_too_large(noisy)}"
     tied = [row for row in others if not _are_apart(first, row)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
@@ -102,9 +99,19 @@ def _is_clear(row: RankedParameter) -> bool:
     return not row.saliency <= 2 * (row.saliency_error or 0.0)
 
 
-def _reaches(noisy: RankedParameter, largest: RankedParameter) -> bool:
-    """Whether a saliency plus two standard errors exceeds the largest one that is clear."""
-    return noisy.saliency + 2 * (noisy.saliency_error or 0.0) > largest.saliency
+def _upper_end(row: RankedParameter) -> float:
+    """Return the saliency plus two standard errors."""
+    return row.saliency + 2 * (row.saliency_error or 0.0)
+
+
+def _too_large(noisy: Sequence[RankedParameter]) -> str:
+    """Return ``'the error of sky: radiance is too large'``; of several, that of the largest upper end is first."""
+    ordered = sorted(noisy, key=_upper_end, reverse=True)
+    named = shorten([row.label for row in ordered[: 1 if len(noisy) > 2 else 2]], FINDING_WIDTH)
+    if len(noisy) == 1:
+        return f"the error of {named[0]} is too large"
+    others = [f"{len(noisy) - 1} others"] if len(noisy) > 2 else []
+    return f"the errors of {' and '.join(named + others)} are too large"
 
 
 def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
