@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from chance import allowed, together
-from seeds import shifted
+from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.errors import SceneCaptumError
@@ -19,6 +19,7 @@ from scenecaptum.linearization._linearization import _denoise_signed
 LAMP = "light.emitter.radiance.value"
 WALL = "left_wall.reflectance.value"
 POSE = "tall_box_shape.pose.translation"
+THRESHOLD = 0.3  # of the pixels of the Cornell box: twice their mean
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,37 @@ def test_other_changes_are_predicted_to_first_order(about, name, step):
     _, [(change, error)] = about.predict({name: ends[0]})
     off = (rendered - change) / together(error, rendered_error)
     assert abs(off) < allowed(REPLICATES), f"{rendered} ± {rendered_error} against {change} ± {error}"
+
+
+def _bright_share(image: torch.Tensor) -> torch.Tensor:
+    """Return the share of bright pixels, with a soft threshold: its adjoint has the noise of the picture."""
+    return torch.sigmoid(40 * (image.mean(-1) - THRESHOLD)).mean()
+
+
+def test_effects_at_rest_have_the_noise_of_the_picture():
+    renderer = SceneRenderer("cornell-box", inputs="reflectance", resolution=(16, 16), spp=16, max_depth=4)
+    effects, variances = [], []
+    for seed in seeds(100, 106):
+        designs = Designs(renderer, [_bright_share], seed=seed, spp=16, denoise=False)
+        about = Linearization(designs, designs.measure({}))
+        about.rank()
+        [attribution] = about.attributions
+        effects.append(list(attribution.effects().values()))
+        variances.append([error**2 for error in (attribution.effects_error() or {}).values()])
+    spread = torch.tensor(effects).std(0)
+    claimed = torch.tensor(variances).mean(0).sqrt()
+    # Of 6 seeds, the spread is more than 2.5 times the true one in one of 100 000 cases.
+    assert (spread < 2.5 * claimed).all(), f"{spread.tolist()} against {claimed.tolist()}"
+
+
+def test_the_errors_of_a_linear_metric_need_no_more_renders(about, monkeypatch):
+    def refuse(*_: Any) -> None:
+        pytest.fail("the adjoint of a linear metric has no noise")
+
+    monkeypatch.setattr(Linearization, "_with_picture_noise", refuse)
+    again = Linearization(about.designs, about.start)
+    again.rank()
+    assert again.attributions[0].metric_value == about.attributions[0].metric_value
 
 
 def test_the_leading_parameters_are_those_with_the_largest_effects(about):

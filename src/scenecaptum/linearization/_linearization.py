@@ -12,15 +12,17 @@ import torch
 
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..denoising import Guides, denoise
-from ..estimation import TargetedMetric
+from ..estimation import TargetedMetric, channel_totals, covariance_of_mean, pseudo_values
 from ..projection import SurfaceMap
 from ..protocols import accepted_keywords
 from ..rendering import SceneRenderer
-from ._designs import Designs, Measured
+from ._designs import REPLICATES, Designs, Measured
 from ._sliders import Design, Place, Slider
 
 GRADIENT_REPLICATES = 8
 GRADIENT_SPP = 8
+PICTURE_NOISE_SPP = 2  # of the gradients along the noise of an adjoint, which need only be known roughly
+_ROUNDING = 1e-4  # what the adjoints of a linear metric may differ by, relative to the largest
 _COMMON = 0.999  # of the pixels decide how far a derivative is below zero
 
 
@@ -87,9 +89,12 @@ class Linearization:
         """Attribute the metrics, to first order about the picture of the start."""
         designs, images = self.designs, self.start.images
         means = [images.mean(0), images[::2].mean(0), images[1::2].mean(0)]
+        deviations = []
         for metric in designs.metrics_of(self.start.design):
             designs.pause()
-            self._adjoints.append(torch.stack([metric.value_and_adjoint(mean)[1] for mean in means]))
+            adjoints = torch.stack([metric.value_and_adjoint(mean)[1] for mean in means])
+            self._adjoints.append(adjoints)
+            deviations.append(self._adjoint_noise(metric, adjoints[0]))
         functional = _FirstOrder(designs.metrics, [adjoint[0] for adjoint in self._adjoints], self.start)
         values = designs.values(self.start.design)
         method = VanillaSceneGradient(_Pausing(designs.renderer, designs.pause), functional)
@@ -100,7 +105,49 @@ class Linearization:
             spp=GRADIENT_SPP,
             replicates=GRADIENT_REPLICATES,
         )
+        found = [
+            one if noise is None else self._with_picture_noise(one, noise)
+            for one, noise in zip(found, deviations, strict=True)
+        ]
         self.attributions = [self._as_measured(number, one) for number, one in enumerate(found)]
+
+    def _adjoint_noise(self, metric: TargetedMetric, adjoint: torch.Tensor) -> torch.Tensor | None:
+        """Return the pseudo-values of an adjoint minus itself, ``(images, H, W, 3)``; None if it has no noise."""
+        images = self.start.images
+
+        def of_mean(kept: torch.Tensor) -> torch.Tensor:
+            self.designs.pause()
+            return metric.value_and_adjoint(images[kept].mean(0))[1]
+
+        deviations = pseudo_values(of_mean, len(images)) - adjoint
+        return deviations if deviations.abs().max() > _ROUNDING * adjoint.abs().max() else None
+
+    def _with_picture_noise(self, attribution: SceneAttribution, noise: torch.Tensor) -> SceneAttribution:
+        """Return an attribution whose errors have those of its adjoint, which all of its replicates share."""
+        designs = self.designs
+        values = designs.values(self.start.design)
+
+        def along_noise(image: torch.Tensor) -> torch.Tensor:
+            return torch.einsum("khwc,hwc->k", noise, image)
+
+        found = VanillaSceneGradient(_Pausing(designs.renderer, designs.pause), along_noise).attribute(
+            {name: values[name] for name in designs.inputs},
+            target=list(range(len(noise))),
+            seed=designs.seed,
+            spp=PICTURE_NOISE_SPP,
+            replicates=1,
+            denoise=False,
+        )
+        errors, covariance = dict(attribution.standard_error or {}), dict(attribution.covariance or {})
+        for name in attribution:
+            rows = torch.stack([one[name] for one in found])
+            # The mean of pseudo-values minus the value is the bias that the noise of the picture causes.
+            bias = rows.mean(0)
+            errors[name] = errors[name].hypot((rows.var(0) / len(rows) + bias.square()).sqrt())
+            totals = torch.stack([channel_totals(row) for row in rows])
+            covariance[name] = covariance[name] + covariance_of_mean(totals, channel_totals(bias))
+        info = {**attribution.info, "degrees_of_freedom": REPLICATES - 1}
+        return dataclasses.replace(attribution, standard_error=errors, covariance=covariance, info=info)
 
     def _as_measured(self, number: int, attribution: SceneAttribution) -> SceneAttribution:
         """Return an attribution of a metric to first order with the metric itself at the start."""
