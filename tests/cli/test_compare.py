@@ -36,10 +36,15 @@ def test_the_shares_of_points_are_of_the_render_whose_value_is_quoted(
     text = "compare classroom --spp 4 --spacing 1 --metric en17037 --inputs pane.* --no-progress --json"
     change = "--set pane.specular_transmittance.value=0.75"
     assert cli.main(shlex.split(f"{text} {change} --out {tmp_path}")) == 0
-    quoted = [one["definition"]["value"] for one in json.loads(capsys.readouterr().out)["results"]]
+    printed = json.loads(capsys.readouterr().out)
+    quoted = [one["definition"]["value"] for one in printed["results"]]
     page = (tmp_path / "comparison.html").read_text()
     (found,) = re.findall(r'<script[^>]*type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
-    for value, card in zip(quoted, json.loads(found)["results"], strict=True):
+    written = json.loads(found)
+    rows = written["comparison"]["effects"]["rows"]
+    assert {row[0] for row in rows} <= {one["label"] for one in printed["effects"]}
+    assert "pane" in rows[0][0], "what was set comes first"
+    for value, card in zip(quoted, written["results"], strict=True):
         (line,) = [one for one in card["premises"] if "300 lx at" in one and "required" in one]
         shares = [float(share) for share in re.findall(r"at ([\d.]+) % of the points", line)]
         ratios = [100 * share / needed for share, needed in zip(shares, (50, 95), strict=True)]

@@ -23,7 +23,7 @@ from scenecaptum import SceneAttribution, VanillaSceneGradient
 from scenecaptum.attr import Change, Definition, Explanation, Source
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
-from scenecaptum.report import Comparison, write_report
+from scenecaptum.report import Comparison, Table, write_report
 from scenecaptum.visualization import plot_heatmap, plot_plan
 
 UGR = {
@@ -573,7 +573,10 @@ def test_a_comparison_is_on_top_with_what_was_set(browser, tmp_path):
             "chair.alpha": torch.tensor(0.3),
         },
     )
-    comparison = Comparison(-0.263, 0.004, ["Measured <b>separately."])
+    effects = Table(
+        "effect of what", ("effect of", "as it is", NASTY, "change"), [(NASTY, "1", "2", "+1 ◆")], ["◆ noise"]
+    )
+    comparison = Comparison(-0.263, 0.004, ["Measured <b>separately."], effects)
     path = written(tmp_path, ranged(), after, titles=["as it is", NASTY], comparison=comparison)
     page = Page(browser, path)
     shown = page.page.locator("#comparison")
@@ -585,6 +588,12 @@ def test_a_comparison_is_on_top_with_what_was_set(browser, tmp_path):
         "chair: alpha 0.15 → 0.3",
     ]
     assert box_of(page, "#comparison")[1] <= box_of(page, "#picture")[0]
+    below = page.page.locator("#changes")
+    assert below.locator("tr").all_inner_texts() == [
+        f"effect of\tas it is\t{NASTY}\tchange",
+        f"{NASTY}\t1\t2\t+1 ◆",
+    ]
+    assert below.locator("p").all_inner_texts() == ["effect of what", "◆ noise"]
     numbers = json.loads(downloaded(page, "json", tmp_path / "numbers.json").read_text())["comparison"]
     assert numbers["change"] == -0.263
     assert [*map(pytest.approx, numbers["values"]["chair.alpha"])] == [[0.15], [0.3]]

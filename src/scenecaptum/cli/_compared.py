@@ -24,7 +24,14 @@ from ..visualization import (
     unit_of_change,
     wrapped_lines,
 )
-from ._compared_effects import SIGNIFICANT, compared_effects, effect_lines, not_compared, with_own_ranges
+from ._compared_effects import (
+    SIGNIFICANT,
+    EffectTable,
+    compared_effects,
+    effect_table,
+    not_compared,
+    with_own_ranges,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,6 +137,10 @@ class Compared:
         """Whether the two values are relaxed ratings of glare, as one that was saved is."""
         return any(side.is_saved for side in self.sides) and _is_glare_rating(self.before)
 
+    def effects(self) -> EffectTable | None:
+        """Return the effects of both results beside each other; None if they share no parameter."""
+        return effect_table(self.before, self.after, self.titles, relaxed=self.by_definition is not None)
+
     def shown(self) -> list[Explanation]:
         """Return both results for the page, with what belongs to their values."""
         return [
@@ -157,9 +168,15 @@ def lines(found: Compared) -> list[str]:
     ]
     if moved:
         text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]
-    table, notes = effect_lines(before, after, found.titles, relaxed=found.by_definition is not None)
-    head = [] if not table else ["", *wrapped_lines(table[0], _width(), indent=4)]
-    return [*text, *head, *table[1:], *(line for note in notes for line in _note(note))]
+    if (table := found.effects()) is None:
+        return text
+    head = ["", *wrapped_lines(table.quantity, _width(), indent=4)]
+    return [
+        *text,
+        *head,
+        *grid(table.columns, table.rows),
+        *(line for note in table.notes for line in _note(note)),
+    ]
 
 
 def _value_lines(found: Compared) -> list[str]:

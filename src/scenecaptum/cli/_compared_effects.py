@@ -15,7 +15,6 @@ from ..visualization import (
     Format,
     axis_label,
     first_few,
-    grid,
     metric_unit,
     pluralize,
     range_marked,
@@ -88,13 +87,22 @@ def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[
     return sorted(found, key=lambda one: -one.size)
 
 
-def effect_lines(
+class EffectTable(NamedTuple):
+    """The effects of both results beside each other: what they are, the table, and the notes below it."""
+
+    quantity: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    notes: Sequence[str]
+
+
+def effect_table(
     before: SceneAttribution, after: SceneAttribution, titles: Sequence[str], *, relaxed: bool
-) -> tuple[list[str], list[str]]:
-    """Return the table of effects, with a line above that says what they are, and the notes below it."""
+) -> EffectTable | None:
+    """Return the table of the effects that both results have; None if there are none."""
     found = compared_effects(before, after)
     if not found:
-        return [], []
+        return None
     shown = _shown(found, different_values(before, after))
     notes = _notes(before, after, titles, [one.name for one in shown])
     marked = range_marked(notes)
@@ -106,13 +114,14 @@ def effect_lines(
         rows.append((label, first, second, f"{change} {NOISE}" if one.name in is_noisy else change))
     of_what = ", of the relaxed value" if relaxed else ""
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
-    table = [
-        f"effect: {axis_label(after, width=None)}{of_what}",
-        *grid(("effect of", *titles, f"change{unit}"), rows),
-    ]
     below = [f"~ {note}" for note in notes]
     below += [f"{NOISE} change within the noise"] if is_noisy else []
-    return table, [*below, *_left_out([one for one in found if one not in shown])]
+    return EffectTable(
+        f"effect: {axis_label(after, width=None)}{of_what}",
+        ("effect of", *titles, f"change{unit}"),
+        rows,
+        [*below, *_left_out([one for one in found if one not in shown])],
+    )
 
 
 def not_compared(before: SceneAttribution, after: SceneAttribution, titles: Sequence[str]) -> list[str]:

@@ -1,9 +1,10 @@
 """Results as files: one self-contained HTML page to explore in a browser, JSON and CSV."""
 
 # What users see; the other names are for the rooms above.
-__all__ = ["Comparison", "Section", "write_csv", "write_json", "write_report", "write_section"]
+__all__ = ["Comparison", "Section", "Table", "write_csv", "write_json", "write_report", "write_section"]
 
 from ._data import Comparison as Comparison
+from ._data import Table as Table
 from ._data import describe_objects as describe_objects
 from ._data import different_values as different_values
 from ._numbers import json_text as json_text

@@ -61,6 +61,19 @@ _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmit
 
 
 @dataclass(frozen=True)
+class Table:
+    """A table of text below the change of a metric: its caption, its columns, its rows, and notes below it.
+
+    Each row has as many texts as there are columns; the first names it.
+    """
+
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class Comparison:
     """The change of a metric from the first of two results to the second, which stands on top of the page.
 
@@ -70,11 +83,14 @@ class Comparison:
         The change, and its standard error if it is known.
     notes
         Sentences below it, such as how it was measured.
+    effects
+        How the effects changed, as a table.
     """
 
     change: float
     standard_error: float | None = None
     notes: Sequence[str] = ()
+    effects: Table | None = None
 
 
 def report_data(
@@ -117,6 +133,7 @@ def _comparison(before: Attribution, after: Attribution, comparison: Comparison)
         "written": signed_with_error(comparison.change, comparison.standard_error),
         "unit": unit_of_change(metric_unit(before)),
         "notes": list(comparison.notes),
+        "effects": None if comparison.effects is None else vars(comparison.effects),
         "values": [
             {
                 "name": name,

@@ -485,6 +485,16 @@ function drawComparison({ written, unit, notes, values }) {
     make("div", { class: "notes-of-change" }, ...notes.map((text) => make("p", { class: "result-verdict" }, text))));
 }
 
+/** The effects of both results beside each other. */
+function drawChanges({ caption, columns, rows, notes }) {
+  const head = columns.map((text) => make("th", { scope: "col" }, text));
+  const body = rows.map(([name, ...numbers]) => make("tr", {}, make("th", { scope: "row" }, ...breakable(name)), ...numbers.map((text) => make("td", {}, text))));
+  const table = make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body));
+  byId("changes").hidden = false;
+  byId("changes").append(make("h2", {}, "How the effects change"), make("p", { class: "result-verdict" }, caption), make("div", { class: "wide", tabindex: "0" }, table),
+    ...notes.map((text) => make("p", { class: "result-verdict" }, text)));
+}
+
 /** Name a scene by its file, or by its folder where the file is called what all are. */
 function sceneName(path) {
   const parts = path.split(/[/\\]/).filter(Boolean);
@@ -550,6 +560,7 @@ async function start() {
   }
   drawResults();
   if (data.comparison) drawComparison(data.comparison);
+  if (data.comparison?.effects) drawChanges(data.comparison.effects);
   recall();
   // Two plain pictures are compared first; the maps come with their slider.
   if (otherResult()) byId("opacity").value = 0;
