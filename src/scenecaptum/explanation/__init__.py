@@ -10,4 +10,6 @@ from ._explain import explain as explain
 from ._explain import photometric_premises as photometric_premises
 from ._explain import rated_image as rated_image
 from ._threshold import FACTOR as FACTOR
-from ._threshold import other_threshold as other_threshold
+from ._threshold import has_absolute_threshold as has_absolute_threshold
+from ._threshold import near_threshold_note as near_threshold_note
+from ._threshold import relative_rating as relative_rating

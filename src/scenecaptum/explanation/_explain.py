@@ -34,7 +34,7 @@ from ._changes import propose, rendered
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
-from ._threshold import is_near_threshold, relative_rating, single_sample_notes, threshold_notes
+from ._threshold import is_near_threshold, relative_sentence, single_sample_notes, threshold_notes
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
@@ -178,7 +178,7 @@ def _threshold_at(
     ):
         return ()
     whose = "at the goal" if goal.reached else "of the design that was tried"
-    return (f"{whose}: {relative_rating(metric, after)}",)
+    return (f"{whose}: {relative_sentence(metric, after)}",)
 
 
 def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeGuard
 
 import torch
 
@@ -29,29 +29,24 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
             f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
             f"source; {remedy}"
         ]
-    if found := other_threshold(metric, image):
-        return [f"{found.note}; {relative_rating(metric, image)}"]
+    if note := near_threshold_note(metric, image):
+        return [f"{note}; {relative_sentence(metric, image)}"]
     return []
 
 
-class OtherThreshold(NamedTuple):
-    """What a threshold near the main source means, and the rating by the other usual threshold."""
-
-    note: str
-    rating: float
-
-
-def other_threshold(metric: Metric, image: torch.Tensor) -> OtherThreshold | None:
-    """Return the rating of a picture by the other threshold, where its main source is close to an absolute one."""
-    if not isinstance(metric, GlareRating) or metric.threshold_factor is not None:
-        return None
-    if not is_near_threshold(metric, image):
-        return None
-    note = (
+def near_threshold_note(metric: Metric, image: torch.Tensor) -> str:
+    """Return what a threshold near the main source of a picture means; empty if it is far or not absolute."""
+    if not has_absolute_threshold(metric) or not is_near_threshold(metric, image):
+        return ""
+    return (
         f"only pixels brighter than {metric.threshold:g} cd/m² count, and a source that is dimmed below it stops "
         "counting at once"
     )
-    return OtherThreshold(note, metric.relative_to_mean(FACTOR).hard(image).item())
+
+
+def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
+    """Whether the sources of a metric are brighter than a luminance, and not than so many times the mean."""
+    return isinstance(metric, GlareRating) and metric.threshold_factor is None
 
 
 def single_sample_notes(metric: GlareRating, image: torch.Tensor, other: torch.Tensor) -> tuple[str, ...]:
@@ -74,11 +69,15 @@ def is_near_threshold(metric: GlareRating, image: torch.Tensor) -> bool:
     return main is not None and main.luminance < NEAR * metric.held_at(image).threshold
 
 
-def relative_rating(metric: GlareRating, image: torch.Tensor) -> str:
+def relative_sentence(metric: GlareRating, image: torch.Tensor) -> str:
     """Return ``"with a threshold of 5 times the mean luminance, UGR is 21.6"``."""
-    rating = metric.relative_to_mean(FACTOR).hard(image).item()
-    name = metric.measure.symbol or metric.measure.name
+    rating, name = relative_rating(metric, image), metric.measure.symbol or metric.measure.name
     return f"with a threshold of {FACTOR:g} times the mean luminance, {name} is {rounded(rating)}"
+
+
+def relative_rating(metric: GlareRating, image: torch.Tensor) -> float:
+    """Return the rating of a picture with the other usual threshold."""
+    return metric.relative_to_mean(FACTOR).hard(image).item()
 
 
 def _main_source(metric: GlareRating, image: torch.Tensor) -> GlareSource | None:

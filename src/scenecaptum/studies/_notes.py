@@ -9,7 +9,14 @@ import torch
 
 from ..daylight import DaylightMetric
 from ..estimation import TargetedMetric
-from ..explanation import FACTOR, other_threshold, photometric_premises, states_definition
+from ..explanation import (
+    FACTOR,
+    has_absolute_threshold,
+    near_threshold_note,
+    photometric_premises,
+    relative_rating,
+    states_definition,
+)
 from ..metrics import GlareRating
 from ..rendering import SceneRenderer
 from ..visualization import group_by_text, pluralize
@@ -53,9 +60,10 @@ def described(
         of_sky = None if weather is None else f"weather: {weather.place}"
         notes = (*notes, *(note for note in (caution, of_sky) if note))
     said = {"measure": measure, "verdict": verdict, "notes": list(notes)}
-    if (found := other_threshold(metric.metric, shown)) is None:
+    if not has_absolute_threshold(metric.metric):
         return said
-    return {**said, "relative_rating": found.rating, "threshold_note": found.note}
+    near = near_threshold_note(metric.metric, shown)
+    return {**said, "relative_rating": relative_rating(metric.metric, shown), "threshold_note": near}
 
 
 def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:

@@ -96,8 +96,8 @@ class StudyResult:
     def values(self) -> pandas.DataFrame:
         """Return a row for each cell of the study, also for the failed ones: the metric and its standard error.
 
-        A glare rating with its main source near the threshold has beside it the ``relative_rating``, which has a
-        threshold of 5 times the mean luminance.
+        A glare rating with an absolute threshold has beside it the ``relative_rating``, with a threshold of 5
+        times the mean luminance.
 
         Raises
         ------

@@ -169,6 +169,8 @@ def shorten(names: Sequence[str], width: int) -> list[str]:
     ['mat-Wal…ted.001: diffuse reflectance', 'lamp: radiance']
     >>> shorten(["smoothed cosine distance of embeddings"], 36)
     ['smoothed cosine … of embeddings']
+    >>> shorten(["diffuser (luminaire_left, luminaire_right and 2 more)"], 36)
+    ['diffuser (luminaire_le…t and 2 more)']
     """
     names = ["".join(c if c.isprintable() else "�" for c in name) for name in names]
     middle = max(width - 1, 0) // 2
@@ -213,11 +215,30 @@ def _cut_label(label: str, width: int, shift: int) -> str:
         suffix = separator + cut(suffix, available, available // 2) if available > 0 else ""
     else:
         name, suffix = label, ""
-        if shift == 0 and (short := _cut_at_words(label, width)):
-            return short
     name_width = width - columns(suffix)
+    if shift == 0:
+        short = _cut_in_parentheses(name, name_width) or ("" if suffix else _cut_at_words(label, width))
+        if short:
+            return short + suffix
     tail = min(max((name_width - 1) // 2 + shift, 0), max(name_width - 1, 0))
     return cut(name, name_width, tail) + suffix
+
+
+def _cut_in_parentheses(name: str, width: int) -> str:
+    """Cut ``material (its shapes)`` so that both parentheses remain; return an empty string if it has none."""
+    match = re.fullmatch(r"(.+?) \((.+)\)", name)
+    if match is None or width < 2 * _MIN_OBJECT_WIDTH:
+        return ""
+    available = width - len(" ()")
+    outer, inner = match.groups()
+    outer = _cut_name(outer, max(available // 2, available - columns(inner)))
+    return f"{outer} ({_cut_name(inner, available - columns(outer))})"
+
+
+def _cut_name(name: str, width: int) -> str:
+    if columns(name) <= width:
+        return name
+    return _cut_at_words(name, width) or cut(name, width, (width - 1) // 2)
 
 
 def _cut_at_words(name: str, width: int) -> str:
