@@ -126,11 +126,14 @@ def test_every_method_keeps_its_baselines_and_shows_a_given_one(method, tmp_path
     assert sentence in all_text(plot_bars(loaded))
 
 
-def test_several_baselines_are_counted():
+def test_several_baselines_are_named():
     shap = GradientShapScene(Room(), torch.mean)
     several = shap.attribute(baselines=[0.0, 0.1, 0.2], n_samples=4, spp=16)
     assert several.info["baselines"] == "3 baselines"
-    assert "compared with: 3 baselines" in table_text(several)
+    named = "(1) all inputs at 0; (2) all inputs at 0.1; (3) all inputs at 0.2"
+    assert f"compared with: 3 baselines with equal probability: {named}" in " ".join(
+        table_text(several).split()
+    )
     one = shap.attribute(baselines=[0.1], n_samples=4, spp=16)
     assert "compared with: all inputs at 0.1" in table_text(one)
 

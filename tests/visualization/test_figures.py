@@ -610,6 +610,12 @@ def test_a_figure_has_the_size_that_is_asked_for() -> None:
     assert 5.0 < large.get_figwidth() <= 12.0 + 1e-6
 
 
+@pytest.mark.parametrize("plot", [plot_bars, plot_heatmap, plot_overlay])
+def test_a_figure_in_which_its_texts_do_not_fit_is_refused(plot) -> None:
+    with pytest.raises(SceneCaptumError, match=r"3\.4 inches is too narrow .* at least 4\.5"):
+        plot(make(), figsize=(3.4, 3.0))
+
+
 @pytest.mark.parametrize("high", [0.12, 0.3, 0.6, 2.0, 30.0, 5e3, 1e6])
 def test_labels_of_a_logarithmic_axis_do_not_overlap(high: float) -> None:
     from scenecaptum.visualization import SMALL, log_axis, new_figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -14,6 +14,8 @@ from ._wording import value_in_words
 _UNCHANGED = "unchanged"
 _MAX_CHANNELS = 4
 _MAX_NAMED = 6  # of the keys of a mapping, in its order: the effects are not known yet
+_MAX_LISTED = 3  # baselines of a list
+_DEFAULT = "lights and reflectances 0"
 _PRESETS = {
     "dark": "all lights off, everything else unchanged",
     "black": "all reflectances 0, everything else unchanged",
@@ -27,7 +29,7 @@ def describe_baselines(
     baselines: Baselines,
     resolved: Values,
     *,
-    default: str = "lights and reflectances 0",
+    default: str = _DEFAULT,
 ) -> dict[str, Any]:
     """Return ``"baselines"``, that of each input in words, and ``"compared_with"`` if any is given.
 
@@ -47,9 +49,19 @@ def describe_baselines(
     }
 
 
-def describe_several(count: int) -> dict[str, Any]:
-    """Return the same for a list of baselines."""
-    return {"baselines": f"{count} baselines", "compared_with": f"{count} baselines with equal probability"}
+def describe_several(
+    renderer: Renderer, values: Values, baselines: Sequence[Baselines], resolved: Sequence[Values]
+) -> dict[str, Any]:
+    """Return the same for a list of baselines, of which the first few are in words."""
+    described = [
+        describe_baselines(renderer, values, one, tensors).get("compared_with", _DEFAULT)
+        for one, tensors in zip(baselines[:_MAX_LISTED], resolved, strict=False)
+    ]
+    parts = [f"({number}) {text}" for number, text in enumerate(described, 1)]
+    more = len(baselines) - len(parts)
+    parts += [f"{more} more"] if more else []
+    count = f"{len(baselines)} baselines"
+    return {"baselines": count, "compared_with": f"{count} with equal probability: {'; '.join(parts)}"}
 
 
 def _of_mapping(

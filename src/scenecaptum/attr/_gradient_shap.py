@@ -106,7 +106,7 @@ class GradientShapScene(GradientMethod):
         info = {
             "quantity": ResultKind.CONTRIBUTION.value,
             **(
-                describe_several(len(given))
+                describe_several(self.renderer, run.values, given, starts)
                 if len(given) > 1
                 else describe_baselines(self.renderer, run.values, given[0], starts[0])
             ),

@@ -19,10 +19,12 @@ from ..ranks import kendall_tau_of_pairs
 from ..visualization import (
     LOWERS,
     RAISES,
+    TEXT,
     UNCLEAR,
     WIDTH,
     add_footnotes,
     axes_or_new,
+    characters_per_line,
     figure_of,
     format_with_error,
     grid,
@@ -341,11 +343,13 @@ class AblationTest:
         gradient.
         """
         ax = axes_or_new(ax, WIDTH, 1.7 + 0.24 * len(self.rows))
-        style_axes(ax, x=f"change of {self.metric} per unit of the parameter, along its gradient")
+        label = f"change of {self.metric} per unit of the parameter, along its gradient"
+        lines = wrapped_lines(label, characters_per_line(0.67 * WIDTH, TEXT))
+        style_axes(ax, x="\n".join(lines))
         _draw(ax, self.rows)
         name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
         write_header(ax, "Ablation test", columns=2)
-        add_footnotes(ax, wrapped_lines(self.verdict, _NOTE_WIDTH), below=34)
+        add_footnotes(ax, wrapped_lines(self.verdict, _NOTE_WIDTH), below=34 + 13 * (len(lines) - 1))
         return figure_of(ax)
 
     def __str__(self) -> str:

@@ -18,6 +18,7 @@ from ._figures import (
     WIDTH,
     add_footnotes,
     characters_per_line,
+    check_width,
     color_of,
     figure_of,
     figure_title,
@@ -81,7 +82,14 @@ def plot_bars(
         Axes to draw into; by default those of a new figure.
     figsize
         Width and height of the new figure in inches; by default as high as the rows need.
+
+    Raises
+    ------
+    SceneCaptumError
+        If the figure would be narrower than 4.5 inches.
     """
+    if figsize is not None:
+        check_width(figsize)
     rows = first(attribution.ranking(scale=scale), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
     legend = bar_legend(attribution, rows, scale)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from ..errors import whole_number
+from ..errors import SceneCaptumError, whole_number
 from ..protocols import Attribution, RankedParameter, Scale
 from ._layout import wrapped_lines
 from ._numbers import rounded
@@ -27,6 +27,7 @@ RAISES, LOWERS, UNCLEAR = "#0072B2", "#D55E00", "#8C8C8C"
 SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 
 WIDTH = 7.2  # text width of a page in inches
+LEAST_WIDTH = 4.5  # in which the texts of a figure fit
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
 DEFAULT_TOP = 15  # parameters in a figure
 _DOTS_PER_INCH = 150
@@ -58,6 +59,15 @@ def new_figure(width: float, height: float, **options: Any) -> Figure:
     FigureCanvasAgg(figure)
     figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
     return figure
+
+
+def check_width(figsize: tuple[float, float]) -> None:
+    """Raise if a figure is too narrow for its texts."""
+    if figsize[0] < LEAST_WIDTH:
+        raise SceneCaptumError(
+            f"A figure of {figsize[0]:g} inches is too narrow for its texts: use at least {LEAST_WIDTH:g}, save "
+            "it as PDF or SVG, and let the page scale it."
+        )
 
 
 def _png(figure: Figure) -> bytes:

@@ -17,6 +17,7 @@ from ._figures import (
     TITLE,
     WIDTH,
     characters_per_line,
+    check_width,
     figure_of,
     figure_title,
     new_figure,
@@ -88,8 +89,10 @@ def plot_heatmap(
     Raises
     ------
     SceneCaptumError
-        If the attribution has no image, or no map of the surfaces in it.
+        If the attribution has no image, or no map of the surfaces in it, or if the figure would be narrower than
+        4.5 inches.
     """
+    check_width(figsize)
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2, figsize))
     bar = None
@@ -133,8 +136,9 @@ def plot_overlay(
     Raises
     ------
     SceneCaptumError
-        If the attribution has no image, or no map of the surfaces in it, or ``alpha`` is out of range.
+        As for ``plot_heatmap``, or if ``alpha`` is out of range.
     """
+    check_width(figsize)
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must be between 0 and 1, not {alpha!r}.")
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
