@@ -457,8 +457,10 @@ def test_the_curve_ends_with_the_confirmed_value():
     history = found.plot().axes[-1]
     assert history.lines[-1].get_xydata().tolist() == [[len(found.history), pytest.approx(found.after.value)]]
     assert "confirmed" in [text.get_text() for text in history.texts]
+    assert "the last one is shortened" in history.get_xlabel()
     missed = dataclasses.replace(found, below=0.0).plot().axes[-1]
     assert "measured again" in [text.get_text() for text in missed.texts]
+    assert missed.get_xlabel() == "step"
 
 
 @pytest.mark.parametrize("goal", [1.02, 0.98])

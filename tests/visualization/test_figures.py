@@ -610,6 +610,16 @@ def test_a_figure_has_the_size_that_is_asked_for() -> None:
     assert 5.0 < large.get_figwidth() <= 12.0 + 1e-6
 
 
+def test_a_map_whose_scale_is_the_effect_of_a_camera_says_so() -> None:
+    """No pixel shows the camera, so that all of the map may be dark."""
+    moved = torch.tensor(100.0)
+    of_camera = dataclasses.replace(make(False), attributions={**make(False), "camera.x_fov": moved})
+    note = "the largest, that of camera.x_fov, which no pixel shows"
+    assert note in " ".join(all_text(plot_overlay(of_camera)).split())
+    for other in (plot_overlay(make(False)), plot_overlay(of_camera, parameter="floor")):
+        assert "no pixel shows" not in " ".join(all_text(other).split())
+
+
 @pytest.mark.parametrize("plot", [plot_bars, plot_heatmap, plot_overlay])
 def test_a_figure_in_which_its_texts_do_not_fit_is_refused(plot) -> None:
     with pytest.raises(SceneCaptumError, match=r"3\.4 inches is too narrow .* at least 4\.5"):

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from ..denoising import denoise
 from ..errors import SceneCaptumError
-from ..projection import DECADES, DEFAULT_NORM, MapNorm, heatmap, normalized, objects_of_unclear_sign
+from ..projection import (
+    DECADES,
+    DEFAULT_NORM,
+    MapNorm,
+    heatmap,
+    normalized,
+    objects_of_unclear_sign,
+    used_by_objects,
+)
 from ..protocols import Attribution, Scale
 from ._arrows import arrows, draw_arrows
 from ._figures import (
@@ -249,13 +258,31 @@ def _map_title(
     quantity = axis_label(attribution, scale, metric="the metric")
     shown = f"{selected}: {quantity}" if selected else quantity
     unit = unit_of_change(metric_unit(attribution)) if attribution.scale_or_default(scale) == "range" else ""
-    largest = "the largest" if maximum is None else f"{rounded(maximum)} {unit}".rstrip()
+    largest = (
+        _largest(attribution, scale, bool(names))
+        if maximum is None
+        else f"{rounded(maximum)} {unit}".rstrip()
+    )
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
     if options.get("texels"):
         lines.append("each texel: effect of a whole texture that acts like it")
     if signed:
         lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
+
+
+def _largest(attribution: Attribution, scale: Scale | None, is_selection: bool) -> str:
+    """Return what a map is relative to, with the name of a camera's effect, which no pixel shows."""
+    first, saliency = attribution.ranking(scale=scale)[0], attribution.saliency(scale)
+    if is_selection or attribution.surfaces is None or not is_of_camera(first.name):
+        return "the largest"
+    objects = used_by_objects(attribution, attribution.surfaces, saliency)
+    if (
+        max((math.hypot(*(saliency[name] for name in names)) for names in objects), default=0)
+        > first.saliency
+    ):
+        return "the largest"
+    return f"the largest, that of {shorten([first.label], 40)[0]}, which no pixel shows"
 
 
 def _width(ax: Axes | None, heat: torch.Tensor, count: int, limits: tuple[float, float]) -> float:
