@@ -5,19 +5,22 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
-from ..attr import GROUPS, METHODS, AttributionInterrupted, Explanation, SceneAttribution
+import torch
+
+from ..attr import GROUPS, METHODS, AttributionInterrupted, Definition, Explanation, SceneAttribution
 from ..daylight import DaylightMetric
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
-from ..explanation import photometric_premises, rated_image, states_definition
+from ..explanation import definition_of, photometric_premises, rated_image, states_definition
 from ..metrics import GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
+from ..validation import Scenes
 from ..visualization import metric_name, table_text, terminal_width, wrap
 from . import _arguments
 from ._design import add_design, designed_values
@@ -26,7 +29,7 @@ from ._formats import FORMATS, check_formats, default_formats, selected_formats
 from ._messages import warnings_after_checks
 from ._metrics import DEFAULT, add_metric, find_metrics
 from ._once import Once
-from ._plan import by_definition, plan_format, plan_of
+from ._plan import plan_format, plan_of
 from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
@@ -139,6 +142,14 @@ def add_results(parser: argparse.ArgumentParser) -> None:
     _arguments.add_report(parser, "an interactive page with all metrics")
 
 
+class Finished(NamedTuple):
+    """A result, its metric, and of a metric of daylight the value by the definition."""
+
+    attribution: SceneAttribution
+    metric: Metric
+    definition: Definition | None = None
+
+
 def attribute(options: argparse.Namespace) -> int:
     """Run the command."""
     names = options.metrics or [DEFAULT]
@@ -154,21 +165,20 @@ def attribute(options: argparse.Namespace) -> int:
                 check_formats(options.formats or ())
             # All of them before the first run, which may take long.
             created = {name: create(renderer) for name, create in metrics.items()}
-        finished: list[tuple[SceneAttribution, Metric]] = []
+        finished: list[Finished] = []
         for name, metric in created.items():
             folder = options.out if len(metrics) == 1 else options.out / folder_name(name)
+            values = designed_values(options, renderer)
             try:
-                attribution = method(renderer, metric).attribute(
-                    designed_values(options, renderer), **arguments
-                )
+                attribution = method(renderer, metric).attribute(values, **arguments)
             except AttributionInterrupted as interruption:
-                partial = with_settings(interruption.partial, renderer, options)
-                _write_result(partial, folder, options, renderer, metric)
-                _write_report([*finished, (partial, metric)], options, renderer)
+                partial = _stated(interruption.partial, metric, renderer, values, options)
+                _write_result(partial, folder, options, renderer)
+                _write_report([*finished, partial], options, renderer)
                 raise
-            attribution = with_settings(attribution, renderer, options)
-            _write_result(attribution, folder, options, renderer, metric)
-            finished.append((attribution, metric))
+            result = _stated(attribution, metric, renderer, values, options)
+            _write_result(result, folder, options, renderer)
+            finished.append(result)
             # After every metric, so that an interruption of the next one leaves a report.
             _write_report(finished, options, renderer)
         if not options.json:
@@ -211,16 +221,46 @@ def folder_name(metric: str) -> str:
     return "".join(c if c.isalnum() else "-" for c in metric).strip("-")
 
 
-def _write_result(
+def _stated(
     attribution: SceneAttribution,
-    folder: Path,
-    options: argparse.Namespace,
-    renderer: SceneRenderer,
     metric: Metric,
+    renderer: SceneRenderer,
+    values: Mapping[str, torch.Tensor] | None,
+    options: argparse.Namespace,
+) -> Finished:
+    """Return a result, of a relaxed metric of daylight with the value by the definition and its error.
+
+    They are of renders of their own, one for each replicate, and so is what is said and drawn of the points. After
+    an interruption nothing more is rendered, and the value has no error.
+    """
+    attribution, targeted = (
+        with_settings(attribution, renderer, options),
+        TargetedMetric(metric, options.target),
+    )
+    image = attribution.image
+    if renderer.shows_a_view or image is None or targeted.by_definition() is None:
+        return Finished(attribution, metric)
+    if attribution.info.get("interrupted"):
+        return Finished(attribution, metric, definition_of(targeted, image[None]))
+    images = Scenes(
+        renderer,
+        metric,
+        options.target,
+        seed=options.seed,
+        spp=(attribution.info.get("picture") or {}).get("spp"),
+        replicates=DEFAULT_REPLICATES,
+        values=values,
+    ).images
+    shown = dataclasses.replace(attribution, image=images.mean(0))
+    return Finished(shown, metric, definition_of(targeted, images))
+
+
+def _write_result(
+    result: Finished, folder: Path, options: argparse.Namespace, renderer: SceneRenderer
 ) -> None:
     """Write the files of a result and print it."""
-    said = _explained(attribution, metric, renderer)
-    attribution = attribution if said is None else _named_relaxed(said)
+    said, metric = _explained(result, renderer), result.metric
+    attribution = result.attribution if said is None else _named_relaxed(said)
     view = renderer.shows_a_view
     formats = selected_formats(
         options.formats or default_formats(view=view),
@@ -248,14 +288,13 @@ def _complete_table(formats: Sequence[OutputFormat[SceneAttribution]]) -> str:
     return next((file for file in of_numbers if file in written), "--format csv")
 
 
-def _explained(
-    attribution: SceneAttribution, metric: Metric, renderer: SceneRenderer, more: Sequence[str] = ()
-) -> Explanation | None:
+def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = ()) -> Explanation | None:
     """Return a result with what belongs to its value; None if nothing does.
 
     That is what a photometric metric takes for granted, and of a metric of daylight the value by the definition.
     """
-    image, definition = attribution.image, by_definition(attribution, metric)
+    attribution, metric, definition = result
+    image = attribution.image
     if image is None or (attribution.surfaces is None and not isinstance(metric, DaylightMetric)):
         return None
     shown = rated_image(attribution, renderer)
@@ -278,17 +317,15 @@ def _named_relaxed(said: Explanation) -> SceneAttribution:
     return dataclasses.replace(attribution, info=info)
 
 
-def _write_report(
-    finished: Sequence[tuple[SceneAttribution, Metric]], options: argparse.Namespace, renderer: SceneRenderer
-) -> None:
+def _write_report(finished: Sequence[Finished], options: argparse.Namespace, renderer: SceneRenderer) -> None:
     """Write the report of the results so far, if requested."""
     if not options.report:
         return
     path = options.out / REPORT
-    plans = [plan_of(one.image, renderer, metric, one.info) for one, metric in finished]
+    plans = [plan_of(one.image, renderer, metric, one.info) for one, metric, _ in finished]
     shown: list[SceneAttribution | Explanation] = []
-    for one, metric in finished:
-        shown.append(_explained(one, metric, renderer, premises(metric, options)) or one)
+    for one in finished:
+        shown.append(_explained(one, renderer, premises(one.metric, options)) or one.attribution)
     write_report(shown, path, title=options.title, plans=plans)
     if not options.json:
         print(f"{path}  interactive page with all results")

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from ..attr import Definition, SceneAttribution
 from ..daylight import DaylightMetric, PlanValues
-from ..estimation import Metric, TargetedMetric
-from ..explanation import definition_of
+from ..estimation import Metric
 from ..metrics import MeanIlluminance
 from ..rendering import SceneRenderer
 from ..visualization import LEVELS, plot_plan, share_scale
@@ -21,15 +19,6 @@ if TYPE_CHECKING:
 
 # Inches of a plan; in a page it is narrow, so that a phone shows its text large.
 FILE_WIDTH, REPORT_WIDTH = 7.2, 4.2
-
-
-def by_definition(attribution: SceneAttribution, metric: Metric) -> Definition | None:
-    """Return the value of a relaxed metric of a sensor grid by its definition; None of others, and of pictures."""
-    if (
-        attribution.image is None or attribution.surfaces is not None
-    ):  # a picture has replicates and a transform
-        return None
-    return definition_of(TargetedMetric(metric), attribution.image[None])
 
 
 def draw_plan(
