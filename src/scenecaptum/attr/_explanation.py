@@ -182,8 +182,10 @@ class Explanation:
         low = min(value - SIGNIFICANT * error for value, error in numbers)
         high = max(value + SIGNIFICANT * error for value, error in numbers)
         near = [limit for limit in measure.get("limits", []) if low <= limit <= high]
-        doubt = f"too close to {near[0]:g} to be sure" if near and means else ""
-        source = f" ({measure['source']})" if measure.get("source") and means else ""
+        is_relaxed = self.definition is None and self.attribution.info.get("relaxed")
+        is_class = bool(means) and means != NO_SOURCE and not is_relaxed
+        doubt = f"too close to {near[0]:g} to be sure" if near and is_class else ""
+        source = f" ({measure['source']})" if measure.get("source") and is_class else ""
         return "; ".join(filter(None, [f"{means}{source}", doubt]))
 
     def _relaxed(self) -> str:

@@ -14,7 +14,7 @@ import torch
 
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..estimation import Metric, TargetedMetric
-from ..explanation import explain, photometric_premises
+from ..explanation import class_by_definition, explain, photometric_premises
 from ..optimize import Measured, Optimization
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
@@ -145,7 +145,7 @@ def _with_value(
     means = metric.verdict(measured.value, measured.image)
     value, error, definition = measured.value, measured.error, None
     if stated and measured.relaxed is not None:
-        definition = Definition(value, means, error=error)
+        definition = Definition(value, class_by_definition(metric, value, measured.image), error=error)
         value, error = measured.relaxed, measured.relaxed_error
     confirmed = dataclasses.replace(
         attribution,

@@ -146,12 +146,11 @@ class TargetedMetric:
 
     def describe(self, value: float, image: torch.Tensor) -> dict[str, Any]:
         """Return name, measure and meaning of a value, for the ``info`` of a result."""
-        measure = None if self.measure is None else self.measure.describe()
-        if measure is not None and self._unrated(image):
-            measure["source"] = ""  # that of the classes
+        relaxed = getattr(self.metric, "is_relaxed_at", None)
         return {
             "metric": self.name,
-            "measure": measure,
+            "measure": None if self.measure is None else self.measure.describe(),
+            "relaxed": relaxed is not None and bool(relaxed(self.transform(image.detach()))),
             "verdict": self.verdict(value, image),
             "gradient_note": getattr(self.metric, "gradient_note", None),
             "advice": getattr(self.metric, "advice", OWN_ADVICE if self.measure is None else None),

@@ -3,6 +3,7 @@
 # What users see; the other names are for the rooms above.
 __all__ = ["explain"]
 
+from ._definition import class_by_definition as class_by_definition
 from ._definition import definition_of as definition_of
 from ._definition import difference_by_definition as difference_by_definition
 from ._definition import states_definition as states_definition

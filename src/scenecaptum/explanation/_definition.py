@@ -40,10 +40,15 @@ def definition_of(metric: TargetedMetric, images: torch.Tensor) -> Definition | 
     is_of_daylight = isinstance(relaxed, DaylightMetric)
     counts = is_of_daylight and relaxed.counts_points
     one = relaxed.step_of_a_point(images.mean(0)) if is_of_daylight else None
-    verdict = relaxed.measure.verdict(value)
-    if isinstance(relaxed, GlareRating):
-        verdict = relaxed.unrated(metric.transform(images.mean(0)), hard=True) or verdict
+    verdict = class_by_definition(metric, value, images.mean(0))
     return Definition(value, verdict, images.shape[1] if counts else None, error, one)
+
+
+def class_by_definition(metric: TargetedMetric, value: float, image: torch.Tensor) -> str:
+    """Return what a value by the definition means, of a metric whose value of the image is the relaxed one."""
+    relaxed: Any = metric.metric
+    unrated = relaxed.unrated(metric.transform(image), hard=True) if isinstance(relaxed, GlareRating) else ""
+    return str(unrated or relaxed.measure.verdict(value))
 
 
 def difference_by_definition(

@@ -293,8 +293,7 @@ class Exploration:
             {
                 "value": value,
                 "error": error,
-                "verdict": metric.verdict(value, measured.image),
-                "relaxed": _relaxed(metric, measured.image),
+                **_meaning(metric, value, measured.image),
                 "premises": list(
                     photometric_premises(
                         metric.metric,
@@ -344,14 +343,15 @@ def _encode(image: torch.Tensor) -> tuple[float, bytes]:
     return scale, (image / scale).half().numpy(force=True).astype("<f2").tobytes()
 
 
-def _relaxed(metric: TargetedMetric, image: torch.Tensor) -> str:
-    """Return why the value is the relaxed one, and that by the definition; empty where they are the same."""
+def _meaning(metric: TargetedMetric, value: float, image: torch.Tensor) -> dict[str, str]:
+    """Return what a value means: where it is relaxed, what that by the definition means, and why it is hidden."""
     exact = definition_of(metric, image[None]) if states_definition(metric, image) else None
     if exact is None:
-        return ""
-    return (
-        f"{rounded(exact.value, 4)} by the definition; predictions need the derivatives of the relaxed value"
-    )
+        return {"verdict": metric.verdict(value, image), "relaxed": ""}
+    return {
+        "verdict": ": ".join(filter(None, [f"{rounded(exact.value, 4)} by the definition", exact.verdict])),
+        "relaxed": "predictions need the derivatives of the relaxed value",
+    }
 
 
 def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:

@@ -140,12 +140,27 @@ class GlareRating(torch.nn.Module):
         """Return why the rating of an ``image``, ``(H, W, 3)``, has no class, or nothing; ``hard``: by ``hard``.
 
         Without a glare source a rating of sources alone is 0, which is no finding that there is little glare.
+        Where the rating by the definition is in another class, that one is named.
         """
-        if not self.rates_sources_alone:
-            return ""
         values = photometric_luminance(image.detach(), self.efficacy, self.camera)
         found = self._find_sources(values, relaxation=0.0 if hard else None)
-        return NO_SOURCE if found is None else ""
+        if self.rates_sources_alone and found is None:
+            return NO_SOURCE
+        if hard or not self.is_relaxed_at(image):
+            return ""
+        exact = self.hard(image).item()
+        return f"relaxed; by the definition {exact:.4g}: {self._class_of(exact)}"
+
+    def is_relaxed_at(self, image: torch.Tensor) -> bool:
+        """Whether the rating of an ``(H, W, 3)`` image by the definition is in another class."""
+        if not self.relaxation:
+            return False
+        with torch.no_grad():
+            relaxed, exact = self(image), self.hard(image)
+        return self._class_of(relaxed.item()) != self._class_of(exact.item())
+
+    def _class_of(self, value: float) -> str:
+        return str(self.measure.verdict(value))
 
     def sources(self, image: torch.Tensor) -> list[GlareSource]:
         """Return the sources of an ``(H, W, 3)`` image, the brightest first; raises like ``forward``."""

@@ -57,7 +57,7 @@ FIXED_STEP = 0.01  # of the gradient: the step of Beresna and Fiume
 ROUNDING = 2.0**-14  # of the metric: smaller changes are mostly those of single precision
 MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself may be unphysical
 AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
-SIGNIFICANCE_LEVEL = 0.95  # confidence that a measurement differs from 0 or from another one
+SIGNIFICANCE_LEVEL = 0.95  # confidence that two predictions or measurements differ
 DISAGREEMENT_LEVEL = 0.997  # confidence that prediction and measurement differ
 MIN_KENDALL_TAU = 0.95
 _NAME_WIDTH, _NOTE_WIDTH = 36, 90
@@ -266,20 +266,19 @@ class Ablated:
 
     @property
     def noise(self) -> float:
-        """Half-width of the 95 % confidence interval of the measurement."""
-        return student_t(SIGNIFICANCE_LEVEL, self.degrees_of_freedom) * self.measured_error
+        """Half-width of the 99.7 % confidence interval of the difference of prediction and measurement."""
+        error = math.hypot(self.predicted_error, self.measured_error)
+        return student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
 
     @property
     def above_noise(self) -> bool:
-        """Whether the measurement differs significantly from 0."""
-        return abs(self.measured) > self.noise
+        """Whether the larger of prediction and measurement exceeds the noise: only then is agreement a finding."""
+        return max(self.predicted, abs(self.measured)) > self.noise
 
     @property
     def agrees(self) -> bool:
-        """Whether prediction and measurement agree within 10 % or within their errors (99.7 % confidence)."""
-        error = math.hypot(self.predicted_error, self.measured_error)
-        half_width = student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
-        allowed = max(AGREEMENT_TOLERANCE * self.predicted, half_width)
+        """Whether prediction and measurement agree within 10 % or within the noise."""
+        allowed = max(AGREEMENT_TOLERANCE * self.predicted, self.noise)
         return abs(self.measured - self.predicted) <= allowed
 
 
@@ -338,9 +337,9 @@ class AblationTest:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Plot the predicted and the measured slope of the metric for each parameter, into ``ax`` if given.
 
-        Parameters are in order of decreasing saliency. Grey bars show the half-width of the 95 % confidence
-        interval of the measurement; crosses show the slope measured with the step of the paper, 0.01 of each
-        gradient.
+        Parameters are in order of decreasing saliency. Grey bars show the noise, the half-width of the 99.7 %
+        confidence interval of their difference; crosses show the slope measured with the step of the paper, 0.01
+        of each gradient.
         """
         ax = axes_or_new(ax, WIDTH, 1.7 + 0.24 * len(self.rows))
         label = f"change of {self.metric} per unit of the parameter, along its gradient"

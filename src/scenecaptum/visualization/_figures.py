@@ -113,7 +113,8 @@ def characters_per_line(inches: float, size: float) -> int:
 
 def figure_title(attribution: Attribution, width: int, scale: Scale | None = None) -> str:
     """Return the finding, and below it the metric's value, in lines of at most ``width`` characters."""
-    lines = (finding(attribution, scale), metric_line(attribution, FINDING_WIDTH))
+    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""  # and in another class by the definition
+    lines = (finding(attribution, scale), f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}")
     return "\n".join(part for line in lines for part in wrapped_lines(line, width))
 
 
