@@ -115,6 +115,9 @@ def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(
     assert cli.main(shlex.split(scene)) == 0
     printed = capsys.readouterr().out
     assert printed.count("at 16×9 pixels, relaxed") == 2
+    page = (tmp_path / "out" / "comparison.html").read_text()
+    cards = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"]
+    assert [card["verdict"] for card in cards] == ["", ""], "as in the terminal"
     assert "different settings" not in printed
 
 
@@ -195,9 +198,9 @@ def test_an_attribution_of_daylight_is_called_relaxed_and_its_report_quotes_the_
     assert cli.main(shlex.split(f"{text} --out {tmp_path}")) == 0
     printed = capsys.readouterr().out
     assert "spatial daylight autonomy without blinds, relaxed = " in printed.splitlines()[0]
-    (quoted,) = re.findall(r"quote ([\d.]+) %, the value by the definition", printed)
+    (quoted,) = re.findall(r"quote ([\d.]+) ± ([\d.]+) %, the value by the definition", printed)
     page = (tmp_path / "report.html").read_text()
     card = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"][0]
-    assert card["written"] == [quoted, ""]
+    assert card["written"] == [*quoted]
     saved = SceneAttribution.load(tmp_path / "attribution.npz")
     assert saved.info["measure"]["name"] == "spatial daylight autonomy without blinds, relaxed"

@@ -216,22 +216,6 @@ def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_chang
             assert any(part in one for one in card["premises"]), part
 
 
-def test_an_attribution_quotes_the_value_by_the_definition_with_its_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In the terminal and on the card of the page, where the class is that of this value."""
-    text = f"attribute {TINY} --metric sda --inputs pane.eta --report --no-progress --out {tmp_path}"
-    assert cli.main(shlex.split(text)) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    (quoted,) = re.findall(r"quote ([\d.]+) ± ([\d.]+|less than one point)", printed)
-    (found,) = re.findall(
-        r'<script[^>]*type="application/json"[^>]*>(.*?)</script>', page(tmp_path, "report"), re.DOTALL
-    )
-    (card,) = json.loads(found)["results"]
-    assert card["written"][0] == quoted[0]
-    assert card["written"][1].startswith(quoted[1])
-
-
 def test_what_one_result_alone_was_computed_for_begins_with_its_title() -> None:
     both, one = "weather: made-up", results.make()
     sides = [
@@ -272,8 +256,8 @@ def test_the_points_that_pass_on_a_plan_are_the_quoted_value(
     assert share == pytest.approx(said["metric"]["definition"]["value"])
 
 
-def page(folder: Path, name: str = "comparison") -> str:
-    return (folder / f"{name}.html").read_text()
+def page(folder: Path) -> str:
+    return (folder / "comparison.html").read_text()
 
 
 def test_the_verdict_of_the_numbers_is_that_of_the_definition() -> None:

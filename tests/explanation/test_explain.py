@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 
 import pytest
+import results
 import torch
 from chance import allowed
 from seeds import shifted
 
 from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, metrics
+from scenecaptum.attr import Explanation
+from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.validation import Scenes
+from scenecaptum.visualization import plot_bars, table_text
 
 
 @pytest.fixture(scope="module")
@@ -230,3 +234,27 @@ def test_without_a_source_a_daylight_glare_probability_keeps_its_class():
     probability, index = metrics.DaylightGlareProbability(camera), metrics.DaylightGlareIndex(camera)
     assert not probability.unrated(image)
     assert index.unrated(image) == "no glare source found"
+
+
+def test_a_relaxed_rating_in_another_class_than_its_definition_names_that_class():
+    """In the table, in the titles of figures and on the card of a report; elsewhere the class stands alone."""
+    camera = Camera.perspective(16, 16, 60.0)
+    bright = torch.zeros(16, 16, 3) + 0.05
+    bright[4:8, 4:8] = 2000.0 / 179.0 * 1.05  # counts by half if relaxed, and whole by the definition
+    rating = metrics.UnifiedGlareRating(camera, relaxation=0.3)
+    exact = rating.hard(bright).item()
+    targeted = TargetedMetric(rating)
+    said = targeted.describe(rating(bright).item(), bright)
+    above = rating.measure.verdict(exact)
+    assert rating.measure.verdict(rating(bright).item()) != above
+    assert said["relaxed"]
+    assert said["verdict"] == f"relaxed; by the definition {exact:.4g}: {above}"
+    result = results.make(**said)
+    assert "relaxed; by the definition" in table_text(result)
+    assert ", relaxed" in results.all_text(plot_bars(result))
+    assert Explanation(result).rating() == said["verdict"], (
+        "without the source of the classes of the other value"
+    )
+    alike = metrics.UnifiedGlareRating(camera, threshold=500.0)
+    assert not TargetedMetric(alike).describe(alike(bright).item(), bright)["relaxed"]
+    assert ", relaxed" not in results.all_text(plot_bars(results.make()))

@@ -13,7 +13,7 @@ from toy import log_mean
 
 from scenecaptum import IntegratedGradientsScene, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.validation import ablation_test
+from scenecaptum.validation import AblationTest, ablation_test
 
 
 class Curved:
@@ -44,6 +44,37 @@ def test_right_gradients_agree_in_size_and_order(metric):
         for row in test.rows
     ]
     assert max(map(abs, z)) < allowed(8, 4), f"z = {z}"
+
+
+@pytest.mark.parametrize(
+    ("predicted", "measured", "outcome"),
+    [
+        ((0.28, 0.24), (20.0, 5.0), "too noisy"),  # by the noise of this difference, both signs would agree
+        ((0.6, 1.2), (-16.0, 6.0), "too noisy"),
+        ((5.0, 0.1), (0.0, 0.1), "contradicted"),
+        ((5.0, 0.1), (-5.0, 0.1), "contradicted"),
+        ((5.0, 0.1), (4.8, 0.2), "as predicted"),
+    ],
+)
+def test_only_what_exceeds_the_noise_of_the_difference_confirms_or_contradicts(predicted, measured, outcome):
+    (row, *_) = ablation_test(Curved(), torch.mean, top=1).rows
+    row = dataclasses.replace(
+        row,
+        predicted=predicted[0],
+        predicted_error=predicted[1],
+        measured=measured[0],
+        measured_error=measured[1],
+    )
+    test = AblationTest((row,), "brightness")
+    assert row.above_noise == (outcome != "too noisy")
+    assert (
+        test.verdict.split(":")[0]
+        == {
+            "too noisy": "Nothing to test",
+            "contradicted": "Not confirmed",
+            "as predicted": "Confirmed",
+        }[outcome]
+    )
 
 
 def test_steps_are_fractions_of_the_range_and_stay_inside():

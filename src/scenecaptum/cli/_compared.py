@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -142,10 +143,13 @@ class Compared:
         return effect_table(self.before, self.after, self.titles, relaxed=self.by_definition is not None)
 
     def shown(self) -> list[Explanation]:
-        """Return both results for the page, with what belongs to their values."""
+        """Return both results for the page, with what belongs to their values; a relaxed rating has no class."""
+        results = [self.before, self.after]
+        if self.are_relaxed_ratings():
+            results = [dataclasses.replace(one, info={**one.info, "verdict": ""}) for one in results]
         return [
             Explanation(one, definition=side.definition, premises=tuple(side.premises), count=0)
-            for one, side in zip((self.before, self.after), self.sides, strict=True)
+            for one, side in zip(results, self.sides, strict=True)
         ]
 
 
@@ -183,11 +187,8 @@ def _value_lines(found: Compared) -> list[str]:
     """Return both values, each with its title and its class, which a relaxed rating has not."""
     lines = []
     for title, shown, side in zip(found.titles, found.shown(), found.sides, strict=True):
-        value, rating = f"{title}: {_value(shown, side)}", shown.rating()
-        if found.are_relaxed_ratings():
-            lines.append(f"{value}, relaxed")
-        else:
-            lines.append(": ".join(filter(None, [value, rating])))
+        value = f"{title}: {_value(shown, side)}{', relaxed' if found.are_relaxed_ratings() else ''}"
+        lines.append(": ".join(filter(None, [value, shown.rating()])))
     return lines
 
 
