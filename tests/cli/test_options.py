@@ -731,6 +731,15 @@ def test_the_rating_at_the_other_threshold_is_of_the_design_that_was_tried(
         assert cli.main(shlex.split(text)) == status
         found = json.loads(capsys.readouterr().out)["premises"]
         assert [one for one in found if one.startswith(f"{words}with a threshold of 5 times")], found
+    assert cli.main(shlex.split(f"{text} --report")) == 0
+    page = (folder / "out" / "report.html").read_text()
+    cards = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"]
+    assert not [one for card in cards for one in card["premises"] if one.startswith("at the goal: ")], (
+        "said on the card of the goal itself, without these words"
+    )
+    assert [any("5 times the mean luminance" in one for one in card["premises"]) for card in cards] == [
+        True
+    ] * 2
 
 
 def test_the_report_of_a_goal_has_both_scenes_and_the_change(folder: Path) -> None:

@@ -217,7 +217,7 @@ def test_a_caution_of_a_comparison_is_in_the_box_of_its_value(browser, tmp_path)
     before, after = page.page.locator(".result").all_inner_texts()
     assert "! the noise alone raises it" in after
     assert "noise" not in before
-    assert "caution: DGP is valid from 0.2" in before
+    assert "! DGP is valid from 0.2" in before
     page.context.close()
 
 

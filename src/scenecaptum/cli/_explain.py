@@ -14,7 +14,7 @@ import torch
 
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..estimation import Metric, TargetedMetric
-from ..explanation import class_by_definition, explain, photometric_premises
+from ..explanation import AT_THE_GOAL, class_by_definition, explain, photometric_premises
 from ..optimize import Measured, Optimization
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
@@ -107,7 +107,9 @@ def _write_report(
     explanation: Explanation, renderer: SceneRenderer, metric: Metric, options: argparse.Namespace
 ) -> None:
     """Write the page: the sentences, and if a goal was reached, the scene before and after on a slider."""
-    results = [explanation]
+    # What is said of the goal belongs to its own card.
+    own = tuple(text for text in explanation.premises if not text.startswith(f"{AT_THE_GOAL}: "))
+    results = [dataclasses.replace(explanation, premises=own)]
     titles = comparison = None
     if (goal := explanation.goal) is not None and goal.reached and not goal.was_below:
         progress = _arguments.shows_progress(options)

@@ -41,6 +41,7 @@ DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
 # Irradiance under a sky of radiance 1, relative to that in the open: 10 lx of an overcast 10 000 lx.
 DARK = 1e-3
 POINT_LAMPS = "the scene's point, spot and IES lamps have no area: they are not visible and not rated"
+AT_THE_GOAL = "at the goal"
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
 
@@ -177,7 +178,7 @@ def _threshold_at(
         is_near_threshold(metric, one) for one in (before, after)
     ):
         return ()
-    whose = "at the goal" if goal.reached else "of the design that was tried"
+    whose = AT_THE_GOAL if goal.reached else "of the design that was tried"
     return (f"{whose}: {relative_sentence(metric, after)}",)
 
 

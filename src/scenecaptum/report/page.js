@@ -462,7 +462,7 @@ function drawResults() {
       make("span", {}, make("span", { class: "result-title" }, one.title), one.title.includes(one.metric) ? null : make("span", { class: "result-metric" }, ` · ${one.metric}`)),
       make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
       ...cautionsOf(one),
-      ...[one.verdict, ...one.premises].filter(Boolean).map((text) => make("span", { class: "result-verdict" }, text))));
+      ...[one.verdict, ...one.premises].filter((text) => text && !isCaution(text)).map((text) => make("span", { class: "result-verdict" }, text))));
   });
   byId("results").replaceChildren(...choices);
   byId("results").classList.toggle("single", results.length === 1);

@@ -126,9 +126,11 @@ function markSelected(rows) {
 
 const cautioned = (texts) => texts.map((text) => make("p", {}, make("span", { class: "mark caution" }, "!"), ` ${text}`));
 
+const isCaution = (text) => text.startsWith("caution: ");
+
 /** What puts the whole result in doubt stands with its value, not below the table. */
-function cautionsOf({ sampling }) {
-  const texts = sampling.filter((text) => text.startsWith("caution: ")).map((text) => text.replace("caution: ", ""));
+function cautionsOf({ sampling, premises }) {
+  const texts = [...sampling, ...premises].filter(isCaution).map((text) => text.replace("caution: ", ""));
   return texts.map((text) => make("span", { class: "result-caution" }, make("span", { class: "mark caution" }, "!"), ` ${text}`));
 }
 
