@@ -23,12 +23,12 @@ from ..explanation import (
     states_definition,
 )
 from ..rendering import SceneRenderer
-from ..report import Comparison, Table, write_report
+from ..report import Comparison, write_report
 from ..validation import Scenes, denoise_of
 from ..visualization import metric_name, share_scale
 from . import _arguments
 from ._compared import Compared, Side, lines, numbers
-from ._compared_effects import EffectTable, with_contradictions
+from ._compared_effects import with_contradictions
 from ._design import add_design, designed_values
 from ._files import print_files, writable
 from ._messages import warnings_after_checks
@@ -72,11 +72,6 @@ def add(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
-def _table(found: EffectTable | None) -> Table | None:
-    """Return the effects of both as a table of the page."""
-    return None if found is None else Table(found.quantity, found.columns, found.rows, found.notes)
-
-
 class Result(NamedTuple):
     """One of the two results, and the renderer and the metric that made it; without these if it was loaded."""
 
@@ -92,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         plans = [side.plan for side in found.sides]
         share_scale(plan for plan in plans if plan is not None)
         change = found.by_definition or (found.change, found.error)
-        comparison = Comparison(*change, found.notes(), _table(found.effects()))
+        comparison = Comparison(*change, found.notes(), found.effects())
         write_report(
             found.shown(),
             options.out / REPORT,

@@ -11,7 +11,7 @@ import torch
 
 from .. import metrics
 from ..attr import Definition, Explanation, SceneAttribution
-from ..report import different_values
+from ..report import Table, different_values
 from ..scene import pose_component, with_unit
 from ..visualization import (
     format_with_error,
@@ -27,7 +27,6 @@ from ..visualization import (
 )
 from ._compared_effects import (
     SIGNIFICANT,
-    EffectTable,
     compared_effects,
     effect_table,
     not_compared,
@@ -138,7 +137,7 @@ class Compared:
         """Whether the two values are relaxed ratings of glare, as one that was saved is."""
         return any(side.is_saved for side in self.sides) and _is_glare_rating(self.before)
 
-    def effects(self) -> EffectTable | None:
+    def effects(self) -> Table | None:
         """Return the effects of both results beside each other; None if they share no parameter."""
         return effect_table(self.before, self.after, self.titles, relaxed=self.by_definition is not None)
 
@@ -174,7 +173,7 @@ def lines(found: Compared) -> list[str]:
         text += ["", *grid(("parameter", *found.titles), moved[:ROWS])]
     if (table := found.effects()) is None:
         return text
-    head = ["", *wrapped_lines(table.quantity, _width(), indent=4)]
+    head = ["", *wrapped_lines(table.caption, _width(), indent=4)]
     return [
         *text,
         *head,

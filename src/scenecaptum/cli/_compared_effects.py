@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 
 from ..attr import SceneAttribution
-from ..report import different_values
+from ..report import Table, different_values
 from ..visualization import (
     Format,
     axis_label,
@@ -87,18 +87,9 @@ def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[
     return sorted(found, key=lambda one: -one.size)
 
 
-class EffectTable(NamedTuple):
-    """The effects of both results beside each other: what they are, the table, and the notes below it."""
-
-    quantity: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    notes: Sequence[str]
-
-
 def effect_table(
     before: SceneAttribution, after: SceneAttribution, titles: Sequence[str], *, relaxed: bool
-) -> EffectTable | None:
+) -> Table | None:
     """Return the table of the effects that both results have; None if there are none."""
     found = compared_effects(before, after)
     if not found:
@@ -116,7 +107,7 @@ def effect_table(
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
     below = [f"~ {note}" for note in notes]
     below += [f"{NOISE} change within the noise"] if is_noisy else []
-    return EffectTable(
+    return Table(
         f"effect: {axis_label(after, width=None)}{of_what}",
         ("effect of", *titles, f"change{unit}"),
         rows,
