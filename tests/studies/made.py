@@ -69,9 +69,13 @@ def study(
     failures: Mapping[Cell, str] | None = None,
     missing: Sequence[Cell] = (),
     values_only: Sequence[Cell] = (),
+    said: Mapping[Cell, Mapping[str, Any]] | None = None,
     **options: Any,
 ) -> StudyResult:
-    """Write a folder with these cells, and read it; their noise has a seed of its own in each."""
+    """Write a folder with these cells, and read it; their noise has a seed of its own in each.
+
+    ``said`` is what a worker writes beside the value of a cell, such as notes; older versions wrote less.
+    """
     cells = {
         f"{number:032x}": cell
         for number, cell in enumerate([*effects, *(failures or {}), *missing, *values_only])
@@ -87,7 +91,7 @@ def study(
         recipe = Recipe(cell, "scene", 0, "luminance", {}, {}, "gradient", {}, {}, key)
         if cell in effects:
             made = attribution(effects[cell], seed=number, **options)
-            opened.write(recipe, numbers(made), made)
+            opened.write(recipe, {**numbers(made), **(said or {}).get(cell, {})}, made)
         elif cell in values_only:
             opened.write(recipe, {**numbers(None), "rows": []}, None)
         elif failures and cell in failures:
