@@ -18,6 +18,7 @@ from scenecaptum.studies._recipe import Recipe
 from scenecaptum.visualization import metric_name, metric_unit
 
 REPLICATES = 8
+LUMINANCE = {"name": "mean luminance", "unit": "cd/m²"}
 KINDS = {"reflectance": "reflectance", "alpha": "roughness"}
 
 # Name of a parameter, its effect.
@@ -25,7 +26,13 @@ Effects = Mapping[str, float]
 
 
 def attribution(
-    effects: Effects, *, noise: float = 0.1, seed: int = 0, shared: float = 0.0, picture: bool = True
+    effects: Effects,
+    *,
+    noise: float = 0.1,
+    seed: int = 0,
+    shared: float = 0.0,
+    picture: bool = True,
+    measure: Mapping[str, str] = LUMINANCE,
 ) -> SceneAttribution:
     """Return an attribution of scalars whose errors are about ``noise``; ``shared`` noise is the same for all."""
     generator = np.random.default_rng(seed)
@@ -52,7 +59,7 @@ def attribution(
         surfaces=surfaces(names[0], names[1]) if picture else None,
         info={
             "metric": "MeanLuminance",
-            "measure": {"name": "mean luminance", "unit": "cd/m²"},
+            "measure": dict(measure),
             "method": "VanillaSceneGradient",
             "spp": 64,
             "replicates": REPLICATES,
