@@ -12,6 +12,7 @@ from ..visualization import (
     Format,
     align_decimals,
     align_with_errors,
+    first_few,
     grid,
     group_by_text,
     pluralize,
@@ -286,9 +287,9 @@ def summarize_effects(
 
 
 def _where(names: Sequence[str], groups: set[str]) -> str:
-    """Return the groups that a note is about, in parentheses; empty if it is about all."""
+    """Return the first of the groups that a note is about, in parentheses; empty if it is about all."""
     which = list(dict.fromkeys(names))
-    return "" if len(which) == len(groups) else f" ({', '.join(which)})"
+    return "" if len(which) == len(groups) else f" ({first_few(which)})"
 
 
 def _place(cell: Cell, with_camera: bool) -> str:
