@@ -17,7 +17,7 @@ from scenecaptum import SceneRenderer, SensorGrid, VanillaSceneGradient, cli, da
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compared, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
-from scenecaptum.cli._points import grid_premises
+from scenecaptum.explanation import grid_premises
 from scenecaptum.visualization import plot_plan, rounded
 
 TINY = "classroom --spp 1 --spacing 4"

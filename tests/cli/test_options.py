@@ -109,7 +109,7 @@ CASES: dict[str, Case] = {
     "study as numbers": (
         "study rooms.toml --no-progress --workers 1 --json --out out",
         0,
-        ['"measure": "mean luminance"', '"camera": "left"', '"failed": []'],
+        ['"measure": "mean luminance"', '"camera": "left"', '"cautions": []', '"failed": []'],
         ["cells", "effects.csv", "study.json", "values.csv"],
     ),
     "explain daylight": (

@@ -781,6 +781,57 @@ def test_on_paper_two_designs_are_whole_pictures_side_by_side(browser, tmp_path)
     page.context.close()
 
 
+BROKEN_WORDS = """() => [...document.querySelectorAll("#rows .label")].flatMap((one) => {
+    if (!one.checkVisibility()) return [];
+    const texts = document.createTreeWalker(one, NodeFilter.SHOW_TEXT);
+    const broken = [];
+    while (texts.nextNode()) {
+        for (const { 0: word, index } of texts.currentNode.data.matchAll(/[\\p{L}]+/gu)) {
+            const range = document.createRange();
+            range.setStart(texts.currentNode, index);
+            range.setEnd(texts.currentNode, index + word.length);
+            if (new Set([...range.getClientRects()].map(({ top }) => top)).size > 1) broken.push(word);
+        }
+    }
+    return broken;
+})"""
+
+
+@pytest.mark.parametrize(
+    "width", [1280, 390, 360, 0], ids=["desktop", "phone", "small phone", "two on paper"]
+)
+def test_words_of_names_are_whole_beside_a_long_heading(browser, tmp_path, width):
+    names = [*VALUES][:-1]  # the last one has no place to break
+    words = (
+        "floor: diffuse reflectance",
+        "lamp: radiance (photosynthetic)",
+        "frame: reflectance",
+        "roof: transmittance",
+    )
+    said = {"name": "spatial daylight autonomy", "symbol": "sDA", "unit": "%"}
+    gray, white = (
+        noted(
+            ranged(
+                attributions={name: 90 * torch.tensor(VALUES[name]) for name in names},
+                standard_error={name: torch.full_like(torch.tensor(VALUES[name]), 0.02) for name in names},
+                labels=dict(zip(names, words, strict=False)),
+                image=plain_picture(*3 * [value]),
+            ),
+            measure=said,
+        )
+        for value in (0.1, 0.6)
+    )
+    path = written(tmp_path, gray, white, titles=["as it is", "B"], comparison=Comparison(0.1))
+    page = Page(browser, path, viewport={"width": width or 794, "height": 900})
+    if not width:
+        printed(page)
+        assert page.page.locator("#printed #rows .label:visible").count() == 2 * len(names)
+    assert page.page.locator("#columns .saliency:visible").first.inner_text() == "Effect (percentage points)"
+    assert page.page.evaluate(BROKEN_WORDS) == []
+    assert page.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.context.close()
+
+
 def test_a_printed_report_of_one_result_has_no_hints(browser, tmp_path):
     page = printed(Page(browser, written(tmp_path, ranged())))
     assert page.page.locator("#picture").is_visible()

@@ -18,6 +18,7 @@ from scenecaptum.studies._recipe import Recipe
 from scenecaptum.visualization import metric_name, metric_unit
 
 REPLICATES = 8
+LUMINANCE = {"name": "mean luminance", "unit": "cd/m²"}
 KINDS = {"reflectance": "reflectance", "alpha": "roughness"}
 
 # Name of a parameter, its effect.
@@ -25,7 +26,13 @@ Effects = Mapping[str, float]
 
 
 def attribution(
-    effects: Effects, *, noise: float = 0.1, seed: int = 0, shared: float = 0.0, picture: bool = True
+    effects: Effects,
+    *,
+    noise: float = 0.1,
+    seed: int = 0,
+    shared: float = 0.0,
+    picture: bool = True,
+    measure: Mapping[str, str] = LUMINANCE,
 ) -> SceneAttribution:
     """Return an attribution of scalars whose errors are about ``noise``; ``shared`` noise is the same for all."""
     generator = np.random.default_rng(seed)
@@ -52,7 +59,7 @@ def attribution(
         surfaces=surfaces(names[0], names[1]) if picture else None,
         info={
             "metric": "MeanLuminance",
-            "measure": {"name": "mean luminance", "unit": "cd/m²"},
+            "measure": dict(measure),
             "method": "VanillaSceneGradient",
             "spp": 64,
             "replicates": REPLICATES,
@@ -69,9 +76,13 @@ def study(
     failures: Mapping[Cell, str] | None = None,
     missing: Sequence[Cell] = (),
     values_only: Sequence[Cell] = (),
+    said: Mapping[Cell, Mapping[str, Any]] | None = None,
     **options: Any,
 ) -> StudyResult:
-    """Write a folder with these cells, and read it; their noise has a seed of its own in each."""
+    """Write a folder with these cells, and read it; their noise has a seed of its own in each.
+
+    ``said`` is what a worker writes beside the value of a cell, such as notes; older versions wrote less.
+    """
     cells = {
         f"{number:032x}": cell
         for number, cell in enumerate([*effects, *(failures or {}), *missing, *values_only])
@@ -87,7 +98,7 @@ def study(
         recipe = Recipe(cell, "scene", 0, "luminance", {}, {}, "gradient", {}, {}, key)
         if cell in effects:
             made = attribution(effects[cell], seed=number, **options)
-            opened.write(recipe, numbers(made), made)
+            opened.write(recipe, {**numbers(made), **(said or {}).get(cell, {})}, made)
         elif cell in values_only:
             opened.write(recipe, {**numbers(None), "rows": []}, None)
         elif failures and cell in failures:

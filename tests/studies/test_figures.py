@@ -49,6 +49,20 @@ def test_rooms_are_in_order_in_the_colours_of_their_signs(tmp_path: Path) -> Non
     assert outside(figure) == []
 
 
+@pytest.mark.parametrize("rooms", [1, 5])
+def test_a_long_label_is_whole_and_a_change_of_a_share_is_in_points(tmp_path: Path, rooms: int) -> None:
+    share = {"name": "spatial daylight autonomy of the points of a floor, relaxed", "unit": "%"}
+    effects = {cell: {"wall.alpha": 3.0} for cell in made.cells([*BY_ROOM][-rooms:])}
+    result = made.study(tmp_path, effects, measure=share)
+    figure = result.plot_effects("roughness")
+    assert outside(figure) == []
+    label = figure.axes[0].get_xlabel().replace("\n", " ")
+    assert label.endswith("(percentage points) over the range of the parameter")
+    title = " ".join(figure.axes[0].get_title(loc="left").split())
+    assert title.endswith("percentage points in the only room" if rooms == 1 else "percentage points")
+    assert "%" not in title
+
+
 def test_intervals_are_those_of_the_summary(tmp_path: Path) -> None:
     result = by_room(tmp_path)
     row = result.summary().row("roughness")

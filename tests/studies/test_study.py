@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
@@ -387,11 +388,15 @@ def test_metrics_of_daylight_have_their_coefficients(run: Run, tmp_path: Path) -
         inputs="reflectance",
         spp=1,
         max_depth=3,
-        methods={"value": VALUE},
+        methods={"value": VALUE, "gradient": {"method": "gradient", "replicates": 2}},
     )
     result = run(study, tmp_path)
     assert not result.failures
-    (numbers,) = (result.numbers(cell) for cell in result.cells)
+    numbers, _ = (result.numbers(cell) for cell in result.cells)
+    grid = result.attribution([*result.cells][1]).info["sensor grid"]
+    assert f"grid: {grid}, if the scene's unit is the metre" in numbers["notes"], (
+        "as the command daylight says"
+    )
     assert numbers["unit"] == "%"
     assert numbers["value"] > 0
 
@@ -408,7 +413,12 @@ def test_a_share_of_points_is_relaxed_and_has_the_depth_of_daylight(run: Run, tm
     said = "; ".join(numbers["notes"])
     assert "this value is relaxed" in said
     assert "blinds are not modeled" in said
-    assert "weather: SYNTHETIC" in said
+    assert "weather: made-up, of no real place" in said
+    assert re.search(r"grid: \d+ points on .*, 0\.8 m above it, .* m apart, if the scene's unit", said)
+    assert "light is followed through 10 segments" in said
+    assert numbers["max_depth"] == 10
+    assert "grid: " in str(result)
+    assert "made-up, of no real place" in str(result)
     (recipe,) = (study._recipe(cell) for cell in study.cells)
     assert recipe.renderer_options["max_depth"] == 10
 

@@ -335,3 +335,15 @@ def test_without_statsmodels_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "statsmodels.stats.meta_analysis", None)
     with pytest.raises(SceneCaptumError, match=r"need statsmodels: pip install 'scenecaptum\[studies\]'"):
         result.summary()
+
+
+def test_a_note_on_many_parameters_names_the_first_few(tmp_path: Path) -> None:
+    unlike = {
+        cell: {"wall.alpha": 1.0, **{f"{cell.scene}-{n}.alpha": 2.0 for n in range(20)}}
+        for cell in made.cells(["office", "attic", "kitchen"])
+    }
+    notes = made.study(tmp_path, unlike).summary(None).notes()
+    (note,) = [one for one in notes if one.startswith("– one room")]
+    named = note.removesuffix(" and 57 more)").rpartition("(")[2].split(", ")
+    assert note.endswith(" and 57 more)")
+    assert len(named) == 3

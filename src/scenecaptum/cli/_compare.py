@@ -18,6 +18,7 @@ from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
 from ..explanation import (
     definition_of,
     difference_by_definition,
+    grid_premises,
     photometric_premises,
     rated_image,
     states_definition,
@@ -35,7 +36,7 @@ from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._once import Once
 from ._plan import plan_of
-from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
+from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
 
 REPORT = "comparison.html"
 COMMON_NAMES = ("scene", "attribution", "design")

@@ -14,7 +14,13 @@ import torch
 
 from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..estimation import Metric, TargetedMetric
-from ..explanation import AT_THE_GOAL, class_by_definition, explain, photometric_premises
+from ..explanation import (
+    AT_THE_GOAL,
+    class_by_definition,
+    explain,
+    grid_premises,
+    photometric_premises,
+)
 from ..optimize import Measured, Optimization
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
@@ -26,7 +32,7 @@ from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
 from ._optimize import NOT_REACHED, design_format, optimization_numbers, with_design_option
 from ._plan import plan_format, plans_of
-from ._points import check_grid, check_report, grid_premises, needed_coefficients, premises, with_settings
+from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
 
 REPORT = "report.html"
 SEPARATE = (

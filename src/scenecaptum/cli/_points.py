@@ -8,21 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ..attr import SceneAttribution
-from ..daylight import (
-    BY_NAME,
-    DaylightMetric,
-    SkyPatches,
-    Weather,
-    synthetic_weather,
-)
+from ..daylight import BY_NAME, SkyPatches, Weather, synthetic_weather
 from ..errors import SceneCaptumError
 from ..estimation import Metric
-from ..grid import GridPoints, SensorGrid
+from ..explanation import grid_size, sky_premises
+from ..grid import SensorGrid
 from ..rendering import SceneRenderer
-from ..visualization import rounded
 from ._once import Once
 
 GRID, WEATHER, SKY = (
@@ -31,7 +23,6 @@ GRID, WEATHER, SKY = (
     ("subdivision",),
 )
 MOST_POINTS = 2000  # of a floor: more take hours
-SYNTHETIC = "made-up, of no real place; the results hold for your place only with its own weather file"
 
 
 @dataclass(frozen=True)
@@ -173,7 +164,7 @@ def check_grid(renderer: SceneRenderer) -> None:
     if not renderer.has_grid or not renderer.grid.sides or renderer.grid.inside.sum() <= MOST_POINTS:
         return
     raise SceneCaptumError(
-        f"The sensor grid has {_grid_size(renderer.grid)}: too many, more than {MOST_POINTS}. Choose a "
+        f"The sensor grid has {grid_size(renderer.grid)}: too many, more than {MOST_POINTS}. Choose a "
         "larger --spacing, the part of the floor that is the room with --rectangle, or another floor with --floor."
     )
 
@@ -187,25 +178,6 @@ def check_report(renderer: SceneRenderer) -> None:
         )
 
 
-def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
-    """Return a line that says where the points of a grid over a floor are; none of other sensors.
-
-    Where most of the points have nothing above them, neither a ceiling nor glass, a caution says so.
-    """
-    if not renderer.has_grid or not renderer.grid.sides:
-        return ()
-    points = renderer.grid
-    line = f"grid: {_grid_size(points)}, if the scene's unit is the metre"
-    count = int(points.inside.sum())
-    if 2 * points.open_above <= count:
-        return (line,)
-    return (
-        line,
-        f"caution: {points.open_above} of the {count} points have nothing above them, no ceiling and no glass: if "
-        "they are to be in a room, choose a grid that is no larger than the room",
-    )
-
-
 def with_settings(
     attribution: SceneAttribution, renderer: SceneRenderer, options: argparse.Namespace
 ) -> SceneAttribution:
@@ -214,33 +186,13 @@ def with_settings(
         return attribution
     given = {name: str(value) for name, value in _given(options, (*GRID, *WEATHER, *SKY)).items()}
     if renderer.grid.sides:
-        given["sensor grid"] = _grid_size(renderer.grid)
+        given["sensor grid"] = grid_size(renderer.grid)
     return dataclasses.replace(attribution, info={**attribution.info, **given})
-
-
-def _grid_size(points: GridPoints) -> str:
-    """Return ``"63 points on floor_shape (parquet), 0.8 m above it, 7 × 5 m, 0.78 m apart"``, of two."""
-    width, depth = (rounded(side) for side in points.sides)
-    gaps = torch.cat([points.plan[0, :, 0].diff(), points.plan[:, 0, 1].diff()]).abs()
-    apart = [f"{rounded(gaps.max().item(), 2)} m apart"] if len(gaps) else []
-    size = [f"{rounded(points.above)} m above it", f"{width} × {depth} m", *apart]
-    material = f" ({points.material})" if points.material else ""
-    return f"{int(points.inside.sum())} points on {points.floor}{material}, {', '.join(size)}"
 
 
 def premises(metric: Metric, options: argparse.Namespace) -> tuple[str, ...]:
     """Return lines that say under which light a metric of daylight was computed; none for others."""
-    if not isinstance(metric, DaylightMetric):
-        return ()
-    weather = metric.sky.weather
-    if weather is None:
-        return (
-            "sky: the CIE overcast sky",
-            "a daylight factor has no classes; the metric en17037 rates a room",
-        )
-    if options.weather is None:
-        return (f"weather: {SYNTHETIC}",)
-    return (f"weather: {weather.place}, latitude {weather.latitude:g}°, longitude {weather.longitude:g}°",)
+    return sky_premises(metric, made_up=options.weather is None)
 
 
 def _given(options: argparse.Namespace, names: tuple[str, ...]) -> dict[str, Any]:

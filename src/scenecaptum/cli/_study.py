@@ -23,6 +23,7 @@ FORMATS = [
     ),
 ]
 NUMBERS = ("measure", "unit", "value", "standard_error", "verdict", "seconds")
+SAID: dict[str, Any] = {"notes": [], "cautions": [], "convergence": ""}  # none in cells of an older version
 PATIENCE = "10s"  # for a Dask scheduler
 
 
@@ -109,7 +110,11 @@ def _numbers(result: StudyResult) -> dict[str, Any]:
     finished = [(cell, result.numbers(cell)) for cell in result.cells]
     return {
         "finished": [
-            {**cell._asdict(), **{name: numbers[name] for name in NUMBERS}, "notes": numbers.get("notes", [])}
+            {
+                **cell._asdict(),
+                **{name: numbers[name] for name in NUMBERS},
+                **{name: numbers.get(name, none) for name, none in SAID.items()},
+            }
             for cell, numbers in finished
         ],
         "failed": [{**cell._asdict(), "error": error} for cell, error in result.failures.items()],

@@ -11,6 +11,9 @@ from ._explain import AT_THE_GOAL as AT_THE_GOAL
 from ._explain import explain as explain
 from ._explain import photometric_premises as photometric_premises
 from ._explain import rated_image as rated_image
+from ._premises import grid_premises as grid_premises
+from ._premises import grid_size as grid_size
+from ._premises import sky_premises as sky_premises
 from ._threshold import FACTOR as FACTOR
 from ._threshold import has_absolute_threshold as has_absolute_threshold
 from ._threshold import near_threshold_note as near_threshold_note

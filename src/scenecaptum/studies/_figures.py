@@ -17,6 +17,7 @@ from ..visualization import (
     LOWERS,
     RAISES,
     SMALL,
+    TEXT,
     TITLE,
     UNCLEAR,
     WIDTH,
@@ -39,6 +40,7 @@ from ..visualization import (
     sign_labels,
     signed_with_error,
     style_axes,
+    unit_of_change,
     wrapped_lines,
     write_at,
     write_header,
@@ -106,10 +108,11 @@ def plot_effect_by_room(
     rooms = first(sorted(row.rooms, key=lambda room: -abs(room.effect)), top)
     rooms = sorted(rooms, key=lambda room: -room.effect)
     title = wrapped_lines(_finding(row), characters_per_line(0.68 * WIDTH, TITLE))
+    label = wrapped_lines(row.quantity.label, characters_per_line(0.6 * WIDTH, TEXT))
     means = _MEANS[: 2 if row.new_low is not None else 1 if row.low is not None else 0]
-    height = 1.4 + 0.17 * len(title) + 0.22 * max(len(rooms) + len(means), 2)
+    height = 1.25 + 0.17 * (len(title) + len(label)) + 0.22 * max(len(rooms) + len(means), 2)
     ax = axes_or_new(ax, WIDTH, height)
-    style_axes(ax, x=row.quantity.label)
+    style_axes(ax, x="\n".join(label))
     for place, room in enumerate(rooms):
         _draw_room(ax, room, place)
     name_rows(ax, [*shorten([room.room for room in rooms], _NAME_WIDTH), *means])
@@ -124,14 +127,16 @@ def plot_effect_by_room(
     ]
     lines = [line for note in filter(None, notes) for line in wrapped_lines(note, 90)]
     if lines:
-        add_footnotes(ax, lines, below=34)
+        add_footnotes(ax, lines, below=24 + 1.25 * TEXT * len(label))
     return figure_of(ax)
 
 
 def _finding(row: GroupEffect) -> str:
     """Return what the figure shows, as a sentence."""
     count = len(row.rooms)
-    mean = f"{signed_with_error(row.mean, row.error or row.rooms[0].error)} {row.unit}".strip()
+    mean = (
+        f"{signed_with_error(row.mean, row.error or row.rooms[0].error)} {unit_of_change(row.unit)}".strip()
+    )
     name = shorten([row.group], _NAME_WIDTH)[0]
     if count == 1:
         return f"{name}: {mean} in the only room"

@@ -1,25 +1,28 @@
-"""What belongs to the value of a cell: whether it is relaxed, and what it takes for granted of the scene."""
+"""What belongs to the value of a cell: cautions, whether it is relaxed, what it takes for granted of the scene."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
 
-from ..daylight import DaylightMetric
+from ..attr import SceneAttribution
 from ..estimation import TargetedMetric
 from ..explanation import (
     FACTOR,
+    grid_premises,
     has_absolute_threshold,
     near_threshold_note,
     photometric_premises,
     relative_rating,
+    sky_premises,
     states_definition,
 )
 from ..metrics import GlareRating
 from ..rendering import SceneRenderer
-from ..visualization import group_by_text, pluralize
+from ..visualization import convergence_notes, pluralize
 from ._cell_effects import CellResults
 from ._recipe import Cell
 
@@ -32,6 +35,8 @@ RELAXED_DAYLIGHT = (
 )
 IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
+CAUTION = "caution: "
+DOES_NOT_ADD_UP = "does not add up"
 
 
 def described(
@@ -41,10 +46,12 @@ def described(
     value: float,
     info: Mapping[str, Any],
     renderer: SceneRenderer,
+    made_up: bool = False,
 ) -> dict[str, Any]:
-    """Return measure, verdict and notes of a cell; ``info`` has what the metric says of the value itself.
+    """Return measure, verdict, notes and cautions of a cell; ``info`` has what is known of the value itself.
 
-    ``shown`` is the picture that is rated, if the image is denoised for that.
+    ``shown`` is the picture that is rated, if the image is denoised for that; ``made_up`` says that the weather of
+    a metric of daylight is.
 
     A relaxed metric is called so, a glare rating only with its main source near the threshold. It has no class:
     that of the value by the definition may be another one. The rating by the other threshold is a number of its
@@ -55,22 +62,70 @@ def described(
     if states_definition(metric, shown):
         measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
         notes = (RELAXED if isinstance(metric.metric, GlareRating) else RELAXED_DAYLIGHT, *notes)
-    if isinstance(metric.metric, DaylightMetric):
-        weather, caution = metric.metric.sky.weather, getattr(metric.metric, "caution", None)
-        of_sky = None if weather is None else f"weather: {weather.place}"
-        notes = (*notes, *(note for note in (caution, of_sky) if note))
-    said = {"measure": measure, "verdict": verdict, "notes": list(notes)}
+    notes += sky_premises(metric.metric, made_up=made_up) + grid_premises(renderer) + _depth(renderer)
+    if caution := (info.get("picture") or {}).get("caution") or metric.caution:
+        notes = (f"{CAUTION}{caution}", *notes)
+    cautions = [note.removeprefix(CAUTION) for note in notes if note.startswith(CAUTION)]
+    said = {"measure": measure, "verdict": verdict, "notes": list(notes), "cautions": cautions}
     if not has_absolute_threshold(metric.metric):
         return said
     near = near_threshold_note(metric.metric, shown)
     return {**said, "relative_rating": relative_rating(metric.metric, shown), "threshold_note": near}
 
 
+def _depth(renderer: SceneRenderer) -> tuple[str, ...]:
+    """Return the depth of the paths to a sensor grid, which has no page that would say it."""
+    depth = renderer.plan.max_depth
+    return (f"light is followed through {depth} segments",) if renderer.has_grid and depth > 0 else ()
+
+
+def convergence_of(attribution: SceneAttribution) -> dict[str, str]:
+    """Return whether the effects of a cell add up, and the note that says so if they do not."""
+    verdict = attribution.info.get("convergence") or ""
+    note = "; ".join(convergence_notes(attribution)) if verdict == DOES_NOT_ADD_UP else ""
+    return {"convergence": verdict, "convergence_note": note}
+
+
+def columns_of(numbers: Mapping[str, Any]) -> dict[str, str]:
+    """Return caution and convergence of a cell, for tables; both are empty in one of an older version."""
+    return {
+        "caution": "; ".join(numbers.get("cautions", [])),
+        "convergence": numbers.get("convergence", ""),
+    }
+
+
+def mark_of(numbers: Mapping[str, Any]) -> str:
+    """Return what puts a cell in doubt, in a few words; empty if nothing does."""
+    words = [_head(caution) for caution in numbers.get("cautions", [])]
+    if numbers.get("convergence") == DOES_NOT_ADD_UP:
+        words.append("the effects do not add up")
+    return "; ".join(words)
+
+
+def count_of_cautions(result: CellResults, cells: Iterable[Cell]) -> str:
+    """Return ``"6 of 12 cells have a caution; 1 does not add up"``; empty if there is none."""
+    all_numbers = [result.numbers(cell) for cell in cells]
+    cautioned = sum(bool(numbers.get("cautions")) for numbers in all_numbers)
+    unequal = sum(numbers.get("convergence") == DOES_NOT_ADD_UP for numbers in all_numbers)
+    of_all = f"of {pluralize(len(all_numbers), 'cell')}"
+    parts = [f"{cautioned} {of_all} {'has' if cautioned == 1 else 'have'} a caution"] if cautioned else []
+    if unequal:
+        which = f"{unequal}" if cautioned else f"{unequal} {of_all}"
+        parts.append(f"{which} {DOES_NOT_ADD_UP if unequal == 1 else 'do not add up'}")
+    return "; ".join(parts)
+
+
 def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:
-    """Return the notes on the values of some cells, each with the cells that it is of."""
-    pairs = [(str(cell), note) for cell in cells for note in _notes(result.numbers(cell))]
-    grouped = group_by_text(pairs)
-    lines = [f"{note} ({_which(names)})" for note, names in grouped.items()]
+    """Return the notes on the values of some cells, each with the cells that it is of; cautions come first.
+
+    Cautions that differ in their numbers only are one note.
+    """
+    kinds: dict[str, list[tuple[str, str]]] = {}
+    for cell in cells:
+        for note in _notes(result.numbers(cell)):
+            kinds.setdefault(_kind(note), []).append((note, str(cell)))
+    ordered = sorted(kinds.values(), key=lambda pairs: not _is_doubt(pairs[0][0]))
+    lines = [f"{pairs[0][0]} ({_which(pairs)})" for pairs in ordered]
     more = len(lines) - MOST_NOTES
     return lines if more <= 0 else [*lines[:MOST_NOTES], f"{pluralize(more, 'more note')} on single cells"]
 
@@ -78,8 +133,28 @@ def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:
 def _notes(numbers: Mapping[str, Any]) -> list[str]:
     """Return the notes of a cell, with the rating by the other threshold left to the table."""
     notes, near = numbers.get("notes", []), numbers.get("threshold_note")
-    return [f"{near}; {IN_TABLE}" if near and note.startswith(near) else note for note in notes]
+    shown = [f"{near}; {IN_TABLE}" if near and note.startswith(near) else note for note in notes]
+    return [*shown, *filter(None, [numbers.get("convergence_note")])]
 
 
-def _which(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]} and {pluralize(len(names) - 1, 'more cell')}"
+def _is_doubt(note: str) -> bool:
+    return note.startswith((CAUTION, DOES_NOT_ADD_UP))
+
+
+def _kind(note: str) -> str:
+    """Return what notes have in common that are one: cautions are alike up to their numbers."""
+    return CAUTION + _head(note.removeprefix(CAUTION)) if _is_doubt(note) else note
+
+
+def _head(text: str) -> str:
+    """Return a text up to its first colon or semicolon: the numbers of a caution come after it."""
+    return re.split("[:;] ", text, maxsplit=1)[0]
+
+
+def _which(pairs: Sequence[tuple[str, str]]) -> str:
+    """Return the cells of a note, and whether it has other numbers in some of them."""
+    (note, cell), *others = pairs
+    if not others:
+        return cell
+    numbers = ", with numbers of their own" if any(other != note for other, _ in others) else ""
+    return f"{cell} and {pluralize(len(others), 'more cell')}{numbers}"

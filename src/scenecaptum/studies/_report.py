@@ -6,11 +6,11 @@ import contextlib
 import dataclasses
 import html
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from tqdm import tqdm
 
@@ -22,7 +22,7 @@ from ..report import encode_figure, fill_template, write_report
 from ..visualization import format_with_error, pluralize, rounded
 from ._cell_effects import CellResults, Group
 from ._figures import MIN_GROUPS, plot_effect_by_room, plot_gallery, plot_rank_stability
-from ._notes import notes_of
+from ._notes import columns_of, count_of_cautions, mark_of, notes_of
 from ._recipe import Cell
 from ._summary import GroupEffect, Summary, heading, summarize_effects, table_columns
 
@@ -101,10 +101,15 @@ def _index(result: Reported, index: Path, group: Group) -> str:
     axes = [axis for axis in _AXES if axis in ("scene", "metric") or len(_names(result, axis)) > 1]
     is_relative = any("relative_rating" in result.numbers(cell) for cell in result.cells)
     values = ["value", *([RELATIVE] if is_relative else [])]
-    columns = [*(_AXES[axis] for axis in axes), *values, "verdict", "seconds", "status"]
+    is_marked = any(mark_of(result.numbers(cell)) for cell in result.cells)
+    marks = ["caution"] if is_marked else []
+    columns = [*(_AXES[axis] for axis in axes), *values, "verdict", *marks, "seconds", "status"]
     numeric = (*values, "seconds", "seed")
     script = _resource("index.js")
-    rows = [*_rows(result, index, axes, values)]
+    rows = [*_rows(result, index, axes, values, marks)]
+    notes = notes_of(result, result.cells)
+    if summary is None and (count := count_of_cautions(result, result.cells)):
+        notes = [f"! {count}", *notes]
     name = html.escape(result.folder.resolve().name or str(result.folder))
     parts = {
         "title": f"{name} · study",
@@ -116,7 +121,7 @@ def _index(result: Reported, index: Path, group: Group) -> str:
             f'<th scope="col"{_class("number" if name in numeric else "")}>{name}</th>' for name in columns
         ),
         "rows": "\n".join(rows),
-        "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes_of(result, result.cells)),
+        "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
         "cell_count": str(len(rows)),
         "facts": html.escape(", ".join(f"{name} {version}" for name, version in versions().items())),
         "script": script,
@@ -228,15 +233,21 @@ def _image(figure: Figure) -> str:
     return f'<figure><img src="{source}" alt="{text}" width="{width}" height="{height}"></figure>'
 
 
-def _rows(result: Reported, index: Path, axes: Sequence[str], values: Sequence[str]) -> Iterator[str]:
-    """Yield a row of the table for each cell, those with an error first; ``values`` are columns of numbers."""
+def _rows(
+    result: Reported, index: Path, axes: Sequence[str], values: Sequence[str], marks: Sequence[str]
+) -> Iterator[str]:
+    """Yield a row of the table for each cell, those with an error first.
+
+    ``values`` are columns of numbers, and ``marks`` that of the cautions, if there are any.
+    """
     unknown = "<td></td>" * len(values)
+    no_words = "<td></td>" * (1 + len(marks))
     for cell, error in result.failures.items():
         yield _row(
             cell,
             axes,
             unknown,
-            "",
+            no_words,
             "",
             f'<td class="words failed" data-key="failed">failed: {html.escape(error)}</td>',
         )
@@ -249,13 +260,22 @@ def _rows(result: Reported, index: Path, axes: Sequence[str], values: Sequence[s
             cell,
             axes,
             "".join(_number(*one) for one in written[: len(values)]),
-            numbers["verdict"],
+            f'<td class="words">{html.escape(numbers["verdict"])}</td>' + (_mark(numbers) if marks else ""),
             rounded(numbers["seconds"], 2),
             "<td>finished</td>",
             f"{PAGES}/{key}.html" if _page_of(index, key).is_file() else "",
         )
     for cell in result.missing:
-        yield _row(cell, axes, unknown, "", "", "<td>missing</td>")
+        yield _row(cell, axes, unknown, no_words, "", "<td>missing</td>")
+
+
+def _mark(numbers: Mapping[str, Any]) -> str:
+    """Return the cell of the table that says what puts a value or its effects in doubt."""
+    words = mark_of(numbers)
+    if not words:
+        return "<td></td>"
+    full = "; ".join(filter(None, [columns_of(numbers)["caution"], numbers.get("convergence_note")]))
+    return f'<td class="words marked" title="{html.escape(full)}">! {html.escape(words)}</td>'
 
 
 def _number(number: float | None, written: str) -> str:
@@ -265,9 +285,9 @@ def _number(number: float | None, written: str) -> str:
 
 
 def _row(
-    cell: Cell, axes: Sequence[str], values: str, verdict: str, seconds: str, status: str, link: str = ""
+    cell: Cell, axes: Sequence[str], values: str, words: str, seconds: str, status: str, link: str = ""
 ) -> str:
-    """Return a row; ``values`` and ``status`` are cells, the others text."""
+    """Return a row; ``values``, ``words`` and ``status`` are cells, the others text."""
     names = [html.escape(str(getattr(cell, axis))) for axis in axes]
     first = f'<a href="{link}">{names[0]}</a>' if link else names[0]
     others = "".join(
@@ -275,6 +295,6 @@ def _row(
         for axis, name in zip(axes[1:], names[1:], strict=True)
     )
     return (
-        f'<tr><th scope="row" class="name">{first}</th>{others}{values}'
-        f'<td class="words">{html.escape(verdict)}</td><td class="number">{seconds}</td>{status}</tr>'
+        f'<tr><th scope="row" class="name">{first}</th>{others}{values}{words}'
+        f'<td class="number">{seconds}</td>{status}</tr>'
     )

@@ -15,7 +15,7 @@ from . import _extras as extras
 from ._cell_effects import Group
 from ._figures import plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._folder import StudyFolder
-from ._notes import notes_of
+from ._notes import columns_of, count_of_cautions, notes_of
 from ._recipe import AXES, Cell
 from ._report import write_study_report
 from ._summary import Summary, summarize_effects
@@ -97,7 +97,9 @@ class StudyResult:
         """Return a row for each cell of the study, also for the failed ones: the metric and its standard error.
 
         A glare rating with an absolute threshold has beside it the ``relative_rating``, with a threshold of 5
-        times the mean luminance.
+        times the mean luminance. ``caution`` is what puts a value in doubt, such as the noise of its picture, and
+        ``convergence`` whether the effects add up, of a method that checks it; both are empty in a cell that an
+        older version has stored.
 
         Raises
         ------
@@ -105,8 +107,14 @@ class StudyResult:
             If pandas is not installed: ``pip install 'scenecaptum[studies]'``.
         """
         finished = [
-            {**cell._asdict(), "status": "finished", **_without_rows(self.numbers(cell)), "error": ""}
-            for cell in self.cells
+            {
+                **cell._asdict(),
+                "status": "finished",
+                **_without_rows(numbers),
+                **columns_of(numbers),
+                "error": "",
+            }
+            for cell, numbers in ((cell, self.numbers(cell)) for cell in self.cells)
         ]
         failed = [
             {**cell._asdict(), "status": "failed", "error": error} for cell, error in self.failures.items()
@@ -121,6 +129,8 @@ class StudyResult:
             "standard_error",
             "verdict",
             "relative_rating",
+            "caution",
+            "convergence",
             "seconds",
         ]
         frame = extras.pandas().DataFrame([*finished, *failed, *missing], columns=[*columns, "error"])
@@ -309,8 +319,9 @@ class StudyResult:
         failed = group_by_text((str(cell), error) for cell, error in self.failures.items())
         errors = [f"failed: {_first(cells)}: {error}" for error, cells in failed.items()]
         over = f" ({', '.join(axes)})" if axes else ""
+        cautions = [count] if (count := count_of_cautions(self, self.cells)) else []
         notes = notes_of(self, self.cells)
-        return "\n".join([f"{', '.join(counts)} in {self.folder}{over}", *errors, *notes])
+        return "\n".join([f"{', '.join(counts)} in {self.folder}{over}", *errors, *cautions, *notes])
 
     __repr__ = __str__
 

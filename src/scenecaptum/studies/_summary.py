@@ -12,6 +12,7 @@ from ..visualization import (
     Format,
     align_decimals,
     align_with_errors,
+    first_few,
     grid,
     group_by_text,
     pluralize,
@@ -22,7 +23,7 @@ from ..visualization import (
 )
 from . import _extras as extras
 from ._cell_effects import KIND, CellEffect, CellResults, Group, Quantity, cell_effects, selected_cells
-from ._notes import notes_of
+from ._notes import count_of_cautions, notes_of
 from ._random_effects import MIN_ROOMS_FOR_NEW_ROOM, Combined, Observation, combine
 from ._recipe import Cell, camera_name
 
@@ -133,7 +134,9 @@ class Summary:
     doubts
         For each effect of a cell whose error may be too small: scene, camera and group, and the reason.
     premises
-        What the values of the cells take for granted, and which of them are relaxed.
+        What the values of the cells take for granted, and which of them are relaxed or in doubt.
+    cautions
+        How many cells have a caution, and of how many the effects do not add up; empty if there is none.
     """
 
     rows: tuple[GroupEffect, ...]
@@ -141,6 +144,7 @@ class Summary:
     left_out: int
     doubts: tuple[tuple[str, str], ...] = ()
     premises: tuple[str, ...] = ()
+    cautions: str = ""
 
     def text(self) -> str:
         """Return the tables that ``print`` shows, one for each metric, design and method."""
@@ -246,6 +250,7 @@ class Summary:
             notes.append(
                 f"? the error of {pluralize(len(names), 'effect')} may be too small ({some}): {reason}"
             )
+        notes += [f"! {self.cautions}"] if self.cautions else []
         notes += self.premises
         if self.left_out:
             notes.append(f"! {pluralize(self.left_out, 'cell')} failed or missing, and left out")
@@ -277,13 +282,14 @@ def summarize_effects(
     several = len({one.cell.camera for one in effects}) > 1
     doubts = tuple((f"{one.group} in {_place(one.cell, several)}", one.doubt) for one in effects if one.doubt)
     left_out = len(result.failures) + len(result.missing)
-    return Summary(tuple(rows), len(cells), left_out, doubts, tuple(notes_of(result, cells)))
+    premises, cautions = tuple(notes_of(result, cells)), count_of_cautions(result, cells)
+    return Summary(tuple(rows), len(cells), left_out, doubts, premises, cautions)
 
 
 def _where(names: Sequence[str], groups: set[str]) -> str:
-    """Return the groups that a note is about, in parentheses; empty if it is about all."""
+    """Return the first of the groups that a note is about, in parentheses; empty if it is about all."""
     which = list(dict.fromkeys(names))
-    return "" if len(which) == len(groups) else f" ({', '.join(which)})"
+    return "" if len(which) == len(groups) else f" ({first_few(which)})"
 
 
 def _place(cell: Cell, with_camera: bool) -> str:

@@ -18,14 +18,14 @@ from ..designs import design_of
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Metric, Sampling, TargetedMetric, input_values, metric_value
 from ..executors import made
-from ..explanation import rated_image
+from ..explanation import grid_size, rated_image
 from ..protocols import Capabilities
 from ..rendering import SceneRenderer
 from ..scene import restored
 from ..visualization import metric_name, metric_unit
 from ._folder import StudyFolder
 from ._metrics import create_metric, renderer_options_for, target_of
-from ._notes import described
+from ._notes import convergence_of, described
 from ._recipe import Recipe
 
 VALUE = "value"  # the method that measures the metric, without derivatives
@@ -69,13 +69,14 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     if (target := target_of(recipe.metric, recipe.metric_options)) is not None:
         options["target"] = target
     if recipe.method == VALUE:
-        return _measure(renderer, metric, values, options), None
+        return _measure(recipe, renderer, metric, values, options), None
     attribution = METHODS[recipe.method].create(renderer, metric).attribute(values, **options)
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
     targeted = TargetedMetric(metric, options.get("target"))
     shown = rated_image(attribution, renderer)
-    said = described(targeted, attribution.image, shown, attribution.metric_value, attribution.info, renderer)
-    info = {**attribution.info, "measure": said["measure"], "verdict": said["verdict"]}
+    value, info, made_up = attribution.metric_value, attribution.info, has_made_up_weather(recipe)
+    said = described(targeted, attribution.image, shown, value, info, renderer, made_up)
+    info = {**info, "measure": said["measure"], "verdict": said["verdict"], **_grid(renderer)}
     attribution = dataclasses.replace(attribution, info=info)
     table = renderer.parameters_table()
     rows = [
@@ -97,18 +98,32 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
         "value": attribution.metric_value,
         "standard_error": attribution.metric_standard_error,
         **_beside(said),
+        **convergence_of(attribution),
+        "max_depth": renderer.plan.max_depth,
         "host": host_name(),
         "rows": rows,
     }
     return numbers, attribution
 
 
+def has_made_up_weather(recipe: Recipe) -> bool:
+    """Return whether the weather of a metric of daylight is the year that stands for a file."""
+    return isinstance(recipe.metric, str) and recipe.metric_options.get("weather") is None
+
+
+def _grid(renderer: SceneRenderer) -> dict[str, str]:
+    """Return what ``info`` says of a grid over a floor."""
+    return {"sensor grid": grid_size(renderer.grid)} if renderer.has_grid and renderer.grid.sides else {}
+
+
 def _beside(said: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what stands beside the value of a cell: its class, notes, and a rating by another threshold."""
+    """Return what stands beside the value of a cell: class, notes, cautions, and a rating by another threshold."""
     return {name: item for name, item in said.items() if name != "measure"}
 
 
-def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict[str, Any]) -> dict[str, Any]:
+def _measure(
+    recipe: Recipe, renderer: SceneRenderer, metric: Metric, values: Any, options: dict[str, Any]
+) -> dict[str, Any]:
     """Return a metric with its standard error, as the method "gradient" measures it."""
     sampling = Sampling(
         options["seed"],
@@ -122,7 +137,8 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
     )
     info = found.metric.describe(found.value, found.image)
     shown = found.metric.transform(found.image)
-    said = described(targeted, found.image, shown, found.value, info, renderer)
+    made_up = has_made_up_weather(recipe)
+    said = described(targeted, found.image, shown, found.value, info, renderer, made_up)
     measure = said["measure"] or {}
     return {
         "measure": measure.get("name", found.metric.name),
@@ -130,6 +146,7 @@ def _measure(renderer: SceneRenderer, metric: Metric, values: Any, options: dict
         "value": found.value,
         "standard_error": found.error,
         **_beside(said),
+        "max_depth": renderer.plan.max_depth,
         "host": host_name(),
         "rows": [],
     }

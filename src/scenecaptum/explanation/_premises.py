@@ -1,0 +1,60 @@
+"""What values at points and values of daylight take for granted: where the points are, and the sky above them."""
+
+from __future__ import annotations
+
+import torch
+
+from ..daylight import DaylightMetric
+from ..estimation import Metric
+from ..grid import GridPoints
+from ..rendering import SceneRenderer
+from ..visualization import rounded
+
+MADE_UP = "made-up, of no real place; the results hold for your place only with its own weather file"
+
+
+def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
+    """Return a line that says where the points of a grid over a floor are; none of other sensors.
+
+    Where most of the points have nothing above them, neither a ceiling nor glass, a caution says so.
+    """
+    if not renderer.has_grid or not renderer.grid.sides:
+        return ()
+    points = renderer.grid
+    line = f"grid: {grid_size(points)}, if the scene's unit is the metre"
+    count = int(points.inside.sum())
+    if 2 * points.open_above <= count:
+        return (line,)
+    return (
+        line,
+        f"caution: {points.open_above} of the {count} points have nothing above them, no ceiling and no glass: if "
+        "they are to be in a room, choose a grid that is no larger than the room",
+    )
+
+
+def grid_size(points: GridPoints) -> str:
+    """Return ``"63 points on floor_shape (parquet), 0.8 m above it, 7 × 5 m, 0.78 m apart"``, of two."""
+    width, depth = (rounded(side) for side in points.sides)
+    gaps = torch.cat([points.plan[0, :, 0].diff(), points.plan[:, 0, 1].diff()]).abs()
+    apart = [f"{rounded(gaps.max().item(), 2)} m apart"] if len(gaps) else []
+    size = [f"{rounded(points.above)} m above it", f"{width} × {depth} m", *apart]
+    material = f" ({points.material})" if points.material else ""
+    return f"{int(points.inside.sum())} points on {points.floor}{material}, {', '.join(size)}"
+
+
+def sky_premises(metric: Metric, *, made_up: bool) -> tuple[str, ...]:
+    """Return lines that say under which light a metric of daylight is computed; none for others.
+
+    ``made_up`` says that the weather is the made-up year that stands for a file that was not given.
+    """
+    if not isinstance(metric, DaylightMetric):
+        return ()
+    weather = metric.sky.weather
+    if weather is None:
+        return (
+            "sky: the CIE overcast sky",
+            "a daylight factor has no classes; the metric en17037 rates a room",
+        )
+    if made_up:
+        return (f"weather: {MADE_UP}",)
+    return (f"weather: {weather.place}, latitude {weather.latitude:g}°, longitude {weather.longitude:g}°",)
