@@ -26,8 +26,11 @@ from scenecaptum.visualization import (
     plot_overlay,
     plot_rank_comparison,
     plot_specificity,
+    table_text,
 )
 from scenecaptum.visualization._text import finding
+
+VARIANCE = "variance of the gradient per unit"
 
 
 def hexes(colors: Any) -> list[str]:
@@ -194,6 +197,51 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     assert f"depends most on {first.label}\n" in text, "names an effect lost in the noise"
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
     assert "the largest effect is within the noise\n" in text
+
+
+def test_titles_of_squares_and_variances_do_not_say_what_the_metric_depends_on() -> None:
+    zeros = {name: 0 * value for name, value in make().items()}
+    for quantity, said, of_none in (
+        (VARIANCE, "the gradient of Glare varies most with lamp", "varies with none"),
+        (
+            "mean squared gradient per unit",
+            "the mean squared gradient of Glare is largest for lamp",
+            "none of",
+        ),
+    ):
+        result = make(quantity=quantity)
+        assert finding(result) == said
+        assert said in " ".join(all_text(plot_bars(result)).split())
+        assert of_none in finding(dataclasses.replace(result, attributions=zeros))
+
+
+def test_a_difference_of_one_metric_says_what_its_results_differ_in() -> None:
+    first, others = make(method="first"), make(method="second")
+    lower = dataclasses.replace(others, attributions={name: value / 2 for name, value in others.items()})
+    assert finding(first - lower) == "the two results differ most in lamp"
+    assert finding(first - others) == "the two results differ in none of these parameters"
+    other_metric = dataclasses.replace(lower, info={**lower.info, "metric": "Light"})
+    assert finding(first - other_metric) == "Glare − Light depends most on lamp"
+
+
+def test_ranks_per_unit_of_several_kinds_have_a_note() -> None:
+    note = "per unit: compare parameters of one kind only"
+    labels = {"lamp": "lamp: radiance", "rough": "desk: roughness"}
+    ranged = dataclasses.replace(
+        make(),
+        labels=labels,
+        extents={
+            name: torch.full((value.shape[-1] if value.ndim else 1,), 1.0) for name, value in make().items()
+        },
+    )
+    mixed = dataclasses.replace(ranged, extents={**ranged.extents, "lamp": torch.full((3,), 40.0)})
+    assert note in all_text(plot_bars(mixed, scale="unit"))
+    assert note in table_text(mixed, scale="unit")
+    assert note in all_text(plot_bars(dataclasses.replace(mixed, info={**mixed.info, "quantity": VARIANCE})))
+    one_kind = dataclasses.replace(mixed, labels={"lamp": "lamp: radiance", "rough": "bulb: radiance"})
+    for result, scale in ((mixed, "range"), (ranged, "unit"), (one_kind, "unit")):
+        assert note not in all_text(plot_bars(result, scale=scale))
+        assert note not in table_text(result, scale=scale)
 
 
 def test_titles_do_not_conclude_where_an_effect_lost_in_the_noise_may_be_the_largest() -> None:

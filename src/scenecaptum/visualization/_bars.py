@@ -44,6 +44,7 @@ from ._text import (
     sampling_notes,
     scene_cautions,
     sign_labels,
+    unit_notes,
 )
 
 if TYPE_CHECKING:
@@ -208,6 +209,7 @@ def _footnotes(
         method_name(attribution),
         *sampling_notes(attribution),
         *convergence_notes(attribution),
+        *unit_notes(attribution, rows, scale),
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
         "" if any(row.saliency for row in rows) else "all effects are 0",
         f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",

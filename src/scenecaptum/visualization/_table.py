@@ -28,6 +28,7 @@ from ._text import (
     range_notes,
     sampling_notes,
     scene_cautions,
+    unit_notes,
     untrusted_groups,
     verdict,
 )
@@ -166,7 +167,7 @@ def _table(
     channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
-    notes += baseline_notes(attribution)
+    notes += unit_notes(attribution, shown, scale) + baseline_notes(attribution)
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")

@@ -70,14 +70,17 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
 def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
+    Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
+
     If the third may be the first as well, "and others" follows. It names only effects that exceed two standard
     errors, and says so if the largest does not, or if one within its noise may be larger. It names no effect with
     a note (``~``), which may be overstated.
     """
     metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    most, none = _findings(attribution, metric)
     noted = range_marked(range_notes(attribution, scale))
     if not noted and not any(row.saliency for row in ranking):
-        return f"{metric} depends on none of these parameters"
+        return none
     if ranking[0].saliency and not _is_clear(ranking[0]):
         return f"{metric}: the largest effect is within the noise"
     unmarked = [row for row in ranking if row.name not in noted]
@@ -91,7 +94,16 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
     aside = "" if first is ranking[0] else ", effects marked ~ aside"
-    return f"{metric} depends most on {listed}{aside}"
+    return f"{most} {listed}{aside}"
+
+
+def _findings(attribution: Attribution, metric: str) -> tuple[str, str]:
+    """Return what precedes the names of the largest effects, and what is said where all are 0."""
+    kind, terms = attribution.kind, attribution.info.get("terms") or ()
+    if kind.has_sign and "minus" in attribution.info and len(terms) == 1:
+        # Two results of one metric: not it, but their difference is what the effects are of.
+        return "the two results differ most in", "the two results differ in none of these parameters"
+    return kind.finding.format(metric), kind.finding_of_none.format(metric)
 
 
 def _is_clear(row: RankedParameter) -> bool:
@@ -204,6 +216,27 @@ def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
         if len(shapes) > 1 and ", ".join(shapes[:2]) in name:
             return ["a material that several shapes share is one row, with these shapes in parentheses"]
     return []
+
+
+def unit_notes(
+    attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
+) -> list[str]:
+    """Return a note where numbers per unit of different kinds of parameters are ranked together.
+
+    A reflectance has a range of 1 and a radiance one of hundreds: the order of their numbers per unit says little.
+    """
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    if kind.has_sign and not kind.is_gradient_per_unit:
+        return []
+    kinds = {row.label.rpartition(": ")[2] for row in rows if ": " in row.label}
+    ranges = {
+        round(float(attribution.extents[row.name].max()), 6)
+        for row in rows
+        if row.name in attribution.extents
+    }
+    if len(kinds) < 2 or len(ranges) == 1:
+        return []
+    return ["per unit: compare parameters of one kind only"]
 
 
 def jump_notes(attribution: Attribution) -> list[str]:
