@@ -68,7 +68,8 @@ def plot_bars(
 
     The side and the colour of a bar show whether raising the parameter raises or lowers the metric or, for
     contributions, whether the parameter adds to the metric or takes from it. Bars are grey if the effect is less
-    than two standard errors from zero. Gradients per unit, whose channels have no common sign, are shown by their
+    than two standard errors from zero, or with fewer than 8 replicates within its interval at 95 % (Student's t).
+    Gradients per unit, whose channels have no common sign, are shown by their
     norm.
 
     Parameters

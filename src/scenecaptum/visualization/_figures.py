@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from ..errors import SceneCaptumError, whole_number
 from ..protocols import Attribution, RankedParameter, Scale
+from ..student import clear_from
 from ._layout import wrapped_lines
 from ._numbers import rounded
 from ._text import FINDING_WIDTH, finding, metric_line, sign_labels
@@ -93,14 +94,15 @@ def first(rows: Sequence[T], top: int | None) -> Sequence[T]:
 
 
 def color_of(row: RankedParameter, attribution: Attribution, scale: Scale | None = None) -> str:
-    """Return the colour of a row's sign: neutral if its effect is less than two standard errors from zero.
+    """Return the colour of a row's sign: neutral if its effect is not clear of its noise.
 
     Per unit, it is also neutral if channels disagree.
     """
+    allowed = clear_from(attribution.info)
     values, errors = [row.effect], [row.effect_error or 0.0]
     if attribution.ranks_by_norm(scale):
         values, errors = list(row.total), list(row.total_error or (0.0,) * len(row.total))
-    signs = {value > 0 for value, error in zip(values, errors, strict=True) if abs(value) > 2 * error}
+    signs = {value > 0 for value, error in zip(values, errors, strict=True) if abs(value) > allowed * error}
     if len(signs) != 1 or sign_labels(attribution) is None:
         return UNCLEAR
     return RAISES if signs.pop() else LOWERS

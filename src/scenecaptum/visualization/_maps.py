@@ -17,6 +17,7 @@ from ..projection import (
     used_by_objects,
 )
 from ..protocols import Attribution, Scale
+from ..student import clear_from
 from ._arrows import arrows, draw_arrows
 from ._figures import (
     LOWERS,
@@ -353,13 +354,13 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
         return ""
     visible = surfaces.visible_parameters() | set(attribution.info.get("seen_through") or ())
     groups = attribution.info.get("groups") or {}
-    ranking = attribution.ranking(scale=scale)
+    ranking, allowed = attribution.ranking(scale=scale), clear_from(attribution.info)
     unseen = [
         row
         for row in ranking
         if visible.isdisjoint(groups.get(row.name, [row.name]))
         and not is_of_camera(row.name)
-        and row.saliency > max(2 * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
+        and row.saliency > max(allowed * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
     ]
     named = [row for row in unseen if row.rank <= _MOST_UNSEEN]
     if not named:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
+from ..student import clear_from
 from ._layout import first_few, group_by_text
 from ._numbers import format_with_error, rounded, rounded_up, shorten, with_error
 
@@ -72,25 +74,28 @@ def finding(attribution: Attribution, scale: Scale | None = None) -> str:
 
     Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
 
-    If the third may be the first as well, "and others" follows. It names only effects that exceed two standard
-    errors, and says so if the largest does not, or if one within its noise may be larger. It names no effect with
-    a note (``~``), which may be overstated.
+    If the third may be the first as well, "and others" follows. It names only effects that are clear of
+    their noise, and says so if the largest is not, or if one within its noise may be larger. It names no effect
+    with a note (``~``), which may be overstated.
     """
     metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     most, none = _findings(attribution, metric)
+    allowed = clear_from(attribution.info)
     noted = range_marked(range_notes(attribution, scale))
     if not noted and not any(row.saliency for row in ranking):
         return none
-    if ranking[0].saliency and not _is_clear(ranking[0]):
+    if ranking[0].saliency and not _is_clear(ranking[0], allowed):
         return f"{metric}: the largest effect is within the noise"
     unmarked = [row for row in ranking if row.name not in noted]
-    if not unmarked or not _is_clear(unmarked[0]):
+    if not unmarked or not _is_clear(unmarked[0], allowed):
         return f"{metric}: see the notes on the effects marked ~"
-    first, *others = [row for row in unmarked if _is_clear(row)][:3]
-    noisy = [row for row in unmarked if not _is_clear(row) and _upper_end(row) > first.saliency]
+    first, *others = [row for row in unmarked if _is_clear(row, allowed)][:3]
+    noisy = [
+        row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
+    ]
     if noisy:
-        return f"{metric}: the largest effect is uncertain; {_too_large(noisy)}"
-    tied = [row for row in others if not _are_apart(first, row)]
+        return f"{metric}: the largest effect is uncertain; {_too_large(noisy, allowed)}"
+    tied = [row for row in others if not _are_apart(first, row, allowed)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
     aside = "" if first is ranking[0] else ", effects marked ~ aside"
@@ -106,19 +111,19 @@ def _findings(attribution: Attribution, metric: str) -> tuple[str, str]:
     return kind.finding.format(metric), kind.finding_of_none.format(metric)
 
 
-def _is_clear(row: RankedParameter) -> bool:
-    """Whether a saliency is not 0 and more than two standard errors from it."""
-    return not row.saliency <= 2 * (row.saliency_error or 0.0)
+def _is_clear(row: RankedParameter, allowed: float) -> bool:
+    """Whether a saliency is not 0 and more than the ``allowed`` standard errors from it."""
+    return not row.saliency <= allowed * (row.saliency_error or 0.0)
 
 
-def _upper_end(row: RankedParameter) -> float:
-    """Return the saliency plus two standard errors."""
-    return row.saliency + 2 * (row.saliency_error or 0.0)
+def _upper_end(row: RankedParameter, allowed: float) -> float:
+    """Return the saliency plus the ``allowed`` standard errors."""
+    return row.saliency + allowed * (row.saliency_error or 0.0)
 
 
-def _too_large(noisy: Sequence[RankedParameter]) -> str:
+def _too_large(noisy: Sequence[RankedParameter], allowed: float) -> str:
     """Return ``'the error of sky: radiance is too large'``; of several, that of the largest upper end is first."""
-    ordered = sorted(noisy, key=_upper_end, reverse=True)
+    ordered = sorted(noisy, key=partial(_upper_end, allowed=allowed), reverse=True)
     named = shorten([row.label for row in ordered[: 1 if len(noisy) > 2 else 2]], FINDING_WIDTH)
     if len(noisy) == 1:
         return f"the error of {named[0]} is too large"
@@ -126,10 +131,10 @@ def _too_large(noisy: Sequence[RankedParameter]) -> str:
     return f"the errors of {' and '.join(named + others)} are too large"
 
 
-def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
-    """Whether two saliencies differ by more than two standard errors."""
+def _are_apart(larger: RankedParameter, smaller: RankedParameter, allowed: float) -> bool:
+    """Whether two saliencies differ by more than the ``allowed`` standard errors."""
     errors = (larger.saliency_error or 0.0, smaller.saliency_error or 0.0)
-    return larger.saliency - smaller.saliency > 2 * math.hypot(*errors)
+    return larger.saliency - smaller.saliency > allowed * math.hypot(*errors)
 
 
 def method_name(attribution: Attribution) -> str:
