@@ -75,6 +75,26 @@ def test_bars_of_doubtful_derivatives_are_hatched() -> None:
     assert "its size is off" in all_text(figure)
 
 
+def test_bars_name_their_unreliable_errors_if_they_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    doubts = {"rough": "few samples", "wall": "none", "tiny": "none", "noisy": "not shown at all"}
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: doubts)
+    figure = plot_bars(make(), top=5)
+    text = " ".join(all_text(figure).split())
+    assert "? few samples (desk: roughness)" in text
+    assert "? none (wall; tiny, 1 of them not shown)" in text
+    assert "not shown at all" not in text
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert names == ["lamp", "two_minds", "floor", "? desk: roughness", "? wall"]
+    assert outside(figure) == []
+    both = " ".join(all_text(plot_specificity([make(), make(method="Other")], top=5)).split())
+    assert both.count("? few samples (desk: roughness)") == 1
+    # If all are, it is said once.
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
+    figure = plot_bars(make(), top=5)
+    assert "? few (all parameters)" in all_text(figure)
+    assert not any("?" in label.get_text() for label in figure.axes[0].get_yticklabels())
+
+
 def overstated(*rows: tuple[str, float, float], errors: float = 0.01) -> SceneAttribution:
     """A result with the effect and the value of each row; a roughness is overstated where its value is low."""
     base = make()

@@ -347,21 +347,30 @@ def test_cautions_are_grouped() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "counted"),
+    ("names", "counted", "named"),
     [
-        (["lamp"], "1 parameter"),
-        (["lamp", "two_minds"], "2 parameters"),
-        (["lamp", "wall", "tiny"], "3 parameters, 2 of them not shown"),
-        (["wall", "tiny"], "2 parameters, none of them shown"),
-        (["tiny"], "1 parameter, not shown"),
+        (["lamp"], "1 parameter", "lamp"),
+        (["lamp", "two_minds"], "2 parameters", "lamp; two_minds"),
+        (
+            ["wall", "tiny", "lamp"],
+            "3 parameters, 2 of them not shown",
+            "lamp; wall; tiny, 2 of them not shown",
+        ),
+        (["wall", "tiny"], "2 parameters, none of them shown", "wall; tiny, none of them shown"),
+        (["tiny"], "1 parameter, not shown", "tiny, not shown"),
+        (
+            ["rough", "wall", "tiny", "lamp"],
+            "4 parameters, 3 of them not shown",
+            "lamp; desk: roughness; wall and 1 more, 3 of them not shown",
+        ),
     ],
 )
-def test_notes_say_how_many_of_their_parameters_have_no_row(
-    names: list[str], counted: str, monkeypatch: pytest.MonkeyPatch
+def test_notes_say_which_of_their_parameters_have_no_row(
+    names: list[str], counted: str, named: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: dict.fromkeys(names, "few"))
     text = table_text(make(cautions=dict.fromkeys(names, "size is off")), top=2)
-    assert f"?  few ({counted})" in text
+    assert f"?  few ({named})" in text
     assert f"!  size is off ({counted})" in text
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
     assert "?  few (all parameters)" in table_text(make(), top=2)

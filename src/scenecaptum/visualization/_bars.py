@@ -36,6 +36,7 @@ from ._text import (
     baseline_notes,
     caution_groups,
     convergence_notes,
+    doubt_notes,
     method_name,
     pack,
     pluralize,
@@ -45,6 +46,7 @@ from ._text import (
     scene_cautions,
     sign_labels,
     unit_notes,
+    untrusted_groups,
 )
 
 if TYPE_CHECKING:
@@ -146,8 +148,9 @@ def draw_bars(
             write_at(ax, sign, (end, position), (4 * side, 0), color=ink, **style)
     names = shorten([row.label for row in rows], name_width)
     noted = range_marked(bar_notes(attribution, rows, scale))
+    doubted = _doubted(attribution)
     marks = [
-        f"{'!' if hatched else ''}{'~' if row.name in noted else ''}"
+        f"{'!' if hatched else ''}{'?' if row.name in doubted else ''}{'~' if row.name in noted else ''}"
         for row, hatched in zip(rows, inaccurate, strict=True)
     ]
     name_rows(ax, [f"{mark} {name}".lstrip() for mark, name in zip(marks, names, strict=True)], size)
@@ -197,6 +200,19 @@ def bar_notes(
     return range_notes(attribution, scale, among=[row.name for row in rows])
 
 
+def bar_doubts(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[str]:
+    """Return the reasons for which error bars of these rows are unreliable."""
+    shown = {row.name for row in rows}
+    doubts = {why: names for why, names in untrusted_groups(attribution).items() if shown.intersection(names)}
+    return doubt_notes(doubts, attribution.labels, shown, len(attribution))
+
+
+def _doubted(attribution: Attribution) -> set[str]:
+    """Return the rows with the mark ``?``: as in the table, none if all parameters would have it."""
+    groups = untrusted_groups(attribution).values()
+    return {name for names in groups if len(names) < len(attribution) for name in names}
+
+
 def _footnotes(
     attribution: Attribution,
     rows: Sequence[RankedParameter],
@@ -214,6 +230,7 @@ def _footnotes(
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
         "" if any(row.saliency for row in rows) else "all effects are 0",
         f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",
+        *(f"? {doubt}" for doubt in bar_doubts(attribution, rows)),
     ]
     lines = [*pack([note for note in notes if note], width), *baseline_notes(attribution)]
     for text, names in cautions.items():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneCaptumError
 from ..projection import DEFAULT_NORM, MapNorm, heatmap, objects_of_unclear_sign, shared_maximum
 from ..protocols import Attribution, RankedParameter, Scale
-from ._bars import bar_legend, bar_notes, draw_bars
+from ._bars import bar_doubts, bar_legend, bar_notes, draw_bars
 from ._figures import (
     DEFAULT_TOP,
     SMALL,
@@ -112,11 +112,12 @@ def plot_specificity(
 def _marks(
     attributions: Sequence[Attribution], rows: Sequence[Sequence[RankedParameter]], scale: Scale | None
 ) -> list[str]:
-    """Return what the mark ``~`` beside a name means, in lines as wide as the figure."""
+    """Return what the marks ``~`` and ``?`` beside names mean, in lines as wide as the figure."""
     width = characters_per_line(0.95 * _COLUMN_WIDTH * len(attributions), SMALL)
-    pairs = zip(attributions, rows, strict=True)
-    notes = {note: None for one, ranked in pairs for note in bar_notes(one, ranked, scale)}
-    return [part for note in notes for part in wrapped_lines(f"~ {note}", width, 2)]
+    pairs = list(zip(attributions, rows, strict=True))
+    notes = [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
+    notes += [f"? {doubt}" for one, ranked in pairs for doubt in bar_doubts(one, ranked)]
+    return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
 
 
 def _draw_titles(figure: Any, attributions: Sequence[Attribution], scale: Scale | None) -> None:

@@ -18,6 +18,7 @@ from ._text import (
     caution_groups,
     convergence_notes,
     count_of,
+    doubt_notes,
     group_notes,
     hidden_of,
     jump_notes,
@@ -195,9 +196,8 @@ def _table(
         )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")
-    for reason, names in untrusted.items():
-        all_of_them = len(names) == len(attribution)
-        notes.append(f"?  {reason} ({'all parameters' if all_of_them else count_of(names, with_rows)})")
+    doubts = doubt_notes(untrusted, attribution.labels, with_rows, len(attribution))
+    notes += [f"?  {doubt}" for doubt in doubts]
     notes += jump_notes(attribution)
     for text, names in of_range.items():
         hidden = hidden_of(names, with_rows)

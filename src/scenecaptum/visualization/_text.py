@@ -514,6 +514,19 @@ def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     return group_by_text(attribution.untrusted_errors().items())
 
 
+def doubt_notes(
+    doubts: Mapping[str, Sequence[str]], labels: Mapping[str, str], shown: Collection[str], count: int
+) -> list[str]:
+    """Return what the mark ``?`` means: each reason, with the first of the rows that it is about of ``count``."""
+    notes = []
+    for reason, names in doubts.items():
+        first_shown = sorted(names, key=lambda name: name not in shown)
+        named = first_few([labels.get(name, name) for name in first_shown], "; ")
+        whose = ", ".join(filter(None, [named, hidden_of(names, shown)]))
+        notes.append(f"{reason} ({'all parameters' if len(names) == count else whose})")
+    return notes
+
+
 def is_of_camera(name: str) -> bool:
     """Whether a parameter belongs to the camera, which is in no picture and moves all of it."""
     return name.startswith("camera.")
