@@ -401,18 +401,19 @@ def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
     ]
     if not noisy:
         return {}
+    # Alone, its paths are sampled so that they find the lamps, which those of many inputs do not.
     alone = (
-        "attributed alone, this roughness has a smaller error, because lamps light it"
+        "the error of this roughness is large among many inputs and smaller if you select it alone"
         if len(noisy) == 1
-        else "attributed one at a time, these roughnesses have smaller errors, because lamps light them"
+        else "the errors of these roughnesses are large among many inputs and smaller if you select each alone"
     )
     return {f"{alone}: {_named(attribution, noisy)}": noisy}
 
 
-def _named(attribution: Attribution, names: Sequence[str]) -> str:
-    """Return the labels of the first few parameters, and how many more there are."""
+def _named(attribution: Attribution, names: Sequence[str], *, of: int | None = None) -> str:
+    """Return the labels of the first few parameters, and how many more there are ``of`` all."""
     # A label may have a comma or a colon.
-    return first_few([attribution.labels.get(name, name) for name in names], "; ")
+    return first_few([attribution.labels.get(name, name) for name in names], "; ", of=of)
 
 
 def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
@@ -467,23 +468,29 @@ def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
 def _roughness_notes(
     attribution: Attribution, scale: Scale | None, shown: Sequence[str]
 ) -> dict[str, list[str]]:
-    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
+    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do.
+
+    It names those whose effects are notable beside the largest of all, or the largest of them.
+    """
     effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
-    notable = _NOTABLE * max(effects.values(), default=0.0)
+    errors, allowed = attribution.saliency_error(scale) or {}, clear_from(attribution.info)
     small = [
         name
         for name, value in attribution.parameter_values.items()
         if name in shown
         and _ROUGHNESS & set(name.split("."))
-        and effects.get(name, 0.0) > notable
+        and effects.get(name, 0.0) > allowed * errors.get(name, 0.0)
         # That over the range is the gradient times the length of the range.
         and effects[name] > _MANY_TIMES * gradients[name] * float(value.mean())
     ]
     if not small:
         return {}
+    small.sort(key=effects.__getitem__, reverse=True)
+    notable = _NOTABLE * max(effects.values())
+    named = [name for name in small if effects[name] > notable] or small[:1]
     note = (
-        f"{_named(attribution, small)}: a small roughness acts most near 0, so its effect over the whole "
-        "range is overstated; give it a range, or use ablation"
+        f"{_named(attribution, named, of=len(small))}: a small roughness acts most near 0, so its effect over the "
+        "whole range is overstated; render the change, or measure an ablation"
     )
     return {note: small}
 
