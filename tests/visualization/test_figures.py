@@ -286,8 +286,11 @@ def test_maps_say_what_a_texel_shows_and_a_given_maximum_has_its_unit() -> None:
         extents={name: torch.ones(max(value.shape[-1:], default=1)) for name, value in base.items()},
     )
     text = all_text(plot_heatmap(textured, parameter="floor", texels=True, maximum=0.5)).replace("\n", " ")
-    title = "floor: first-order change of the metric over the range of the parameter, relative to 0.5 cd/m²"
-    assert title in text
+    change = "first-order change of the metric over the range of the parameter, relative to"
+    assert f"floor: magnitude of the {change} 0.5 cd/m²" in text
+    signed = all_text(plot_heatmap(textured, signed=True)).replace("\n", " ")
+    assert change in signed
+    assert "magnitude" not in signed
     assert "each texel: effect of a whole texture that acts like it" in text
     assert "each texel" not in all_text(plot_heatmap(textured, parameter="floor"))
 

@@ -257,6 +257,8 @@ def _map_title(
     names = [parameter] if isinstance(parameter, str) else parameter
     selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
     quantity = axis_label(attribution, scale, metric="the metric")
+    if not signed and attribution.kind.has_sign and not attribution.ranks_by_norm(scale):
+        quantity = f"magnitude of the {quantity}"  # of −0.5 it is 0.5; a norm has no sign anyway
     shown = f"{selected}: {quantity}" if selected else quantity
     unit = unit_of_change(metric_unit(attribution)) if attribution.scale_or_default(scale) == "range" else ""
     largest = (
