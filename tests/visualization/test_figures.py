@@ -590,6 +590,29 @@ def test_specificity_names_the_methods_where_they_differ() -> None:
     assert methods[0] not in all_text(plot_specificity([make(), make(metric="Luminance")]))
 
 
+def test_specificity_names_a_shared_metric_once_and_gives_each_bar_its_height() -> None:
+    name = "unified glare rating of the reading room"
+    columns = [
+        make(method="VanillaSceneGradient", measure={"name": name}),
+        make(method="IntegratedGradientsScene", measure={"name": name}, quantity="contribution"),
+        make(method="FeatureAblationScene", measure={"name": name}, quantity="effect of ablation"),
+    ]
+    figure = plot_specificity(columns, signed=True)
+    assert all_text(figure).count("unified glare rating") == 1
+    assert f"{name} = 2.3369 ± 0.0005" in all_text(figure)
+    assert "the metric depends most on lamp" in " ".join(all_text(figure).split())
+    assert outside(figure) == []
+    for shown in (figure, plot_specificity(columns[:1]), plot_specificity([make(), lengthy(), make()])):
+        inches = shown.axes[0].get_window_extent().height / shown.dpi
+        assert inches / len(CASES) > 0.15
+    # Of one metric with two values, each column has its own.
+    other = dataclasses.replace(columns[0], metric_value=3.0)
+    text = " ".join(all_text(plot_specificity([columns[0], other])).split())
+    assert text.count("unified glare rating") == 1
+    assert "the metric depends most on lamp 2.3369 ± 0.0005" in text
+    assert "the metric depends most on lamp 3.0000 ± 0.0005" in text
+
+
 def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None:
     from matplotlib.figure import Figure
 

@@ -115,9 +115,14 @@ def characters_per_line(inches: float, size: float) -> int:
 
 def figure_title(attribution: Attribution, width: int, scale: Scale | None = None) -> str:
     """Return the finding, and below it the metric's value, in lines of at most ``width`` characters."""
-    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""  # and in another class by the definition
-    lines = (finding(attribution, scale), f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}")
+    lines = (finding(attribution, scale), value_line(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, width))
+
+
+def value_line(attribution: Attribution) -> str:
+    """Return the metric's name and value, and that this is relaxed where the definition has another class."""
+    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""
+    return f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}"
 
 
 def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:

@@ -69,16 +69,16 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
     return attribution.info.get("measure") or {}
 
 
-def finding(attribution: Attribution, scale: Scale | None = None) -> str:
+def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
     Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
 
     If the third may be the first as well, "and others" follows. It names only effects that are clear of
     their noise, and says so if the largest is not, or if one within its noise may be larger. It names no effect
-    with a note (``~``), which may be overstated.
+    with a note (``~``), which may be overstated. ``metric`` is by default its name.
     """
-    metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     most, none = _findings(attribution, metric)
     allowed = clear_from(attribution.info)
     noted = range_marked(range_notes(attribution, scale))
@@ -152,10 +152,15 @@ def axis_label(
     """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if metric is None:
-        unit, square = metric_unit(attribution), "" if kind.has_sign else "²"
-        metric = f"{metric_name(attribution, width)}{f' ({unit_of_change(unit)}){square}' if unit else ''}"
+        metric = with_unit_of_effects(attribution, metric_name(attribution, width))
     label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
+
+
+def with_unit_of_effects(attribution: Attribution, metric: str) -> str:
+    """Return the metric followed by its unit, or the square of it for squares and variances, in parentheses."""
+    unit, square = metric_unit(attribution), "" if attribution.kind.has_sign else "²"
+    return f"{metric} ({unit_of_change(unit)}){square}" if unit else metric
 
 
 def sign_labels(attribution: Attribution) -> tuple[str, str] | None:
